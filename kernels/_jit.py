@@ -1,0 +1,54 @@
+"""How every kernel is compiled: the one place that holds Numba's options.
+
+Kernels are serial and release the GIL; they work on a range of tiles or rows, and
+``rgbd_planes.threads`` gives the ranges to threads. So nothing here depends on a Numba threading layer:
+not its launch cost, not its behaviour after a fork, not its thread safety.
+"""
+
+import functools
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@functools.cache
+def _sources_digest() -> str:
+    """Digest of all kernel sources.
+
+    Numba's cache looks only at the file of the function itself: a kernel that calls another file's
+    kernel would stay stale when that file changes. The digest in the function's qualified name, which is
+    part of the cache's file name, makes every change of any kernel a new cache entry.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def kernel(*, reduction: bool = False) -> Callable[[Function], Function]:
+    """Compile a function with Numba, lazily, cached on disk where a cache can be written.
+
+    Parameters
+    ----------
+    reduction : bool
+        Let the compiler reorder sums so that they vectorise. NaN and infinity keep their meaning. Never
+        for the solves, whose order of operations is their accuracy.
+    """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    if reduction:
+        options["fastmath"] = {"contract", "reassoc"}
+
+    def compile_lazily(function: Function) -> Function:
+        function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
+        try:
+            return cast(Function, numba.njit(cache=True, **options)(function))
+        except RuntimeError:  # no place for a cache: a read-only home and installation
+            return cast(Function, numba.njit(**options)(function))
+
+    return compile_lazily
