@@ -1,0 +1,200 @@
+"""Summed-area tables, and the moments of any rectangle from their corners: the ``integral`` implementation.
+
+A table has a border of zeros, so table[r, c] sums rows < r and columns < c, and a rectangle is four
+look-ups without special cases. The channels of a pixel lie side by side: one pass fills them all, and a
+look-up touches one place in memory.
+"""
+
+from ._jit import kernel
+from .depth import depth, inverse_depth
+
+
+@kernel()
+def count_missing(raw, lowest, highest):
+    """Return the number of missing pixels of a frame."""
+    missing = 0
+    for row in range(raw.shape[0]):
+        values = raw[row]
+        for column in range(values.shape[0]):
+            missing += 0 if (values[column] >= lowest) & (values[column] <= highest) else 1
+    return missing
+
+
+@kernel()
+def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
+    """The tables of range space that depend on the frame: q, q·tanθx, q·tanθy and, if asked for, q².
+
+    ``tables`` is (H + 1, W + 1, 4), for the implicit fit (eq. tan_theta_scattermatrix) and for residuals,
+    or (H + 1, W + 1, 3): all that the explicit solution needs (Mᵗb of the paper).
+    """
+    squares = tables.shape[2] == 4
+    tables[0] = 0.0
+    for row in range(raw.shape[0]):
+        above = tables[row]
+        below = tables[row + 1]
+        below[0] = 0.0
+        sum_q = sum_qx = sum_qy = sum_qq = 0.0
+        for column in range(raw.shape[1]):
+            value = raw[row, column]
+            if lowest <= value <= highest:
+                q = inverse_depth(value, scale, offset, is_disparity)
+                sum_q += q
+                sum_qx += q * tan_x[row, column]
+                sum_qy += q * tan_y[row, column]
+                sum_qq += q * q
+            below[column + 1, 0] = above[column + 1, 0] + sum_q
+            below[column + 1, 1] = above[column + 1, 1] + sum_qx
+            below[column + 1, 2] = above[column + 1, 2] + sum_qy
+            if squares:
+                below[column + 1, 3] = above[column + 1, 3] + sum_qq
+
+
+@kernel()
+def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
+    """The tables of (X, Y, Z), all of which depend on the frame: X, Y, Z, XX, XY, XZ, YY, YZ and ZZ.
+
+    ``tables`` is (H + 1, W + 1, 9), for the implicit fit (eq. XYZ_scattermatrix) and for residuals, or
+    (H + 1, W + 1, 8) without ZZ: all that the explicit solution needs (eq. XYZ_scattermatrix-1).
+    """
+    squares = tables.shape[2] == 9
+    tables[0] = 0.0
+    for row in range(raw.shape[0]):
+        above = tables[row]
+        below = tables[row + 1]
+        below[0] = 0.0
+        sum_x = sum_y = sum_z = sum_xx = sum_xy = sum_xz = sum_yy = sum_yz = sum_zz = 0.0
+        for column in range(raw.shape[1]):
+            value = raw[row, column]
+            if lowest <= value <= highest:
+                z = depth(value, scale, offset, is_disparity)
+                x = z * tan_x[row, column]
+                y = z * tan_y[row, column]
+                sum_x += x
+                sum_y += y
+                sum_z += z
+                sum_xx += x * x
+                sum_xy += x * y
+                sum_xz += x * z
+                sum_yy += y * y
+                sum_yz += y * z
+                sum_zz += z * z
+            below[column + 1, 0] = above[column + 1, 0] + sum_x
+            below[column + 1, 1] = above[column + 1, 1] + sum_y
+            below[column + 1, 2] = above[column + 1, 2] + sum_z
+            below[column + 1, 3] = above[column + 1, 3] + sum_xx
+            below[column + 1, 4] = above[column + 1, 4] + sum_xy
+            below[column + 1, 5] = above[column + 1, 5] + sum_xz
+            below[column + 1, 6] = above[column + 1, 6] + sum_yy
+            below[column + 1, 7] = above[column + 1, 7] + sum_yz
+            if squares:
+                below[column + 1, 8] = above[column + 1, 8] + sum_zz
+
+
+@kernel()
+def camera_tables(tan_x, tan_y, tables):
+    """The tables of range space that hold camera terms only: computed once for a camera.
+
+    ``tables`` is (H + 1, W + 1, 6): 1, tanθx, tanθy, tanθx², tanθx·tanθy, tanθy²
+    (eq. tan_theta_scattermatrix-1).
+    """
+    tables[0] = 0.0
+    for row in range(tan_x.shape[0]):
+        above = tables[row]
+        below = tables[row + 1]
+        below[0] = 0.0
+        sum_1 = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
+        for column in range(tan_x.shape[1]):
+            x = tan_x[row, column]
+            y = tan_y[row, column]
+            sum_1 += 1.0
+            sum_x += x
+            sum_y += y
+            sum_xx += x * x
+            sum_xy += x * y
+            sum_yy += y * y
+            below[column + 1, 0] = above[column + 1, 0] + sum_1
+            below[column + 1, 1] = above[column + 1, 1] + sum_x
+            below[column + 1, 2] = above[column + 1, 2] + sum_y
+            below[column + 1, 3] = above[column + 1, 3] + sum_xx
+            below[column + 1, 4] = above[column + 1, 4] + sum_xy
+            below[column + 1, 5] = above[column + 1, 5] + sum_yy
+
+
+@kernel()
+def missing_tables(raw, lowest, highest, tan_x, tan_y, tables):
+    """The camera terms of the missing pixels, to be taken off `camera_tables`' where a frame has holes."""
+    tables[0] = 0.0
+    for row in range(raw.shape[0]):
+        above = tables[row]
+        below = tables[row + 1]
+        below[0] = 0.0
+        sum_1 = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
+        for column in range(raw.shape[1]):
+            if not lowest <= raw[row, column] <= highest:
+                x = tan_x[row, column]
+                y = tan_y[row, column]
+                sum_1 += 1.0
+                sum_x += x
+                sum_y += y
+                sum_xx += x * x
+                sum_xy += x * y
+                sum_yy += y * y
+            below[column + 1, 0] = above[column + 1, 0] + sum_1
+            below[column + 1, 1] = above[column + 1, 1] + sum_x
+            below[column + 1, 2] = above[column + 1, 2] + sum_y
+            below[column + 1, 3] = above[column + 1, 3] + sum_xx
+            below[column + 1, 4] = above[column + 1, 4] + sum_xy
+            below[column + 1, 5] = above[column + 1, 5] + sum_yy
+
+
+@kernel()
+def window_sum(tables, window, channel):
+    """Sum of a channel over a window (row, column, height, width)."""
+    top, left = window[0], window[1]
+    bottom, right = top + window[2], left + window[3]
+    return (
+        tables[bottom, right, channel]
+        - tables[top, right, channel]
+        - tables[bottom, left, channel]
+        + tables[top, left, channel]
+    )
+
+
+@kernel()
+def range_window_moments(tables, camera, missing, windows, start, stop, moments):
+    """Range-space moments, about the origin, of windows ``start`` to ``stop``.
+
+    ``missing`` is empty, (0, 0, 6), for a frame without holes: only the 4 sums that depend on the frame
+    are then looked up beside the camera's.
+    """
+    for i in range(start, stop):
+        window = windows[i]
+        moments[0, i] = window_sum(camera, window, 0)
+        moments[1, i] = window_sum(camera, window, 1)
+        moments[2, i] = window_sum(camera, window, 2)
+        moments[3, i] = window_sum(tables, window, 0)
+        moments[4, i] = window_sum(camera, window, 3)
+        moments[5, i] = window_sum(camera, window, 4)
+        moments[6, i] = window_sum(tables, window, 1)
+        moments[7, i] = window_sum(camera, window, 5)
+        moments[8, i] = window_sum(tables, window, 2)
+        moments[9, i] = window_sum(tables, window, 3)
+        if missing.shape[0] > 0:
+            moments[0, i] -= window_sum(missing, window, 0)
+            moments[1, i] -= window_sum(missing, window, 1)
+            moments[2, i] -= window_sum(missing, window, 2)
+            moments[4, i] -= window_sum(missing, window, 3)
+            moments[5, i] -= window_sum(missing, window, 4)
+            moments[7, i] -= window_sum(missing, window, 5)
+
+
+@kernel()
+def standard_window_moments(tables, missing, windows, start, stop, moments):
+    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; ``missing`` as above."""
+    for i in range(start, stop):
+        window = windows[i]
+        moments[0, i] = window[2] * window[3]
+        if missing.shape[0] > 0:
+            moments[0, i] -= window_sum(missing, window, 0)
+        for channel in range(9):
+            moments[channel + 1, i] = window_sum(tables, window, channel)
