@@ -1,0 +1,56 @@
+"""Fit planes to depth images.
+
+    import rgbd_planes as rp
+
+    camera = rp.Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=1000.0)
+    tiles = rp.fit_tiles(depth, camera, tile=16)
+    tiles.planes  # (R, C, 4): nx, ny, nz, d
+
+Implements Papadakis and Willis, "Real-Time Surface Fitting to RGBD Sensor Data", IEEE SoutheastCon 2017,
+and goes on from there. Names load on first use, so that importing this takes no time.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# Where each public name comes from.
+_NAMES = {
+    "Camera": "camera",
+    "TileFitter": "tiles",
+    "TilePlanes": "tiles",
+    "TileStatus": "plane_fits",
+    "WindowPlanes": "windows",
+    "fit_tiles": "tiles",
+    "fit_windows": "windows",
+}
+_MODULES = ("presets", "scenes")
+
+__all__ = ["__version__", *_NAMES, *_MODULES]  # noqa: PLE0604
+
+if TYPE_CHECKING:
+    from rgbd_planes import presets as presets
+    from rgbd_planes import scenes as scenes
+    from rgbd_planes.camera import Camera as Camera
+    from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.tiles import TileFitter as TileFitter
+    from rgbd_planes.tiles import TilePlanes as TilePlanes
+    from rgbd_planes.tiles import fit_tiles as fit_tiles
+    from rgbd_planes.windows import WindowPlanes as WindowPlanes
+    from rgbd_planes.windows import fit_windows as fit_windows
+
+
+def __getattr__(name: str) -> Any:
+    if name in _NAMES:
+        value = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
+    elif name in _MODULES:
+        value = importlib.import_module(f"{__name__}.{name}")
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

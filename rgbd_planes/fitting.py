@@ -1,0 +1,126 @@
+"""From a frame's moments to planes: the part that tiles and windows share."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import DepthFrame
+from rgbd_planes.kernels import naive, solve, summed_area
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+
+
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise ValueError unless ``value`` is one of ``choices``."""
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+
+
+def check_share(name: str, value: float) -> None:
+    """Raise ValueError unless ``value`` is between 0 and 1."""
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name} must be between 0 and 1, got {value!r}")
+
+
+def check_error(max_error: float | None) -> float:
+    """Return the largest permitted residual in metres: infinity for None."""
+    if max_error is None:
+        return np.inf
+    if not max_error > 0.0:
+        raise ValueError(f"max_error must be a positive length in metres, or None, got {max_error!r}")
+    return float(max_error)
+
+
+def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np.float64]:
+    """Return how many valid pixels a tile of so many pixels needs: at least three."""
+    # The small term keeps a share such as 0.3 of 10 pixels, 3.0000000000000004 or so, what it says it is.
+    return np.maximum(3.0, pixels - np.floor(pixels * max_missing + 1e-9))
+
+
+def solve_planes(
+    method: str, arrays: Arrays, needed: npt.NDArray[np.float64], max_error: float, start: int, stop: int
+) -> None:
+    """Fill in the planes of tiles ``start`` to ``stop`` of one frame from their moments.
+
+    ``arrays`` are those of `plane_fits.allocate`, flat: (T, ...) each, and (10, T), (3, T), (5, T).
+    """
+    moments, reference, work = arrays["_moments"], arrays["_reference"], arrays["_work"]
+    coefficients, residual, own_residual = work[:3], work[3], work[4]
+    planes, alpha, status = arrays["planes"], arrays["alpha"], arrays["status"]
+    rmse, rmse_metric, valid_count = arrays["rmse"], arrays["rmse_metric"], arrays["valid_count"]
+    if method in ("range_explicit", "range_implicit", "standard_explicit"):
+        solve.explicit(moments, reference, needed, start, stop, coefficients, residual, status)
+    if method.startswith("standard"):
+        solve.standard_planes(
+            ("standard_explicit", "standard_implicit", "standard_pca").index(method),
+            moments, reference, needed, coefficients, residual, max_error, start, stop,
+            planes, alpha, rmse, rmse_metric, valid_count, status,
+        )  # fmt: skip
+        return
+    if method == "range_implicit":
+        solve.range_implicit(moments, reference, start, stop, coefficients, residual, own_residual, status)
+    else:
+        own_residual = residual
+    solve.range_planes(
+        moments, reference, coefficients, residual, own_residual, max_error, start, stop,
+        planes, alpha, rmse, rmse_metric, valid_count, status,
+    )  # fmt: skip
+
+
+class WindowMoments:
+    """Moments of any windows of one camera's frames, from summed-area tables or from the pixels.
+
+    Parameters
+    ----------
+    camera : Camera
+    method : str
+        One of `METHODS`.
+    implementation : {"integral", "naive"}
+    """
+
+    def __init__(self, camera: Camera, method: str, implementation: str) -> None:
+        self._camera = camera
+        self._range = method.startswith("range")
+        self._integral = implementation == "integral"
+        self._table_shape = (camera.height + 1, camera.width + 1)
+        self._camera_tables = np.empty((0, 0, 6))
+        if self._range and self._integral:
+            self._camera_tables = np.empty((*self._table_shape, 6))
+            summed_area.camera_tables(camera.tan_x, camera.tan_y, self._camera_tables)
+
+    def prepare(self, frame: DepthFrame) -> "Source":
+        """Build the tables of a frame, if any, once for all its windows."""
+        tan_x, tan_y = self._camera.tan_x, self._camera.tan_y
+        values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
+        if not self._integral:
+            pixels = naive.range_window_moments if self._range else naive.standard_window_moments
+            return Source(pixels, (*values, tan_x, tan_y))
+        missing = np.empty((0, 0, 6))
+        if summed_area.count_missing(frame.raw, frame.lowest, frame.highest):
+            missing = np.empty((*self._table_shape, 6))
+            summed_area.missing_tables(frame.raw, frame.lowest, frame.highest, tan_x, tan_y, missing)
+        tables = np.empty((*self._table_shape, 4 if self._range else 9))
+        if self._range:
+            summed_area.range_tables(*values, tan_x, tan_y, tables)
+            return Source(summed_area.range_window_moments, (tables, self._camera_tables, missing))
+        summed_area.standard_tables(*values, tan_x, tan_y, tables)
+        return Source(summed_area.standard_window_moments, (tables, missing))
+
+
+class Source:
+    """A frame made ready: call it for the moments of some windows."""
+
+    def __init__(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
+        self._kernel = kernel
+        self._arguments = arguments
+
+    def __call__(
+        self, windows: npt.NDArray[np.int64], start: int, stop: int, moments: npt.NDArray[np.float64]
+    ) -> None:
+        """Write the moments, about the origin, of windows ``start`` to ``stop`` into (10, T) ``moments``."""
+        self._kernel(*self._arguments, windows, start, stop, moments)

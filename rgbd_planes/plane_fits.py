@@ -1,0 +1,108 @@
+"""What a fit returns: planes, their residuals, and the reason where there is none."""
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+
+Float = npt.NDArray[np.float64]
+
+
+class TileStatus(enum.IntEnum):
+    """Whether a tile has a plane, and why not."""
+
+    OK = 0
+    """Fitted."""
+    TOO_FEW = 1
+    """Fewer than three valid pixels, or a larger share missing than ``max_missing``."""
+    DEGENERATE = 2
+    """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre."""
+    ROUGH = 3
+    """Fitted, and it keeps its plane, but the residual is too large for one."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaneFits:
+    """Planes n·X + d = 0 fitted to parts of a frame; the base of `TilePlanes` and `WindowPlanes`.
+
+    The arrays' leading shape S is (R, C) for the tiles of a frame, (F, R, C) for a batch and (K,) for
+    windows. All are in the camera's frame (x right, y down, z forward) and in metres.
+
+    Attributes
+    ----------
+    camera : Camera
+    method : str
+    planes : S + (4,) float64
+        nx, ny, nz, d with ‖n‖ = 1, d > 0 and n towards the camera. NaN where ``status`` is TOO_FEW or
+        DEGENERATE.
+    alpha : S + (3,) float64
+        -n / d, in 1/m: the inverse depth of the plane is q = α·(tanθx, tanθy, 1).
+    rmse : S float64
+        Root mean square residual over the valid pixels in the method's own units: 1/m for
+        ``range_explicit``, metres along the optical axis for ``standard_explicit`` and along the normal
+        for ``standard_pca``; the implicit methods' is the algebraic distance for coefficients of norm 1.
+    rmse_metric : S float64
+        The same in metres along the normal; d·Z̄·rmse, to first order, in range space.
+    valid_count : S int32
+        Number of valid pixels.
+    status : S uint8
+        `TileStatus`.
+    """
+
+    camera: Camera
+    method: str
+    planes: Float
+    alpha: Float
+    rmse: Float
+    rmse_metric: Float
+    valid_count: npt.NDArray[np.int32]
+    status: npt.NDArray[np.uint8]
+    # The ten sums of `kernels.moments` and the point that they are relative to: (..., 10) + S', (..., 3) + S'
+    # with S' = (R, C) or (K,).
+    _moments: Float
+    _reference: Float
+    # Explicit solution, two sums of squared residuals: room that a fit needs and a later one uses again.
+    _work: Float
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Leading shape of the arrays."""
+        return self.status.shape
+
+    @property
+    def fitted(self) -> npt.NDArray[np.bool_]:
+        """True where there is a plane: status OK or ROUGH."""
+        return (self.status == TileStatus.OK) | (self.status == TileStatus.ROUGH)
+
+    def _summary(self) -> str:
+        """Counts of each status that occurs, and the median residual."""
+        counts = [
+            f"{np.count_nonzero(self.status == status)} {status.name}"
+            for status in TileStatus
+            if np.any(self.status == status)
+        ]
+        if self.fitted.any():
+            counts.append(f"median rmse {np.median(self.rmse_metric[self.fitted]) * 1e3:.2g} mm")
+        return f"{self.method}: {', '.join(counts)}"
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.shape}, {self._summary()}>"
+
+
+def allocate(leading: tuple[int, ...], cells: tuple[int, ...]) -> dict[str, npt.NDArray[np.generic]]:
+    """Return the arrays of a `PlaneFits` for ``cells`` tiles or windows in each of ``leading`` frames."""
+    shape = leading + cells
+    return {
+        "planes": np.empty((*shape, 4)),
+        "alpha": np.empty((*shape, 3)),
+        "rmse": np.empty(shape),
+        "rmse_metric": np.empty(shape),
+        "valid_count": np.empty(shape, np.int32),
+        "status": np.empty(shape, np.uint8),
+        "_moments": np.empty((*leading, 10, *cells)),
+        "_reference": np.zeros((*leading, 3, *cells)),
+        "_work": np.empty((*leading, 5, *cells)),
+    }
