@@ -103,7 +103,8 @@ class Camera:
         if len(self.distortion) not in allowed:
             raise ValueError(
                 f"expected {', '.join(map(str, allowed))} distortion coefficients "
-                f"for {self.distortion_model} (k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(self.distortion)}: {self.distortion}"
+                f"for {self.distortion_model} (k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(self.distortion)}: "
+                f"{self.distortion}"
             )
 
     def _check_depth(self) -> None:
