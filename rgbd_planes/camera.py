@@ -1,0 +1,435 @@
+"""The camera: a pinhole with lens distortion, and how its depth is to be read."""
+
+import json
+import math
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes import camera_formats, distortion
+from rgbd_planes.depth import as_depth_frame
+
+Array = NDArray[np.float64]
+
+DISTORTION_MODELS = ("brown_conrady", "inverse_brown_conrady")
+
+_tables_lock = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with lens distortion, and the contract of its depth frames.
+
+    Axes x right, y down, z forward; pixel centres at integers.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of a frame in pixels.
+    fx, fy : float
+        Focal lengths in pixels, not zero; `fy` (or `fx`) may be negative.
+    cx, cy : float
+        Principal point in pixels; may lie outside the image.
+    distortion : sequence of 0, 4, 5 or 8 floats
+        k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order.
+    distortion_model : {"brown_conrady", "inverse_brown_conrady"}
+        What the coefficients do: OpenCV's model takes the ray to the image, RealSense's inverse (five
+        coefficients) takes the image to the ray.
+    depth_scale : float, optional
+        Raw units per metre of integer frames (1000: millimetres).
+    disparity : (scale, offset), optional
+        For disparity images: 1/Z = scale * raw + offset, in 1/m. Either this or `depth_scale`, not both.
+    depth_range : (nearest, farthest), optional
+        Depths in metres that are measurements, both included.
+    invalid_values : sequence of float
+        Raw values that mean "no measurement", besides 0, negative, NaN and infinite depths.
+    noise : optional
+        The sensor's noise model. It is no part of `to_dict` and of the JSON file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For a value that cannot be, saying what was expected and what came.
+
+    Notes
+    -----
+    The tables hold tanθx = (x + δx - cx) / fx and tanθy = (y + δy - cy) / fy of the paper's reconstruction
+    equation (Papadakis and Willis 2017), δ being the correction of the lens distortion.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    distortion_model: str = "brown_conrady"
+    depth_scale: float | None = None
+    disparity: tuple[float, float] | None = None
+    depth_range: tuple[float, float] | None = None
+    invalid_values: tuple[float, ...] = ()
+    noise: Any = field(default=None, hash=False)
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            self._set(name, _size(name, getattr(self, name)))
+        for name in ("fx", "fy", "cx", "cy"):
+            self._set(name, _number(name, getattr(self, name)))
+        for name in ("fx", "fy"):
+            if getattr(self, name) == 0:
+                raise ValueError(f"expected {name} in pixels, not 0, got {getattr(self, name)!r}")
+        self._set("distortion", _numbers("distortion", self.distortion))
+        self._set("invalid_values", _numbers("invalid_values", self.invalid_values, finite=False))
+        self._check_distortion()
+        self._check_depth()
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _check_distortion(self) -> None:
+        if self.distortion_model not in DISTORTION_MODELS:
+            raise ValueError(
+                f"expected distortion_model to be one of {', '.join(DISTORTION_MODELS)}, "
+                f"got {self.distortion_model!r}"
+            )
+        allowed = (0, 4, 5, 8) if self.distortion_model == "brown_conrady" else (0, 5)
+        if len(self.distortion) not in allowed:
+            raise ValueError(
+                f"expected {', '.join(map(str, allowed))} distortion coefficients "
+                f"for {self.distortion_model} (k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(self.distortion)}: "
+                f"{self.distortion}"
+            )
+
+    def _check_depth(self) -> None:
+        if self.depth_scale is not None:
+            self._set("depth_scale", _number("depth_scale", self.depth_scale))
+            if not self.depth_scale > 0:
+                raise ValueError(f"expected depth_scale > 0 (raw units per metre), got {self.depth_scale!r}")
+        if self.disparity is not None:
+            if self.depth_scale is not None:
+                raise ValueError(
+                    f"expected depth_scale or disparity, got both: depth_scale={self.depth_scale!r}, "
+                    f"disparity={self.disparity!r}"
+                )
+            pair = _numbers("disparity", self.disparity)
+            if len(pair) != 2 or pair[0] == 0:
+                raise ValueError(
+                    f"expected disparity as (scale, offset), scale not 0, got {self.disparity!r}"
+                )
+            self._set("disparity", pair)
+        if self.depth_range is not None:
+            pair = _numbers("depth_range", self.depth_range, finite=False)
+            if len(pair) != 2 or not 0 <= pair[0] < pair[1]:
+                raise ValueError(
+                    f"expected depth_range as (nearest, farthest) in metres, 0 <= nearest < farthest, "
+                    f"got {self.depth_range!r}"
+                )
+            self._set("depth_range", pair)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Without the tables: they are quick to make again, and a copy of them would come back writable.
+        return type(self), tuple(getattr(self, f.name) for f in fields(self))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of a frame."""
+        return self.height, self.width
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether the lens bends anything at all."""
+        return any(self.distortion)
+
+    @property
+    def is_separable(self) -> bool:
+        """Whether tan_x depends on the column only and tan_y on the row only: no distortion."""
+        return not self.is_distorted
+
+    @property
+    def tan_x_columns(self) -> Array:
+        """(W,) float64: (x - cx) / fx of each column. It is tan_x itself where the camera `is_separable`."""
+        return _read_only((np.arange(self.width) - self.cx) / self.fx)
+
+    @property
+    def tan_y_rows(self) -> Array:
+        """(H,) float64: (y - cy) / fy of each row. It is tan_y itself where the camera `is_separable`."""
+        return _read_only((np.arange(self.height) - self.cy) / self.fy)
+
+    @property
+    def tan_x(self) -> Array:
+        """(H, W) float64, C-contiguous, read-only: tanθx of each pixel's ray (tan_x, tan_y, 1).
+
+        Raises
+        ------
+        ValueError
+            The distortion cannot be inverted everywhere inside the image.
+        """
+        return self._tables[0]
+
+    @property
+    def tan_y(self) -> Array:
+        """(H, W) float64, C-contiguous, read-only: tanθy of each pixel's ray; see `tan_x`."""
+        return self._tables[1]
+
+    @property
+    def _tables(self) -> tuple[Array, Array]:
+        tables: tuple[Array, Array] | None = self.__dict__.get("_tables_made")
+        if tables is None:
+            with _tables_lock:
+                tables = self.__dict__.get("_tables_made")
+                if tables is None:
+                    tables = self._make_tables()
+                    self._set("_tables_made", tables)
+        return tables
+
+    def _make_tables(self) -> tuple[Array, Array]:
+        x, y = (np.array(t) for t in np.broadcast_arrays(self.tan_x_columns, self.tan_y_rows[:, None]))
+        if self.is_distorted:
+            x, y = self._rays(x, y)
+        return _read_only(x), _read_only(y)
+
+    def _rays(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Undistort the whole image, or say where it cannot be done."""
+        if self.distortion_model == "inverse_brown_conrady":
+            ray_x, ray_y = distortion.distort(x, y, self.distortion)
+            one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
+            flat_x, flat_y = x, y
+        else:
+            ray_x, ray_y, one_to_one = distortion.undistort(x, y, self.distortion)
+            flat_x, flat_y = ray_x, ray_y
+        # The border's lines to the optical axis sweep the whole image.
+        for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
+            one_to_one[border] &= distortion.unfolded(flat_x[border], flat_y[border], self.distortion)
+        if not one_to_one.all():
+            row, column = np.argwhere(~one_to_one)[0]
+            raise ValueError(
+                f"expected a lens distortion that can be inverted inside the image, got one that folds: "
+                f"{np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels have no single ray, the first "
+                f"at row {row}, column {column}; distortion={self.distortion} ({self.distortion_model}), "
+                f"its radial part folds at radius {distortion.fold_radius(self.distortion):.4g}"
+            )
+        return ray_x, ray_y
+
+    def points(self, depth: ArrayLike) -> Array:
+        """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like
+            As `rgbd_planes.fit_tiles` takes it.
+
+        Returns
+        -------
+        (H, W, 3) ndarray of float64
+            X, Y, Z in metres in the camera's frame, NaN where the depth is missing.
+        """
+        z = as_depth_frame(depth, self).metres
+        return np.stack([z * self.tan_x, z * self.tan_y, z], axis=-1)
+
+    def project(self, points: ArrayLike) -> Array:
+        """Project points into the image.
+
+        Parameters
+        ----------
+        points : (..., 3) array_like of float
+            X, Y, Z in metres in the camera's frame.
+
+        Returns
+        -------
+        (..., 2) ndarray of float64
+            Column x and row y in pixels; NaN behind the camera and where the distortion has no image of the
+            ray.
+        """
+        array = np.asarray(points, np.float64)
+        if array.ndim == 0 or array.shape[-1] != 3:
+            raise ValueError(f"expected points of shape (..., 3), got {array.shape}")
+        z = np.where(array[..., 2] > 0, array[..., 2], np.nan)
+        x, y = array[..., 0] / z, array[..., 1] / z
+        if self.is_distorted and self.distortion_model == "inverse_brown_conrady":
+            seen = np.isfinite(x) & np.isfinite(y)
+            x, y, _ = distortion.undistort(np.where(seen, x, 0.0), np.where(seen, y, 0.0), self.distortion)
+            x, y = np.where(seen, x, np.nan), np.where(seen, y, np.nan)
+        elif self.is_distorted:
+            beyond = np.hypot(x, y) >= distortion.fold_radius(self.distortion)
+            x, y = distortion.distort(
+                np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), self.distortion
+            )
+        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The camera as a dict that JSON takes; the noise model is left out."""
+        made: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "noise"}
+        made["distortion"] = list(self.distortion)
+        made["invalid_values"] = [int(v) if v.is_integer() else v for v in self.invalid_values]
+        if self.disparity is not None:
+            made["disparity"] = {"scale": self.disparity[0], "offset": self.disparity[1]}
+        if self.depth_range is not None:
+            made["depth_range"] = list(self.depth_range)
+        return made
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Make a camera from the keys of `to_dict`: the six of the pinhole are needed, the others are not.
+
+        Raises
+        ------
+        ValueError
+            Naming the keys that are unknown or missing.
+        """
+        if not isinstance(values, Mapping):
+            raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
+        known = [f.name for f in fields(cls) if f.name != "noise"]
+        unknown = sorted(str(k) for k in values if k not in known)
+        if unknown:
+            raise ValueError(f"expected the camera keys {', '.join(known)}, got also {', '.join(unknown)}")
+        missing = [name for name in known[:6] if name not in values]
+        if missing:
+            raise ValueError(
+                f"expected the camera keys {', '.join(known[:6])}, got none of {', '.join(missing)}"
+            )
+        made = dict(values)
+        disparity = made.get("disparity")
+        if isinstance(disparity, Mapping):
+            if set(disparity) != {"scale", "offset"}:
+                raise ValueError(
+                    f"expected disparity with the keys scale, offset, got {', '.join(map(str, disparity))}"
+                )
+            made["disparity"] = (disparity["scale"], disparity["offset"])
+        return cls(**made)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a camera from a JSON file with the keys of `to_dict`."""
+        return cls.from_dict(camera_formats.read_json(path))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the camera to a JSON file; the file appears whole or not at all."""
+        target = Path(path)
+        beside = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}")
+        text = json.dumps(self.to_dict(), indent=2) + "\n"
+        try:
+            beside.write_text(text, encoding="utf-8")
+            beside.replace(target)
+        finally:
+            beside.unlink(missing_ok=True)
+
+    @classmethod
+    def from_opencv(
+        cls,
+        camera_matrix: ArrayLike,
+        distortion: ArrayLike | None,
+        size: tuple[int, int],
+        *,
+        pixel_center: float = 0.0,
+        **depth: Any,
+    ) -> Self:
+        """Make a camera from OpenCV's calibration.
+
+        Parameters
+        ----------
+        camera_matrix : (3, 3) array_like
+            [[fx, 0, cx], [0, fy, cy], [0, 0, 1]].
+        distortion : array_like of 0, 4, 5 or 8 numbers, or None
+            As `cv2.calibrateCamera` returns it, of any shape; longer ones only with zeros from the ninth on.
+        size : (width, height)
+        pixel_center : float
+            Where the calibration has the centre of the first pixel: 0 in OpenCV, 0.5 in COLMAP and OpenGL.
+        **depth
+            `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+        """
+        return cls(**camera_formats.from_opencv(camera_matrix, distortion, size, pixel_center), **depth)
+
+    @classmethod
+    def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Any) -> Self:
+        """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo.
+
+        Parameters
+        ----------
+        info : mapping or object
+            With width, height, K, D, P (or k, d, p), distortion_model, binning_x, binning_y, roi.
+        rectified : bool
+            Whether the depth image is rectified (P, no distortion) or raw (K and D).
+        **depth
+            `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+
+        Notes
+        -----
+        The region of interest, in full-resolution pixels, is cut first, then binning divides it (REP 104).
+        The principal point follows ROS's own image_geometry: (cx - x_offset) / binning_x. For a camera that
+        averages blocks of pixels the exact value would be (binning_x - 1) / (2 binning_x) less.
+        """
+        return cls(**camera_formats.from_ros(info, rectified), **depth)
+
+    @classmethod
+    def from_open3d(cls, source: str | os.PathLike[str] | Mapping[str, Any], **depth: Any) -> Self:
+        """Make a camera from Open3D's JSON, PinholeCameraIntrinsic or PinholeCameraParameters.
+
+        Parameters
+        ----------
+        source : path or mapping
+            With width, height and intrinsic_matrix, nine numbers, column-major.
+        **depth
+            `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+        """
+        values = source if isinstance(source, Mapping) else camera_formats.read_json(source)
+        return cls(**camera_formats.from_open3d(values), **depth)
+
+    @classmethod
+    def from_realsense(cls, intrinsics: Any, *, depth_units: float | None = None, **depth: Any) -> Self:
+        """Make a camera from the intrinsics of a RealSense stream.
+
+        Parameters
+        ----------
+        intrinsics : pyrealsense2.intrinsics or mapping
+            With width, height, ppx, ppy, fx, fy, model, coeffs.
+        depth_units : float, optional
+            Metres per raw unit, `depth_sensor.get_depth_scale()`: 0.001, on a D405 0.0001.
+        **depth
+            `depth_scale` instead of `depth_units`, `disparity`, `depth_range`, `invalid_values`, `noise`.
+
+        Notes
+        -----
+        Inverse Brown-Conrady is taken as librealsense's header defines it: the polynomial undistorts. Depth
+        streams have all coefficients zero. Modified Brown-Conrady and the fisheye models with coefficients
+        other than zero are an error.
+        """
+        made = camera_formats.from_realsense(intrinsics, depth_units)
+        if "depth_scale" in made and depth.get("depth_scale") is not None:
+            raise ValueError("expected depth_units or depth_scale, got both")
+        return cls(**{**made, **depth})
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array
+
+
+def _size(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"expected {name} as a whole number of pixels, at least 1, got {value!r}")
+    return int(value)
+
+
+def _number(name: str, value: Any, *, finite: bool = True) -> float:
+    if isinstance(value, (bool, str, bytes)):
+        raise TypeError(f"expected {name} as a number, got {value!r}")
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"expected {name} as a number, got {value!r}") from None
+    if finite and not math.isfinite(number):
+        raise ValueError(f"expected {name} as a finite number, got {value!r}")
+    return number
+
+
+def _numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:
+    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)):
+        raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
+    return tuple(_number(name, value, finite=finite) for value in values)

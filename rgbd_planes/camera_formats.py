@@ -1,0 +1,186 @@
+"""Other systems' descriptions of a camera, each made into the arguments of `Camera`."""
+
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
+    "none",
+    "modified_brown_conrady",
+    "inverse_brown_conrady",
+    "ftheta",
+    "brown_conrady",
+    "kannala_brandt4",
+)
+_ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14)}
+
+
+def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """The object in a JSON file; ValueError where there is none."""
+    with open(path, encoding="utf-8") as file:
+        try:
+            values = json.load(file)
+        except ValueError as error:  # JSONDecodeError, or bytes that are no text
+            raise ValueError(f"expected a JSON file, got {os.fspath(path)}: {error}") from None
+    if not isinstance(values, dict):
+        raise ValueError(f"expected a JSON object in {os.fspath(path)}, got {type(values).__name__}")
+    return values
+
+
+def from_opencv(
+    camera_matrix: ArrayLike, distortion: ArrayLike | None, size: tuple[int, int], pixel_center: float
+) -> dict[str, Any]:
+    matrix = _matrix("camera_matrix", camera_matrix)
+    if len(size) != 2:
+        raise ValueError(f"expected size as (width, height), got {size!r}")
+    coefficients = [] if distortion is None else np.asarray(distortion, np.float64).ravel().tolist()
+    return {
+        "width": size[0],
+        "height": size[1],
+        **_pinhole(matrix),
+        "cx": matrix[0, 2] - pixel_center,
+        "cy": matrix[1, 2] - pixel_center,
+        "distortion": _without_thin_prism(coefficients),
+    }
+
+
+def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
+    width, height = int(_get(info, "width")), int(_get(info, "height"))
+    matrix = np.asarray(_get(info, "P", "p") if rectified else _get(info, "K", "k"), np.float64)
+    columns = 4 if rectified else 3
+    if matrix.size != 3 * columns:
+        raise ValueError(f"expected {3 * columns} numbers in {'P' if rectified else 'K'}, got {matrix.size}")
+    pinhole = _pinhole(_matrix("P" if rectified else "K", matrix.reshape(3, columns)[:, :3]))
+
+    x_offset = y_offset = 0
+    roi = _get(info, "roi", default=None)
+    if roi is not None:
+        x_offset, y_offset = int(_get(roi, "x_offset", default=0)), int(_get(roi, "y_offset", default=0))
+        # A width or height of 0 means the full resolution.
+        width = int(_get(roi, "width", default=0)) or width
+        height = int(_get(roi, "height", default=0)) or height
+    binning_x = int(_get(info, "binning_x", default=0)) or 1
+    binning_y = int(_get(info, "binning_y", default=0)) or 1
+    return {
+        "width": width // binning_x,
+        "height": height // binning_y,
+        "fx": pinhole["fx"] / binning_x,
+        "fy": pinhole["fy"] / binning_y,
+        "cx": (pinhole["cx"] - x_offset) / binning_x,
+        "cy": (pinhole["cy"] - y_offset) / binning_y,
+        "distortion": [] if rectified else _ros_distortion(info),
+    }
+
+
+def _ros_distortion(info: Any) -> list[float]:
+    coefficients = [float(v) for v in _get(info, "D", "d", default=())]
+    if not any(coefficients):
+        return []
+    model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
+    if model not in _ROS_COEFFICIENTS:
+        raise ValueError(
+            f"expected distortion_model to be one of {', '.join(_ROS_COEFFICIENTS)}, got {model!r}"
+        )
+    if len(coefficients) not in _ROS_COEFFICIENTS[model]:
+        raise ValueError(
+            f"expected {' or '.join(map(str, _ROS_COEFFICIENTS[model]))} coefficients in D for {model}, "
+            f"got {len(coefficients)}"
+        )
+    return _without_thin_prism(coefficients)
+
+
+def from_open3d(values: Mapping[str, Any]) -> dict[str, Any]:
+    intrinsic = values.get("intrinsic", values)
+    numbers = np.asarray(_get(intrinsic, "intrinsic_matrix"), np.float64)
+    if numbers.shape != (9,):
+        raise ValueError(
+            f"expected intrinsic_matrix as nine numbers, column-major, got shape {numbers.shape}"
+        )
+    matrix = _matrix("intrinsic_matrix, column-major,", numbers.reshape(3, 3).T)
+    return {"width": _get(intrinsic, "width"), "height": _get(intrinsic, "height"), **_pinhole(matrix)}
+
+
+def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]:
+    coefficients = [float(v) for v in _get(intrinsics, "coeffs", default=())]
+    made: dict[str, Any] = {
+        "width": _get(intrinsics, "width"),
+        "height": _get(intrinsics, "height"),
+        "fx": _get(intrinsics, "fx"),
+        "fy": _get(intrinsics, "fy"),
+        "cx": _get(intrinsics, "ppx"),
+        "cy": _get(intrinsics, "ppy"),
+    }
+    model = _realsense_model(_get(intrinsics, "model", default="none"))
+    if any(coefficients) and model != "none":
+        if model not in ("brown_conrady", "inverse_brown_conrady"):
+            raise ValueError(
+                f"expected a RealSense model of none, brown_conrady or inverse_brown_conrady, got {model} "
+                f"with coefficients {coefficients}"
+            )
+        made |= {"distortion": coefficients, "distortion_model": model}
+    if depth_units is not None:
+        units = float(depth_units)
+        if not 0 < units < np.inf:
+            raise ValueError(f"expected depth_units > 0 (metres per raw unit), got {depth_units!r}")
+        # The device states its unit in float32; 0.001 must not come out as 999.99995 units per metre.
+        if float(np.float32(units)) == units:
+            units = float(str(np.float32(units)))
+        made["depth_scale"] = 1.0 / units
+    return made
+
+
+def _realsense_model(model: Any) -> str:
+    """The model's name, from librealsense's enum, its number, or one of the ways in which tools print it."""
+    if isinstance(model, int) and 0 <= model < len(_REALSENSE_MODELS):
+        return _REALSENSE_MODELS[model]
+    name = str(getattr(model, "name", model)).lower().split(".")[-1].replace(" ", "_").replace("-", "_")
+    name = name.removeprefix("rs2_distortion_")
+    if name not in _REALSENSE_MODELS:
+        raise ValueError(f"expected a RealSense model, one of {', '.join(_REALSENSE_MODELS)}, got {model!r}")
+    return name
+
+
+def _get(source: Any, *names: str, **default: Any) -> Any:
+    """The first of the names that a mapping or an object has."""
+    for name in names:
+        if isinstance(source, Mapping):
+            if name in source:
+                return source[name]
+        elif hasattr(source, name):
+            return getattr(source, name)
+    if "default" in default:
+        return default["default"]
+    raise ValueError(f"expected {' or '.join(names)} in the {type(source).__name__}, got none")
+
+
+def _matrix(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """A camera matrix without skew."""
+    matrix = np.asarray(values, np.float64)
+    if matrix.shape != (3, 3):
+        raise ValueError(f"expected {name} of shape (3, 3), got {matrix.shape}")
+    empty = matrix.copy()
+    empty[[0, 1, 0, 1], [0, 1, 2, 2]] = 0
+    if matrix[0, 0] == 0 or matrix[1, 1] == 0 or not np.array_equal(empty, np.diag([0.0, 0.0, 1.0])):
+        raise ValueError(
+            f"expected {name} as [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx and fy not 0, "
+            f"got {matrix.tolist()}"
+        )
+    return matrix
+
+
+def _pinhole(matrix: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
+    return {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
+
+
+def _without_thin_prism(coefficients: list[float]) -> list[float]:
+    """The coefficients as far as k6; the ones after it, of thin prisms and a tilted sensor, must be zero."""
+    if any(coefficients[8:]):
+        raise ValueError(
+            f"expected at most 8 distortion coefficients, k1 k2 p1 p2 k3 k4 k5 k6, got {len(coefficients)}: "
+            f"{coefficients}"
+        )
+    return coefficients[:8]

@@ -1,0 +1,265 @@
+"""The door for depth frames: any array a sensor or a file gives, made into what the kernels read.
+
+Every kind of missing pixel folds into one test, ``lowest <= raw <= highest``, and every unit into one formula
+for the inverse depth, so that a frame is read once and nothing is converted beforehand.
+"""
+
+import functools
+import math
+import struct
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from rgbd_planes.camera import Camera
+
+# Depths whose inverse, square and products stay finite in every kernel: the normal numbers of float32.
+_NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+
+_PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFrame:
+    """A depth frame as the kernels read it.
+
+    Attributes
+    ----------
+    raw : (H, W) ndarray of uint16, float32 or float64
+        C-contiguous, native, read-only.
+    lowest, highest : scalar of the dtype of `raw`
+        A pixel is valid if and only if ``lowest <= raw <= highest``; where no value is valid, ``lowest >
+        highest``.
+    scale, offset : float
+        The inverse depth q in 1/m of a valid pixel: ``scale / raw`` of depth, ``scale * raw + offset`` of
+        disparity.
+    is_disparity : bool
+    """
+
+    raw: NDArray[Any]
+    lowest: Any
+    highest: Any
+    scale: float
+    offset: float
+    is_disparity: bool
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(H, W) bool: where the frame has a measurement."""
+        return np.asarray((self.raw >= self.lowest) & (self.raw <= self.highest))
+
+    @property
+    def inverse_depth(self) -> NDArray[np.float64]:
+        """(H, W) float64, 1/m: q, NaN where missing."""
+        q = np.where(self.valid, self.raw, np.nan).astype(np.float64, copy=False)
+        return self.scale * q + self.offset if self.is_disparity else self.scale / q
+
+    @property
+    def metres(self) -> NDArray[np.float64]:
+        """(H, W) float64, m: Z, NaN where missing."""
+        if self.is_disparity:
+            return 1.0 / self.inverse_depth
+        return np.where(self.valid, self.raw, np.nan).astype(np.float64, copy=False) / self.scale
+
+
+def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
+    """Check a depth frame against its camera and give it to the kernels without touching its pixels.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        Integers in the camera's raw units (`depth_scale` or `disparity`), or floats: metres, or, where the
+        camera has `disparity`, disparities. Any byte order and strides. uint16, float32 and float64 frames
+        are used as they are; uint8 is widened to uint16, float16 to float32, all else to float64.
+    camera : Camera
+
+    Returns
+    -------
+    DepthFrame
+
+    Raises
+    ------
+    TypeError
+        The dtype is neither integer nor floating point, or the array is masked.
+    ValueError
+        The shape is not (camera.height, camera.width), or an integer frame came with a camera that has
+        neither `depth_scale` nor `disparity`.
+
+    Warns
+    -----
+    UserWarning
+        A float frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
+        farther says that it is not.
+
+    Notes
+    -----
+    Missing are depths that are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
+    `camera.depth_range`. The raw values of a disparity image are missing where 1/Z = scale * raw + offset is
+    not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a measurement there, unless
+    `invalid_values` names it.
+    """
+    if isinstance(depth, np.ma.MaskedArray):
+        raise TypeError("expected a plain array, got a masked array: fill it first, depth.filled(0)")
+    array = np.asarray(depth)
+    _check_shape(array, camera)
+    kind = array.dtype.kind
+    if kind in "ui":
+        if camera.depth_scale is None and camera.disparity is None:
+            raise ValueError(
+                "expected a camera with depth_scale (raw units per metre) or disparity (scale, offset) "
+                f"for a frame of {array.dtype}, got a camera with neither"
+            )
+        dtype = np.dtype(np.uint16 if kind == "u" and array.dtype.itemsize <= 2 else np.float64)
+    elif kind == "f":
+        dtype = np.dtype(np.float32 if array.dtype.itemsize <= 4 else np.float64)
+    else:
+        raise TypeError(f"expected a depth frame of integers or floats, got dtype {array.dtype}")
+
+    raw = np.require(array, dtype, ["C", "A"])
+    depth_scale = camera.depth_scale if kind in "ui" else 1.0
+    disparity = camera.disparity
+    if kind == "f" and disparity is None:
+        _warn_of_millimetres(raw, camera.depth_range)
+    lowest, highest, holes, missing = _validity(
+        dtype.char,
+        depth_scale if disparity is None else None,
+        disparity,
+        camera.depth_range,
+        camera.invalid_values,
+    )
+    if holes:
+        raw, lowest, highest = _without(raw, holes, lowest, highest, missing)
+    raw = raw.view()
+    raw.flags.writeable = False  # one type for the kernels, and the caller's frame is safe
+    if disparity is not None:
+        return DepthFrame(raw, lowest, highest, disparity[0], disparity[1], True)
+    assert depth_scale is not None
+    return DepthFrame(raw, lowest, highest, depth_scale, 0.0, False)
+
+
+def _check_shape(array: NDArray[Any], camera: "Camera") -> None:
+    expected = (camera.height, camera.width)
+    if array.shape == expected:
+        return
+    if array.ndim == 3 and array.shape[2] in (3, 4):
+        reason = ": is it a colour image?"
+    elif array.ndim == 3 and 1 in array.shape:
+        reason = ": squeeze it"
+    elif array.shape == expected[::-1]:
+        reason = ": is it transposed?"
+    else:
+        reason = ""
+    raise ValueError(
+        f"expected a depth frame of shape (height, width) = {expected}, as the camera's, "
+        f"got {array.shape}{reason}"
+    )
+
+
+def _warn_of_millimetres(raw: NDArray[Any], depth_range: tuple[float, float] | None) -> None:
+    if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
+        return
+    # About a thousand pixels on a grid say it as well as all of them.
+    height, width = raw.shape
+    sample = raw[:: max(1, height // 32), :: max(1, width // 32)]
+    far = np.count_nonzero((sample > _PLAINLY_NOT_METRES) & (sample < np.inf))
+    if far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf)):
+        warnings.warn(
+            f"float depth is in metres, but most of this frame is beyond {_PLAINLY_NOT_METRES:g} m: "
+            "millimetres? depth_scale applies to integer frames only; divide the frame by it",
+            UserWarning,
+            stacklevel=_first_level_outside(),
+        )
+
+
+def _first_level_outside() -> int:
+    """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
+    level = 1
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("rgbd_planes"):
+        frame = frame.f_back
+        level += 1
+    return level
+
+
+def _without(
+    raw: NDArray[Any], holes: tuple[Any, ...], lowest: Any, highest: Any, missing: Any
+) -> tuple[NDArray[Any], Any, Any]:
+    """The frame with the invalid values that lie inside the interval replaced by one that lies outside."""
+    invalid = raw == holes[0]
+    for value in holes[1:]:
+        invalid |= raw == value
+    if not invalid.any():
+        return raw, lowest, highest
+    if missing is None:  # all 65536 codes are measurements
+        raw, lowest, highest, missing = raw.astype(np.float64), float(lowest), float(highest), np.nan
+    return np.where(invalid, raw.dtype.type(missing), raw), lowest, highest
+
+
+@functools.lru_cache(maxsize=256)
+def _validity(
+    dtype: str,
+    depth_scale: float | None,
+    disparity: tuple[float, float] | None,
+    depth_range: tuple[float, float] | None,
+    invalid_values: tuple[float, ...],
+) -> tuple[Any, Any, tuple[Any, ...], Any]:
+    """The interval of raw values that are measurements; the invalid values inside it; a value outside it."""
+    nearest, farthest = depth_range or (0.0, math.inf)
+    nearest, farthest = max(nearest, _NEAREST), min(farthest, _FARTHEST)
+
+    def depth_of(raw: float) -> float:
+        if disparity is None:
+            assert depth_scale is not None
+            return raw / depth_scale
+        q = disparity[0] * raw + disparity[1]
+        return 1.0 / q if q > 0 else math.inf
+
+    not_too_near, not_too_far = (
+        (lambda raw: depth_of(raw) >= nearest),
+        (lambda raw: depth_of(raw) <= farthest),
+    )
+    if disparity is not None and disparity[0] > 0:  # a larger disparity is nearer
+        not_too_near, not_too_far = not_too_far, not_too_near
+
+    scalar = np.dtype(dtype).type
+    if scalar is np.uint16:
+        codes = range(65536)
+        valid = [r for r in codes if not_too_near(r) and not_too_far(r) and r not in invalid_values]
+        if not valid:
+            return np.uint16(1), np.uint16(0), (), None
+        low, high = valid[0], valid[-1]
+        holes = tuple(np.uint16(v) for v in invalid_values if low < v < high and v == int(v))
+        missing = low - 1 if low > 0 else high + 1 if high < 65535 else None
+        return np.uint16(low), np.uint16(high), holes, missing
+    lowest = _first_float(not_too_near, scalar)
+    highest = -_first_float(lambda raw: not_too_far(-raw), scalar)
+    values = {scalar(v) for v in invalid_values}
+    return scalar(lowest), scalar(highest), tuple(v for v in values if lowest <= v <= highest), np.nan
+
+
+def _first_float(holds: Callable[[float], bool], scalar: Any) -> float:
+    """The smallest float for which a condition holds that, once true, stays true; inf if there is none.
+
+    Bisection over the floats themselves, in their order: exact where a formula would be rounded.
+    """
+    size, float_format, int_format = (32, "<f", "<i") if scalar is np.float32 else (64, "<d", "<q")
+
+    def nth(index: int) -> float:
+        bits = index if index >= 0 else -index - 2 ** (size - 1)
+        return float(struct.unpack(float_format, struct.pack(int_format, bits))[0])
+
+    infinity = struct.unpack(int_format, struct.pack(float_format, math.inf))[0]
+    below, first = -infinity, infinity
+    while first - below > 1:
+        middle = (below + first) // 2
+        if holds(nth(middle)):
+            first = middle
+        else:
+            below = middle
+    return nth(first)
