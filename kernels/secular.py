@@ -6,8 +6,10 @@ residual, the eigenvalue is the root between 0 and A's smallest eigenvalue of
 
     RSS - λ (1 + α₀ᵀ α_λ) = 0,    α_λ = (A - λI)⁻¹ b.
 
-No term of it cancels, and its derivative is -(1 + α_λᵀ α_λ). Newton's method from the Rayleigh quotient
-of (α₀, -1), which bounds the eigenvalue from above, falls to it in one to five steps.
+No term of it cancels, and its derivative is -(1 + α_λᵀ α_λ). The function is concave, so Newton's method
+from the Rayleigh quotient of (α₀, -1), which bounds the eigenvalue from above, falls to it and never passes
+it, in one to five steps. Where even the quotient is not below A's smallest eigenvalue, the noise is larger
+than what the rays tell apart, and the smallest eigenvector is a plane through the camera's centre.
 
 All is done in coordinates relative to the tile's reference (u0, v0, q0), where A is well conditioned;
 there the identity becomes B = T⁻¹T⁻ᵀ, T being the change of coordinates.
@@ -32,7 +34,7 @@ def smallest_eigenvector(n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, q0, s_q, s_uq, s
     Returns
     -------
     eigenvalue, a, b, c : float
-        NaN where the matrix does not determine them.
+        NaN where the plane passes through the camera's centre.
     """
     # The identity and the vectors in centred coordinates: c' = c + a·u0 + b·v0.
     b_uu = 1.0 + u0 * u0
@@ -48,10 +50,8 @@ def smallest_eigenvector(n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, q0, s_q, s_uq, s
     right_1 = s_q + q0 * n
 
     a, b, p = a0, b0, p0
-    low = 0.0
-    high = math.inf
     eigenvalue = rss / (1.0 + a0 * ba + b0 * bb + p0 * bc)
-    for _ in range(60):
+    for _ in range(20):
         # (A' - λB) by LDLᵀ, eliminating the constant first: its pivot n is the largest.
         d1 = n - eigenvalue
         m_u = s_u + eigenvalue * u0
@@ -63,9 +63,7 @@ def smallest_eigenvector(n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, q0, s_q, s_uq, s
         e_vv = s_vv - eigenvalue * b_vv - l_v * m_v
         determinant = e_uu * e_vv - e_uv * e_uv
         if not (d1 > 0.0 and e_uu > 0.0 and determinant > 0.0):
-            high = eigenvalue  # past the smallest eigenvalue of A
-            eigenvalue = 0.5 * (low + high)
-            continue
+            return math.nan, math.nan, math.nan, math.nan
         f_u = right_u - l_u * right_1
         f_v = right_v - l_v * right_1
         a = (e_vv * f_u - e_uv * f_v) / determinant
@@ -74,13 +72,7 @@ def smallest_eigenvector(n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, q0, s_q, s_uq, s
         value = rss - eigenvalue * (1.0 + a * ba + b * bb + p * bc)
         c = p - u0 * a - v0 * b
         step = value / (1.0 + a * a + b * b + c * c)
-        if value > 0.0:
-            low = eigenvalue
-        else:
-            high = eigenvalue
         if abs(step) <= 1e-14 * eigenvalue:
-            return eigenvalue, a, b, c
+            break
         eigenvalue += step
-        if not low <= eigenvalue <= high:
-            eigenvalue = 0.5 * (low + high)
-    return math.nan, math.nan, math.nan, math.nan
+    return eigenvalue, a, b, p - u0 * a - v0 * b

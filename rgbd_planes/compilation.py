@@ -9,22 +9,19 @@ SECONDS_BEFORE_NOTICE = 1.0
 
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
+_announced = threading.Event()
 
 
 @contextmanager
 def announced(key: Hashable) -> Iterator[None]:
-    """Log one line if the first call for ``key`` in this process takes long; later calls cost nothing.
+    """Log one line, once in a process, if the first call for ``key`` takes long; later calls cost nothing.
 
     A kernel that Numba's cache on disk holds loads in less than the time waited for.
     """
-    if key in _compiled:
+    if key in _compiled or _announced.is_set():
         yield
         return
-    timer = threading.Timer(
-        SECONDS_BEFORE_NOTICE,
-        _logger.warning,
-        ("compiling kernels: once for this installation, about 10 seconds",),
-    )
+    timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce)
     timer.daemon = True
     timer.start()
     try:
@@ -32,3 +29,8 @@ def announced(key: Hashable) -> Iterator[None]:
         _compiled.add(key)
     finally:
         timer.cancel()
+
+
+def _announce() -> None:
+    _announced.set()
+    _logger.warning("compiling kernels: once for this installation, a few seconds for each kind of frame")

@@ -241,7 +241,7 @@ class TileFitter:
         threads = choose_num_threads(self._num_threads, frame.raw.size)
         with announced((self.method, self.implementation, self.camera.is_separable, frame.raw.dtype)):
             self._fit_frame(frame, arrays, threads)
-        return out or self._result(arrays)
+        return self._result(arrays) if out is None else out
 
     def fit_batch(
         self, frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], out: TilePlanes | None = None
@@ -271,7 +271,7 @@ class TileFitter:
         pixels = len(opened) * opened[0].raw.size
         with announced((self.method, self.implementation, self.camera.is_separable, opened[0].raw.dtype)):
             run_in_ranges(fit_some, len(opened), choose_num_threads(self._num_threads, pixels))
-        return out or self._result(arrays)
+        return self._result(arrays) if out is None else out
 
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
         if out is None:

@@ -1,0 +1,47 @@
+"""What all tests share."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def rng():
+    """A generator that starts the same in every test."""
+    return np.random.default_rng(20170331)
+
+
+def real_frames():
+    """(name, depth path, camera path) of every real frame there is; empty where there are none."""
+    return [
+        (f"{path.parents[1].name}/{path.stem}", path, path.parents[1] / "camera.json")
+        for path in sorted(REAL_DATA.glob("*/depth/*.png"))
+    ]
+
+
+def pytest_generate_tests(metafunc):
+    """Run a test that takes ``real_frame`` on one frame of each real set, or skip it with the reason."""
+    if "real_frame" not in metafunc.fixturenames:
+        return
+    first_of_set = {name.split("/")[0]: (depth, camera) for name, depth, camera in reversed(real_frames())}
+    if first_of_set:
+        metafunc.parametrize("real_frame", list(first_of_set.values()), ids=list(first_of_set), indirect=True)
+    else:
+        reason = pytest.mark.skip(reason=f"no real frames in {REAL_DATA.parent.name}/{REAL_DATA.name}")
+        metafunc.parametrize("real_frame", [pytest.param(None, marks=reason)])
+
+
+@pytest.fixture
+def real_frame(request):
+    """(depth, camera) of a real frame."""
+    from PIL import Image
+
+    from rgbd_planes import Camera
+
+    depth, camera = request.param
+    with Image.open(depth) as image:
+        return np.asarray(image), Camera.from_dict(json.loads(camera.read_text()))

@@ -1,0 +1,295 @@
+"""Every method and implementation against the oracle, tile by tile."""
+
+import numpy as np
+import oracle
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rgbd_planes as rp
+
+METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+IMPLEMENTATIONS = ("direct", "integral", "naive")
+HEIGHT, WIDTH = 48, 64
+DISTORTIONS = {
+    "pinhole": (),
+    "five": (0.26, -0.95, -0.005, 0.003, 1.16),
+    "eight": (0.55, -0.02, 2e-5, -7e-5, -0.003, 0.89, 0.09, -0.014),
+}
+
+
+def make_camera(distortion=(), width=WIDTH, height=HEIGHT, **options):
+    options = {"depth_scale": 1000.0} | options
+    return rp.Camera(width, height, 52.0, -51.0, 0.45 * width, 0.55 * height, distortion, **options)
+
+
+def make_depth(camera, rng, noise=2e-3):
+    """A wall, a floor and a ramp, with noise constant in inverse depth: metres, float64."""
+    x, y = camera.tan_x, camera.tan_y
+    q = np.maximum(np.maximum(0.4 + 0.1 * x, 0.05 - 0.6 * y), 0.3 + 0.5 * x - 0.2 * y)
+    return 1.0 / (q + noise * rng.standard_normal(q.shape))
+
+
+def make_holes(depth, kind, rng):
+    """The depth with missing pixels; "tiles" also leaves some tiles one, two or three pixels, or a row."""
+    depth = depth.copy()
+    if kind == "tiles":
+        depth[:16, :20] = 0
+        depth[16:32, 20:52] = 0
+        depth[17, 22] = depth[20, 30] = depth[20, 37] = depth[29, 33] = 1.5
+        depth[18, 40:50] = 2.0
+        depth[rng.random(depth.shape) < 0.1] = 0
+    else:
+        depth[rng.random(depth.shape) < {"none": 0.0, "some": 0.05, "most": 0.6}[kind]] = 0
+    return depth
+
+
+def as_dtype(metres, dtype):
+    return np.round(metres * 1000).astype(dtype) if dtype == "uint16" else metres.astype(dtype)
+
+
+# Residuals come from moments, so a residual far below the data's own size is rounding: of the tile's spread for
+# "direct", of its depth for "naive", of sums over the whole frame for "integral".
+RMSE_FLOOR = {"direct": 2e-7, "naive": 1e-6, "integral": 5e-6}
+# So is what the data may change by in a problem that counts as well posed, see `oracle.fit`.
+CHANGE = {"direct": 1e-12, "naive": 1e-11, "integral": 1e-11}
+
+
+def assert_equals_oracle(fits, expected, *, rmse_floor, chosen=slice(None)):
+    """Planes equal where the problem is well posed, statuses and counts everywhere."""
+    status = fits.status.ravel()[chosen]
+    np.testing.assert_array_equal(status, [plane.status for plane in expected])
+    np.testing.assert_array_equal(fits.valid_count.ravel()[chosen], [plane.count for plane in expected])
+    planes = fits.planes.reshape(-1, 4)[chosen]
+    alpha = fits.alpha.reshape(-1, 3)[chosen]
+    rmse, rmse_metric = fits.rmse.ravel()[chosen], fits.rmse_metric.ravel()[chosen]
+    no_plane = ~fits.fitted.ravel()[chosen]
+    for name, values in {"plane": planes, "alpha": alpha, "rmse": rmse, "rmse_metric": rmse_metric}.items():
+        assert np.isnan(values[no_plane]).all(), name
+        assert np.isfinite(values[~no_plane]).all(), name
+    compared = 0
+    for i, plane in enumerate(expected):
+        if not np.isfinite(plane.plane[3]) or not plane.well_posed:
+            continue
+        compared += 1
+        wanted = oracle.orient(plane.plane)
+        assert oracle.angle(planes[i, :3], wanted[:3]) < 1e-7
+        assert abs(planes[i, 3] - wanted[3]) < 1e-8 * wanted[3]
+        np.testing.assert_allclose(rmse[i], plane.rmse, rtol=1e-6, atol=rmse_floor)
+        np.testing.assert_allclose(rmse_metric[i], plane.rmse_metric, rtol=1e-6, atol=rmse_floor)
+        np.testing.assert_allclose(alpha[i], -wanted[:3] / wanted[3], rtol=1e-6, atol=1e-6)
+    return compared
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("dtype", ["uint16", "float32", "float64"])
+@pytest.mark.parametrize("holes", ["none", "some", "most", "tiles"])
+@pytest.mark.parametrize("tile", [16, (11, 13)], ids=["divides", "ragged"])
+@pytest.mark.parametrize("distortion", DISTORTIONS)
+def test_equals_oracle(method, implementation, dtype, holes, tile, distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion])
+    depth = as_dtype(make_holes(make_depth(camera, rng), holes, rng), dtype)
+    windows = oracle.tile_windows(camera, tile)
+    for max_missing in (0.5, 1.0):
+        tiles = rp.fit_tiles(depth, camera, tile, method, implementation=implementation, max_missing=max_missing)
+        expected = oracle.fit_windows(
+            depth, camera, windows, method, max_missing=max_missing, change=CHANGE[implementation]
+        )
+        compared = assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation])
+        assert compared >= 0.8 * np.count_nonzero(tiles.fitted)
+    if holes == "tiles":
+        assert {rp.TileStatus.TOO_FEW, rp.TileStatus.OK} <= set(tiles.status.flat)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_disparity_equals_oracle(method, implementation, distortion, rng):
+    camera = make_camera(
+        DISTORTIONS[distortion], depth_scale=None, disparity=(-0.002, 3.0), invalid_values=(2047, 1100)
+    )
+    raw = np.round((1.0 / make_depth(camera, rng) - 3.0) / -0.002).astype(np.uint16)
+    raw[rng.random(raw.shape) < 0.2] = 2047
+    tiles = rp.fit_tiles(raw, camera, 16, method, implementation=implementation)
+    expected = oracle.fit_windows(raw, camera, oracle.tile_windows(camera, 16), method)
+    assert assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation]) == tiles.status.size
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_any_holes_any_tile(data):
+    """Whatever is missing, whatever the tile: the oracle's planes and reasons."""
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    camera = make_camera(data.draw(st.sampled_from(list(DISTORTIONS.values()))), 24, 17)
+    depth = make_depth(camera, rng)
+    depth[rng.random(depth.shape) < data.draw(st.floats(0, 1))] = data.draw(
+        st.sampled_from([0.0, -1.0, np.nan, np.inf, -np.inf])
+    )
+    tile = (data.draw(st.integers(2, 17)), data.draw(st.integers(2, 24)))
+    method = data.draw(st.sampled_from(METHODS))
+    implementation = data.draw(st.sampled_from(IMPLEMENTATIONS))
+    max_missing = data.draw(st.floats(0, 1))
+    tiles = rp.fit_tiles(depth, camera, tile, method, implementation=implementation, max_missing=max_missing)
+    expected = oracle.fit_windows(
+        depth, camera, oracle.tile_windows(camera, tile), method,
+        max_missing=max_missing, change=CHANGE[implementation],
+    )  # fmt: skip
+    assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("incidence", [0, 30, 60, 75, 80])
+@pytest.mark.parametrize("distance", [0.3, 3.0, 30.0])
+def test_noise_free_plane_is_exact(method, incidence, distance):
+    """Tiles in every part of a wide image whose rays meet the plane at up to 80°."""
+    camera = rp.Camera(320, 240, 262.0, 262.0, 159.5, 119.5, depth_range=(0.0, 1e4))
+    rays = np.stack([camera.tan_x, camera.tan_y, np.ones(camera.shape)], axis=-1)
+    for row, column in [(8, 8), (8, 310), (120, 160), (230, 100), (230, 310)]:
+        # A normal at this angle to the ray of the tile's middle, tilted in both directions.
+        ray = rays[row, column] / np.linalg.norm(rays[row, column])
+        across = np.cross(ray, [0.6, 0.8, 0.1])
+        across /= np.linalg.norm(across)
+        normal = -np.cos(np.deg2rad(incidence)) * ray + np.sin(np.deg2rad(incidence)) * across
+        d = -distance * normal @ ray
+        q = -(rays @ normal) / d
+        depth = np.where(q > 0.01 / distance, 1.0 / np.where(q > 0, q, 1.0), 0.0)
+        top, left = row - row % 16, column - column % 16
+        for implementation in ("direct", "naive"):
+            tiles = rp.fit_tiles(depth, camera, 16, method, implementation=implementation, max_missing=1.0)
+            plane = tiles.planes[top // 16, left // 16]
+            assert oracle.angle(plane[:3], normal) < 1e-9
+            assert abs(plane[3] - d) < 1e-9 * d
+            assert tiles.status[top // 16, left // 16] == rp.TileStatus.OK
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("method", METHODS)
+def test_threads_change_no_bit(method, implementation, rng):
+    camera = make_camera()
+    frames = np.stack([make_holes(make_depth(camera, rng), "some", rng) for _ in range(5)])
+    results = [
+        rp.TileFitter(camera, (7, 9), method, implementation=implementation, num_threads=n) for n in (1, 2, 3, 8, None)
+    ]
+    single = [results[0].fit(frame) for frame in frames]
+    for fitter in results:
+        stack = fitter.fit_batch(frames)
+        assert len(stack) == 5
+        for i, one in enumerate(single):
+            for name in ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status"):
+                np.testing.assert_array_equal(getattr(stack[i], name), getattr(one, name))
+                np.testing.assert_array_equal(getattr(fitter.fit(frames[i]), name), getattr(one, name))
+
+
+def test_rough_keeps_its_plane(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    plain = rp.fit_tiles(depth, camera)
+    limit = float(np.median(plain.rmse_metric))
+    for method in METHODS:
+        plain = rp.fit_tiles(depth, camera, method=method)
+        tiles = rp.fit_tiles(depth, camera, method=method, max_error=limit)
+        np.testing.assert_array_equal(tiles.status == rp.TileStatus.ROUGH, plain.rmse_metric > limit)
+        np.testing.assert_array_equal(tiles.planes, plain.planes)
+        assert 0 < np.count_nonzero(tiles.status == rp.TileStatus.ROUGH) < tiles.status.size
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_degenerate_has_a_reason(method):
+    """Collinear pixels; a plane through the camera centre, which no camera sees from the front."""
+    camera = make_camera(width=16, height=16)
+    row = np.zeros((16, 16))
+    row[5, :] = 2.0
+    tiles = rp.fit_tiles(row, camera, 16, method, max_missing=1.0)
+    assert tiles.status.item() == rp.TileStatus.DEGENERATE
+    assert np.isnan(tiles.planes).all()
+    assert tiles.valid_count.item() == 16
+    two = np.zeros((16, 16))
+    two[3, 3] = two[9, 5] = 1.0
+    assert rp.fit_tiles(two, camera, 16, method, max_missing=1.0).status.item() == rp.TileStatus.TOO_FEW
+
+
+def test_out_is_written_into(rng):
+    camera = make_camera()
+    fitter = rp.TileFitter(camera, 16)
+    first, second = make_depth(camera, rng), make_depth(camera, rng)
+    out = fitter.fit(first)
+    planes = out.planes
+    again = fitter.fit(second, out=out)
+    assert again is out
+    assert again.planes is planes
+    np.testing.assert_array_equal(planes, fitter.fit(second).planes)
+    stack = fitter.fit_batch([first, second])
+    assert fitter.fit_batch([second, first], out=stack) is stack
+    np.testing.assert_array_equal(stack[0].planes, planes)
+    with pytest.raises(ValueError, match="out must be a result of this fitter"):
+        rp.TileFitter(camera, 8).fit(first, out=out)
+
+
+def test_inputs_of_any_kind_are_the_same_frame(rng):
+    """Byte order, strides, read-only and integer width do not matter."""
+    camera = make_camera()
+    raw = as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16")
+    wanted = rp.fit_tiles(raw, camera).planes
+    wide = np.zeros((HEIGHT, 2 * WIDTH), np.uint16)
+    wide[:, ::2] = raw
+    read_only = raw.copy()
+    read_only.flags.writeable = False
+    kinds = [raw.astype(">u2"), np.asfortranarray(raw), wide[:, ::2], read_only, raw[::-1][::-1]]
+    for kind in [*kinds, raw.astype(np.int32), raw.astype(np.uint64)]:
+        np.testing.assert_allclose(rp.fit_tiles(kind, camera).planes, wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"tile": 0}, ValueError, "tile must be at least 2 x 2 pixels, got 0"),
+        ({"tile": (1, 16)}, ValueError, r"got \(1, 16\)"),
+        ({"tile": 49}, ValueError, "fit into the frame of 48 x 64"),
+        ({"tile": 16.5}, TypeError, "whole number of pixels"),
+        ({"tile": (4, 4, 4)}, TypeError, "tile must be"),
+        ({"tile": "16"}, TypeError, "tile must be"),
+        ({"method": "pca"}, ValueError, "range_explicit, .* got 'pca'"),
+        ({"implementation": "fast"}, ValueError, "direct, integral, naive, got 'fast'"),
+        ({"max_missing": 1.5}, ValueError, "between 0 and 1, got 1.5"),
+        ({"max_missing": float("nan")}, ValueError, "between 0 and 1"),
+        ({"max_error": -1.0}, ValueError, "positive length"),
+        ({"num_threads": 0}, ValueError, "num_threads must be at least 1"),
+    ],
+)
+def test_bad_arguments(options, error, message):
+    camera = make_camera()
+    with pytest.raises(error, match=message):
+        rp.fit_tiles(np.ones(camera.shape), camera, **options)
+
+
+def test_bad_frames():
+    camera = make_camera()
+    with pytest.raises(TypeError, match="expected a Camera, got dict"):
+        rp.fit_tiles(np.ones(camera.shape), {})
+    with pytest.raises(ValueError, match="at least one frame"):
+        rp.TileFitter(camera).fit_batch([])
+    with pytest.raises(ValueError, match="transposed"):
+        rp.fit_tiles(np.ones((WIDTH, HEIGHT)), camera)
+
+
+def test_nothing_valid_is_no_error():
+    camera = make_camera()
+    for depth in (np.full(camera.shape, np.nan), np.zeros(camera.shape, np.uint16)):
+        tiles = rp.fit_tiles(depth, camera)
+        assert (tiles.status == rp.TileStatus.TOO_FEW).all()
+        assert np.isnan(tiles.planes).all()
+        assert "TOO_FEW" in repr(tiles)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_real_frame_equals_oracle(real_frame, method):
+    depth, camera = real_frame
+    windows = np.array(oracle.tile_windows(camera, 40))
+    chosen = np.arange(0, len(windows), 5)
+    for implementation in IMPLEMENTATIONS:
+        tiles = rp.fit_tiles(depth, camera, 40, method, implementation=implementation)
+        # Sums over a whole frame of this size carry ten times the rounding of the small frames above.
+        change = 1e-10 if implementation == "integral" else CHANGE[implementation]
+        expected = oracle.fit_windows(depth, camera, windows[chosen], method, change=change)
+        assert_equals_oracle(tiles, expected, chosen=chosen, rmse_floor=RMSE_FLOOR[implementation])
