@@ -72,10 +72,10 @@ def test_against_opencv(lens):
     coefficients = np.array(lens if lens else [0.0] * 4)
     expected = cv2.projectPoints(points, zero, zero, np.eye(3), coefficients)[0].reshape(*x.shape, 2)
     np.testing.assert_allclose(np.stack(distort(x, y, lens), -1), expected, atol=1e-14)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-14)
-    ideal = cv2.undistortPointsIter(
-        expected.reshape(-1, 1, 2), np.eye(3), coefficients, np.eye(3), np.eye(3), criteria
-    ).reshape(*x.shape, 2)
+    options = {"cameraMatrix": np.eye(3), "distCoeffs": coefficients, "R": np.eye(3), "P": np.eye(3)}
+    options["criteria"] = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-14)
+    undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # OpenCV 4 and 5
+    ideal = undistort_points(expected.reshape(-1, 1, 2), **options).reshape(*x.shape, 2)
     back_x, back_y, _ = undistort(expected[..., 0], expected[..., 1], lens)
     np.testing.assert_allclose(np.stack([back_x, back_y], -1), ideal, atol=1e-9)
 
