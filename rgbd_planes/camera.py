@@ -190,7 +190,7 @@ class Camera:
         return tables
 
     def _make_tables(self) -> tuple[Array, Array]:
-        x, y = (np.array(t) for t in np.broadcast_arrays(self.tan_x_columns, self.tan_y_rows[:, None]))
+        x, y = (np.array(t, order="C") for t in np.broadcast_arrays(self.tan_x_columns, self.tan_y_rows[:, None]))
         if self.is_distorted:
             x, y = self._rays(x, y)
         return _read_only(x), _read_only(y)
