@@ -190,7 +190,8 @@ class Camera:
         return tables
 
     def _make_tables(self) -> tuple[Array, Array]:
-        x, y = (np.array(t, order="C") for t in np.broadcast_arrays(self.tan_x_columns, self.tan_y_rows[:, None]))
+        x = np.tile(self.tan_x_columns, (self.height, 1))
+        y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
         if self.is_distorted:
             x, y = self._rays(x, y)
         return _read_only(x), _read_only(y)

@@ -445,7 +445,7 @@ def test_from_realsense_models(model, expected):
 def test_from_realsense_models_that_cannot_be():
     assert Camera.from_realsense(realsense(model="none", coeffs=KINECT)).distortion == ()
     assert Camera.from_realsense(realsense(model="Modified Brown Conrady")).distortion == ()
-    with pytest.raises(ValueError, match="got modified_brown_conrady with coefficients"):
+    with pytest.raises(ValueError, match=r"got modified_brown_conrady with coefficients"):
         Camera.from_realsense(realsense(model="Modified Brown Conrady", coeffs=KINECT))
     with pytest.raises(ValueError, match=r"expected a RealSense model, one of .* got 'cubic'"):
         Camera.from_realsense(realsense(model="cubic"))
