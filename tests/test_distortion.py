@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rgbd_planes.distortion import TOLERANCE, distort, distortion_jacobian, fold_radius, undistort, unfolded
@@ -53,6 +53,23 @@ def test_undistort_inverts_distort(lens):
     back_x, back_y, found = undistort(*distort(x, y, lens), lens)
     assert found.all()
     assert np.hypot(back_x - x, back_y - y).max() < TOLERANCE
+
+
+@given(
+    lens=st.tuples(
+        st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-1, 1)
+    )
+)
+@example(lens=(-0.3, 0.0, 0.1, -0.1, 0.0))
+@settings(max_examples=100, deadline=None)
+def test_strong_lenses_as_far_as_they_do_not_fold(lens):
+    x, y = grid(1.2, 61)
+    a, b, c, d = distortion_jacobian(x, y, lens)
+    clear = unfolded(1.02 * x, 1.02 * y, lens) & (a * d - b * c > 0.01)
+    x, y = x[clear], y[clear]
+    back_x, back_y, found = undistort(*distort(x, y, lens), lens)
+    assert found.all()
+    assert np.hypot(back_x - x, back_y - y).max(initial=0.0) < TOLERANCE
 
 
 @pytest.mark.parametrize("lens", LENSES)
