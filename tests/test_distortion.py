@@ -60,10 +60,11 @@ def test_undistort_inverts_distort(lens):
         st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-1, 1)
     )
 )
-@example(lens=(-0.3, 0.0, 0.1, -0.1, 0.0))
-@settings(max_examples=100, deadline=None)
+@example(lens=(-0.792, 3.7834, -0.4998, -0.6386, -0.9645))  # plain Newton steps miss 1 in 30 of these
+@example(lens=(0.0208, -0.2956, 0.104, 0.1561, 0.1873, -0.4778, 0.4272, -0.2928))
+@settings(max_examples=30, deadline=None)
 def test_strong_lenses_as_far_as_they_do_not_fold(lens):
-    x, y = grid(1.2, 61)
+    x, y = grid(1.5, 51)
     a, b, c, d = distortion_jacobian(x, y, lens)
     clear = unfolded(1.02 * x, 1.02 * y, lens) & (a * d - b * c > 0.01)
     x, y = x[clear], y[clear]
