@@ -155,12 +155,12 @@ class Camera:
     @property
     def tan_x_columns(self) -> Array:
         """(W,) float64: (x - cx) / fx of each column. It is tan_x itself where the camera `is_separable`."""
-        return _read_only((np.arange(self.width) - self.cx) / self.fx)
+        return _read_only((np.arange(float(self.width)) - self.cx) / self.fx)
 
     @property
     def tan_y_rows(self) -> Array:
         """(H,) float64: (y - cy) / fy of each row. It is tan_y itself where the camera `is_separable`."""
-        return _read_only((np.arange(self.height) - self.cy) / self.fy)
+        return _read_only((np.arange(float(self.height)) - self.cy) / self.fy)
 
     @property
     def tan_x(self) -> Array:
@@ -190,7 +190,8 @@ class Camera:
         return tables
 
     def _make_tables(self) -> tuple[Array, Array]:
-        x, y = (np.array(t) for t in np.broadcast_arrays(self.tan_x_columns, self.tan_y_rows[:, None]))
+        x = np.tile(self.tan_x_columns, (self.height, 1))
+        y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
         if self.is_distorted:
             x, y = self._rays(x, y)
         return _read_only(x), _read_only(y)

@@ -164,9 +164,12 @@ def _check_shape(array: NDArray[Any], camera: "Camera") -> None:
 def _warn_of_millimetres(raw: NDArray[Any], depth_range: tuple[float, float] | None) -> None:
     if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
         return
-    # About a thousand pixels on a grid say it as well as all of them.
-    height, width = raw.shape
-    sample = raw[:: max(1, height // 32), :: max(1, width // 32)]
+    # About a thousand pixels say it as well as all of them; a step without a common divisor with the width
+    # meets every column, whatever pattern the holes have.
+    step = max(1, raw.size // 1024)
+    while math.gcd(step, raw.shape[1]) > 1:
+        step += 1
+    sample = raw.reshape(-1)[::step]
     far = np.count_nonzero((sample > _PLAINLY_NOT_METRES) & (sample < np.inf))
     if far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf)):
         warnings.warn(
@@ -213,32 +216,35 @@ def _validity(
     nearest, farthest = depth_range or (0.0, math.inf)
     nearest, farthest = max(nearest, _NEAREST), min(farthest, _FARTHEST)
 
-    def depth_of(raw: float) -> float:
+    def depth_of(raw: Any) -> Any:
         if disparity is None:
-            assert depth_scale is not None
             return raw / depth_scale
-        q = disparity[0] * raw + disparity[1]
-        return 1.0 / q if q > 0 else math.inf
+        with np.errstate(all="ignore"):
+            q = disparity[0] * np.asarray(raw) + disparity[1]
+            return np.where(q > 0, 1.0 / q, np.inf)
 
-    not_too_near, not_too_far = (
-        (lambda raw: depth_of(raw) >= nearest),
-        (lambda raw: depth_of(raw) <= farthest),
-    )
-    if disparity is not None and disparity[0] > 0:  # a larger disparity is nearer
-        not_too_near, not_too_far = not_too_far, not_too_near
+    def not_too_near(raw: Any) -> Any:
+        return depth_of(raw) >= nearest
+
+    def not_too_far(raw: Any) -> Any:
+        return depth_of(raw) <= farthest
 
     scalar = np.dtype(dtype).type
     if scalar is np.uint16:
-        codes = range(65536)
-        valid = [r for r in codes if not_too_near(r) and not_too_far(r) and r not in invalid_values]
-        if not valid:
+        codes = np.arange(65536.0)
+        measured = not_too_near(codes) & not_too_far(codes)
+        valid = np.flatnonzero(measured & ~np.isin(codes, invalid_values))
+        if not len(valid):
             return np.uint16(1), np.uint16(0), (), None
-        low, high = valid[0], valid[-1]
+        low, high = int(valid[0]), int(valid[-1])
         holes = tuple(np.uint16(v) for v in invalid_values if low < v < high and v == int(v))
         missing = low - 1 if low > 0 else high + 1 if high < 65535 else None
         return np.uint16(low), np.uint16(high), holes, missing
-    lowest = _first_float(not_too_near, scalar)
-    highest = -_first_float(lambda raw: not_too_far(-raw), scalar)
+    above, below = not_too_near, not_too_far
+    if disparity is not None and disparity[0] > 0:  # a larger disparity is nearer
+        above, below = below, above
+    lowest = _first_float(above, scalar)
+    highest = -_first_float(lambda raw: below(-raw), scalar)
     values = {scalar(v) for v in invalid_values}
     return scalar(lowest), scalar(highest), tuple(v for v in values if lowest <= v <= highest), np.nan
 

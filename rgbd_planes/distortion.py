@@ -81,17 +81,14 @@ def fold_radius(coefficients: Sequence[float]) -> float:
     With s = r², N and D the numerator and denominator of f: d(r f)/dr = (N D + 2 s (N' D - N D')) / D².
     """
     k1, k2, _, _, k3, k4, k5, k6 = coefficients8(coefficients)
-    numerator, denominator = (
-        np.polynomial.Polynomial([1, k1, k2, k3]),
-        np.polynomial.Polynomial([1, k4, k5, k6]),
-    )
-    s = np.polynomial.Polynomial([0, 1])
-    growth = numerator * denominator + 2 * s * (
-        numerator.deriv() * denominator - numerator * denominator.deriv()
-    )
-    roots = np.concatenate([growth.trim().roots(), denominator.trim().roots()])
-    real = roots.real[(abs(roots.imag) <= 1e-9 * abs(roots)) & (roots.real > 0)]
-    return float(np.sqrt(real.min())) if len(real) else np.inf
+    numerator, denominator = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
+    degree = np.arange(4)
+    slope = np.convolve(degree * numerator, denominator) - np.convolve(numerator, degree * denominator)
+    growth = np.convolve(numerator, denominator) + 2.0 * slope  # degree * c are the coefficients of s c'
+    # Taken from the lowest power on, these are polynomials in 1 / s that begin with 1: no division overflows.
+    inverse = np.concatenate([np.roots(growth), np.roots(denominator)])
+    real = inverse.real[(abs(inverse.imag) <= 1e-9 * abs(inverse)) & (inverse.real > 0)]
+    return float(1.0 / np.sqrt(real.max())) if len(real) else np.inf
 
 
 def undistort(x: Array, y: Array, coefficients: Sequence[float]) -> tuple[Array, Array, NDArray[np.bool_]]:

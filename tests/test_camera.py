@@ -1,0 +1,496 @@
+"""The camera: rays, points, projection, files, importers, presets."""
+
+import copy
+import json
+import pickle
+import threading
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rgbd_planes import presets
+from rgbd_planes.camera import Camera
+from rgbd_planes.distortion import TOLERANCE, distort
+
+REAL = sorted((Path(__file__).parents[2] / "shared" / "data").glob("*/camera.json"))
+real_cameras = pytest.mark.parametrize(
+    "path",
+    REAL or [pytest.param(None, marks=pytest.mark.skip(reason="no ../shared/data beside the checkout"))],
+    ids=lambda path: path.parent.name if path else "none",
+)
+PRESETS = [v for k, v in vars(presets).items() if callable(v) and v.__module__ == presets.__name__]
+KINECT = (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
+RATIONAL = (0.5479397, -0.0209714, 2.0557e-05, -7.2104e-05, -0.0026522, 0.889679, 0.0861302, -0.0139104)
+MATRIX = [[525.0, 0, 319.5], [0, 520.0, 239.5], [0, 0, 1]]
+
+
+def small(**changed):
+    return replace(Camera(64, 48, 52.0, 50.0, 31.0, 24.5), **changed)
+
+
+def pixels(camera):
+    return np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+
+
+def assert_rays_land_on_their_pixels(camera, atol):
+    column, row = pixels(camera)
+    ray = np.stack([camera.tan_x, camera.tan_y, np.ones(camera.shape)], -1)
+    landed = camera.project(2.5 * ray)
+    np.testing.assert_allclose(landed, np.stack([column, row], -1), atol=atol, rtol=0)
+
+
+@pytest.mark.parametrize("fy", [50.0, -48.0])
+def test_rays_without_distortion(fy):
+    camera = small(fy=fy, cx=-20.0, cy=70.25)
+    column, row = pixels(camera)
+    np.testing.assert_array_equal(camera.tan_x, (column - -20.0) / 52.0)
+    np.testing.assert_array_equal(camera.tan_y, (row - 70.25) / fy)
+    assert camera.is_separable
+    np.testing.assert_array_equal(camera.tan_x_columns, camera.tan_x[0])
+    np.testing.assert_array_equal(camera.tan_y_rows, camera.tan_y[:, 0])
+
+
+@pytest.mark.parametrize("fy", [50.0, -50.0])
+@pytest.mark.parametrize("distortion", [KINECT[:4], KINECT, RATIONAL])
+def test_rays_with_distortion(distortion, fy):
+    camera = small(distortion=distortion, fx=80.0, fy=np.copysign(80.0, fy), cx=30.3)
+    assert not camera.is_separable
+    x, y = distort(camera.tan_x, camera.tan_y, distortion)
+    np.testing.assert_allclose(x, np.broadcast_to(camera.tan_x_columns, x.shape), atol=TOLERANCE, rtol=0)
+    np.testing.assert_allclose(
+        y, np.broadcast_to(camera.tan_y_rows[:, None], y.shape), atol=TOLERANCE, rtol=0
+    )
+    assert_rays_land_on_their_pixels(camera, 1e-8)
+
+
+def test_rays_against_opencv():
+    cv2 = pytest.importorskip("cv2")
+    camera = Camera.from_opencv(MATRIX, KINECT, (640, 480))
+    points = np.stack(pixels(camera), -1).reshape(-1, 1, 2).astype(float)
+    undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # OpenCV 4 and 5
+    options = {"R": np.eye(3), "P": np.eye(3)}
+    options["criteria"] = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-14)
+    expected = undistort_points(points, np.array(MATRIX), np.array(KINECT), **options).reshape(480, 640, 2)
+    np.testing.assert_allclose(np.stack([camera.tan_x, camera.tan_y], -1), expected, atol=1e-9, rtol=0)
+
+
+def test_inverse_brown_conrady_takes_the_pixel_to_the_ray():
+    camera = small(distortion=KINECT, distortion_model="inverse_brown_conrady", fx=80.0, fy=80.0)
+    plain = replace(camera, distortion=())
+    x, y = distort(plain.tan_x, plain.tan_y, KINECT)
+    np.testing.assert_array_equal(camera.tan_x, x)
+    np.testing.assert_array_equal(camera.tan_y, y)
+    assert_rays_land_on_their_pixels(camera, 1e-8)
+    assert np.abs(camera.tan_x - replace(camera, distortion_model="brown_conrady").tan_x).max() > 1e-3
+
+
+@pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
+def test_a_distortion_that_folds_inside_the_image(model):
+    # The radial part folds at radius 0.577; the image reaches to 0.6 sideways and less up and down.
+    camera = small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model)
+    with pytest.raises(ValueError, match=r"folds: \d+ of 3072 pixels .* radius 0\.577"):
+        _ = camera.tan_x
+    assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (
+        48,
+        64,
+    )
+
+
+def test_a_fold_between_the_axis_and_an_image_beside_it():
+    # All of the image lies where the model grows again, past its fold.
+    camera = small(
+        fx=500.0,
+        fy=500.0,
+        cx=-700.0,
+        distortion=(-2.0, 1.2, 0, 0, 0),
+        distortion_model="inverse_brown_conrady",
+    )
+    with pytest.raises(ValueError, match="of 3072 pixels"):
+        _ = camera.tan_x
+
+
+@pytest.mark.parametrize("distortion", [(), KINECT[:4]])
+def test_tables_are_made_once_and_cannot_be_written(distortion):
+    camera = small(distortion=distortion, fx=80.0, fy=80.0)
+    barrier = threading.Barrier(8)
+    seen = []
+
+    def look():
+        barrier.wait()
+        seen.append((camera.tan_x, camera.tan_y))
+
+    threads = [threading.Thread(target=look) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({(id(x), id(y)) for x, y in seen}) == 1
+    for table in seen[0]:
+        assert table.dtype == np.float64
+        assert table.shape == (48, 64)
+        assert table.flags.c_contiguous
+        assert not table.flags.writeable
+    assert not camera.tan_x_columns.flags.writeable
+    assert not camera.tan_y_rows.flags.writeable
+
+
+def test_a_camera_is_a_value():
+    a, b = (
+        small(distortion=[0.1, 0, 0, 0], invalid_values=[7]),
+        small(distortion=(0.1, 0, 0, 0), invalid_values=(7,)),
+    )
+    _ = a.tan_x
+    assert a == b
+    assert hash(a) == hash(b)
+    assert a != small()
+    for copied in (copy.copy(a), copy.deepcopy(a), pickle.loads(pickle.dumps(a))):
+        assert copied == a
+        assert not copied.tan_x.flags.writeable
+    assert len(pickle.dumps(a)) < 1000  # without the tables
+    with pytest.raises(AttributeError):
+        a.fx = 3.0
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"width": 0}, "expected width .* at least 1, got 0"),
+        ({"height": 4.0}, "expected height as a whole number .* got 4.0"),
+        ({"height": True}, "expected height .* got True"),
+        ({"fx": 0}, "expected fx in pixels, not 0"),
+        ({"fy": np.nan}, "expected fy as a finite number, got nan"),
+        ({"cx": np.inf}, "expected cx as a finite number, got inf"),
+        ({"distortion": (1, 2, 3)}, "expected 0, 4, 5, 8 distortion coefficients .* got 3"),
+        ({"distortion": (1, 2, 3, np.nan)}, "expected distortion as a finite number"),
+        (
+            {"distortion": (0,) * 8, "distortion_model": "inverse_brown_conrady"},
+            "expected 0, 5 distortion .* got 8",
+        ),
+        ({"distortion_model": "fisheye"}, "expected distortion_model to be one of .* got 'fisheye'"),
+        ({"depth_scale": 0}, "expected depth_scale > 0"),
+        ({"depth_scale": -1000.0}, "expected depth_scale > 0 .* got -1000"),
+        ({"depth_scale": 1000.0, "disparity": (1, 0)}, "expected depth_scale or disparity, got both"),
+        ({"disparity": (0, 1)}, "expected disparity as .scale, offset., scale not 0"),
+        ({"disparity": (1, 2, 3)}, "expected disparity as .scale, offset."),
+        ({"depth_range": (3, 2)}, "expected depth_range as .nearest, farthest."),
+        ({"depth_range": (-1, 2)}, "expected depth_range as .nearest, farthest."),
+        ({"depth_range": (np.nan, 2)}, "expected depth_range as .nearest, farthest."),
+    ],
+)
+def test_values_that_cannot_be(changed, message):
+    with pytest.raises(ValueError, match=message):
+        small(**changed)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"fx": "525"}, {"fx": None}, {"cx": True}, {"distortion": 0.1}, {"invalid_values": "0"}]
+)
+def test_types_that_cannot_be(changed):
+    with pytest.raises(TypeError, match=rf"expected {next(iter(changed))} as .*, got"):
+        small(**changed)
+
+
+@pytest.mark.parametrize("distortion", [(), KINECT[:4]])
+def test_points(distortion):
+    camera = small(distortion=distortion, fx=80.0, fy=-80.0, depth_scale=1000.0, depth_range=(0.1, 9))
+    depth = np.random.default_rng(0).integers(0, 10000, camera.shape).astype(np.uint16)
+    points = camera.points(depth)
+    z = np.where((depth >= 100) & (depth <= 9000), depth / 1000.0, np.nan)
+    np.testing.assert_array_equal(points, np.stack([z * camera.tan_x, z * camera.tan_y, z], -1))
+    landed, column_row = camera.project(points), np.stack(pixels(camera), -1)
+    valid = np.isfinite(z)
+    np.testing.assert_allclose(landed[valid], column_row[valid], atol=1e-8)
+    assert np.isnan(landed[~valid]).all()
+
+
+def test_points_of_a_disparity_image():
+    camera = small(disparity=(0.01, 0.1))
+    points = camera.points(np.full(camera.shape, 40, np.uint16))
+    np.testing.assert_allclose(points[..., 2], 2.0, rtol=1e-15)
+
+
+def test_project_knows_what_cannot_be_seen():
+    camera = small(distortion=(-0.3, 0, 0, 0))  # folds at radius 1.054
+    points = [[0, 0, 1], [0, 0, -1], [0, 0, 0], [1.0, 0, 1], [1.1, 0, 1], [40.0, 0, 1], [np.nan, 0, 1]]
+    seen = np.isfinite(camera.project(points)).all(-1)
+    assert seen.tolist() == [True, False, False, True, False, False, False]
+    inverse = small(distortion=(-0.3, 0, 0, 0, 0), distortion_model="inverse_brown_conrady")
+    seen = np.isfinite(inverse.project(points)).all(-1)  # no place gives a ray beyond radius 0.703
+    assert seen.tolist() == [True, False, False, False, False, False, False]
+    with pytest.raises(ValueError, match=r"expected points of shape \(\.\.\., 3\), got \(2,\)"):
+        camera.project([1.0, 2.0])
+
+
+numbers = st.floats(-1e4, 1e4)
+cameras = st.builds(
+    Camera,
+    width=st.integers(1, 5000),
+    height=st.integers(1, 5000),
+    fx=numbers.filter(bool),
+    fy=numbers.filter(bool),
+    cx=numbers,
+    cy=numbers,
+    distortion=st.sampled_from([(), KINECT[:4], KINECT, RATIONAL]),
+    depth_scale=st.one_of(st.none(), st.floats(1e-3, 1e6)),
+    depth_range=st.one_of(st.none(), st.tuples(st.floats(0, 5), st.floats(6, 20))),
+    invalid_values=st.lists(st.one_of(st.integers(0, 65535), numbers), max_size=3).map(tuple),
+)
+
+
+@given(camera=cameras)
+@settings(deadline=None)
+def test_json_gives_the_same_camera_back(camera):
+    assert Camera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+
+
+def test_save_and_load(tmp_path):
+    camera = Camera(
+        640, 480, 525.0, -525.0, 319.5, 239.5, KINECT, disparity=(-0.0028, 3.1), invalid_values=(2047,)
+    )
+    camera = replace(camera, noise="left out")
+    path = tmp_path / "camera.json"
+    camera.save(path)
+    camera.save(path)
+    assert Camera.load(path) == replace(camera, noise=None)
+    assert json.loads(path.read_text())["disparity"] == {"scale": -0.0028, "offset": 3.1}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_save_where_nothing_can_be_written(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        small().save(tmp_path / "no" / "camera.json")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="folder"):
+        small().save(tmp_path / "folder")
+    assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a JSON file, got .*camera.json"),
+        ("[1]", "expected a JSON object in .*camera.json, got list"),
+        ('{"width": 1', "expected a JSON file"),
+        ('{"width": 1, "height": 2, "fx": 3, "cx": 5}', "got none of fy, cy"),
+        (
+            '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "scale": 7, "k1": 0}',
+            "also k1, scale$",
+        ),
+    ],
+)
+def test_load_a_file_that_is_none(tmp_path, text, message):
+    path = tmp_path / "camera.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        Camera.load(path)
+
+
+def test_load_a_missing_or_binary_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Camera.load(tmp_path / "camera.json")
+    (tmp_path / "camera.json").write_bytes(b"\x89PNG\xff\xfe")
+    with pytest.raises(ValueError, match="expected a JSON file"):
+        Camera.load(tmp_path / "camera.json")
+
+
+def test_from_dict_refuses_a_strange_disparity():
+    with pytest.raises(ValueError, match=r"disparity with the keys scale, offset, got scale$"):
+        Camera.from_dict(small().to_dict() | {"disparity": {"scale": 1}})
+
+
+def test_from_opencv():
+    camera = Camera.from_opencv(np.array(MATRIX), np.array([KINECT]), (640, 480), depth_scale=1000.0)
+    assert camera == Camera(640, 480, 525.0, 520.0, 319.5, 239.5, KINECT, depth_scale=1000.0)
+    assert Camera.from_opencv(MATRIX, None, (640, 480)).distortion == ()
+    assert Camera.from_opencv(MATRIX, (*RATIONAL, 0, 0, 0, 0), (640, 480)).distortion == RATIONAL
+    shifted = Camera.from_opencv(MATRIX, None, (640, 480), pixel_center=0.5)
+    assert (shifted.cx, shifted.cy) == (319.0, 239.0)
+    with pytest.raises(ValueError, match="at most 8 distortion coefficients"):
+        Camera.from_opencv(MATRIX, (*RATIONAL, 0.1, 0, 0, 0), (640, 480))
+    with pytest.raises(ValueError, match=r"camera_matrix of shape \(3, 3\), got \(4,\)"):
+        Camera.from_opencv([525, 520, 319, 239], None, (640, 480))
+    with pytest.raises(ValueError, match=r"camera_matrix as .*fx, 0, cx"):
+        Camera.from_opencv([[525.0, 0.2, 319.5], [0, 520.0, 239.5], [0, 0, 1]], None, (640, 480))
+
+
+def camera_info(**changed):
+    return {
+        "width": 640,
+        "height": 480,
+        "distortion_model": "plumb_bob",
+        "D": list(KINECT),
+        "K": [525.0, 0, 319.5, 0, 520.0, 239.5, 0, 0, 1],
+        "R": np.eye(3).ravel().tolist(),
+        "P": [500.0, 0, 310.0, -30.0, 0, 510.0, 230.0, 0, 0, 0, 1, 0],
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+    } | changed
+
+
+def as_object(info, lower):
+    """As ROS 1 (K, D, P) or ROS 2 (k, d, p) has it."""
+    names = {"K": "k", "D": "d", "P": "p", "R": "r"} if lower else {}
+    attributes = {names.get(k, k): v for k, v in info.items()}
+    attributes["roi"] = SimpleNamespace(**info["roi"])
+    return SimpleNamespace(**attributes)
+
+
+@pytest.mark.parametrize("form", [dict, lambda i: as_object(i, False), lambda i: as_object(i, True)])
+def test_from_ros(form):
+    info = form(camera_info())
+    raw = Camera.from_ros(info, depth_scale=1000.0)
+    assert raw == Camera(640, 480, 525.0, 520.0, 319.5, 239.5, KINECT, depth_scale=1000.0)
+    assert Camera.from_ros(info, rectified=True) == Camera(640, 480, 500.0, 510.0, 310.0, 230.0)
+
+
+@pytest.mark.parametrize("form", [dict, lambda i: as_object(i, False)])
+def test_from_ros_region_and_binning(form):
+    roi = {"x_offset": 100, "y_offset": 60, "width": 400, "height": 300, "do_rectify": False}
+    whole = Camera.from_ros(camera_info())
+    region = Camera.from_ros(form(camera_info(roi=roi)))
+    assert region.shape == (300, 400)
+    np.testing.assert_allclose(region.tan_x, whole.tan_x[60:360, 100:500], atol=1e-10)
+    np.testing.assert_allclose(region.tan_y, whole.tan_y[60:360, 100:500], atol=1e-10)
+    binned = Camera.from_ros(form(camera_info(roi=roi, binning_x=2, binning_y=3)))
+    assert binned.shape == (100, 200)
+    np.testing.assert_allclose(binned.tan_x, region.tan_x[::3, ::2], atol=1e-10)
+    np.testing.assert_allclose(binned.tan_y, region.tan_y[::3, ::2], atol=1e-10)
+    rectified = Camera.from_ros(form(camera_info(roi=roi, binning_x=2)), rectified=True)
+    assert rectified == Camera(200, 300, 250.0, 510.0, 105.0, 170.0)
+
+
+def test_from_ros_models():
+    rational = camera_info(distortion_model="rational_polynomial", D=RATIONAL)
+    assert Camera.from_ros(rational).distortion == RATIONAL
+    assert Camera.from_ros(camera_info(distortion_model="", D=[])).distortion == ()
+    assert Camera.from_ros(camera_info(distortion_model="equidistant", D=[0.0] * 4)).distortion == ()
+    with pytest.raises(ValueError, match="one of plumb_bob, rational_polynomial, got 'equidistant'"):
+        Camera.from_ros(camera_info(distortion_model="equidistant", D=[0.1, 0, 0, 0]))
+    with pytest.raises(ValueError, match="4 or 5 coefficients in D for plumb_bob, got 8"):
+        Camera.from_ros(camera_info(D=RATIONAL))
+    with pytest.raises(ValueError, match="fx and fy not 0"):
+        Camera.from_ros(camera_info(K=[0.0] * 9))  # ROS's way to say uncalibrated
+    with pytest.raises(ValueError, match="expected 9 numbers in K, got 12"):
+        Camera.from_ros(camera_info(K=[1.0] * 12))
+    with pytest.raises(ValueError, match="expected K or k in the dict"):
+        Camera.from_ros({"width": 1, "height": 1})
+
+
+def test_from_open3d(tmp_path):
+    values = {"width": 640, "height": 480, "intrinsic_matrix": [525.0, 0, 0, 0, 520.0, 0, 319.5, 239.5, 1]}
+    expected = Camera(640, 480, 525.0, 520.0, 319.5, 239.5, depth_scale=1000.0)
+    assert Camera.from_open3d(values, depth_scale=1000.0) == expected
+    assert Camera.from_open3d({"extrinsic": [], "intrinsic": values}, depth_scale=1000.0) == expected
+    path = tmp_path / "intrinsic.json"
+    path.write_text(json.dumps(values))
+    assert Camera.from_open3d(path, depth_scale=1000.0) == expected
+    row_major = values | {"intrinsic_matrix": [525.0, 0, 319.5, 0, 520.0, 239.5, 0, 0, 1]}
+    with pytest.raises(ValueError, match="column-major"):
+        Camera.from_open3d(row_major)
+    with pytest.raises(ValueError, match="nine numbers, column-major"):
+        Camera.from_open3d(values | {"intrinsic_matrix": MATRIX})
+
+
+def realsense(**changed):
+    return {
+        "width": 848,
+        "height": 480,
+        "ppx": 421.2,
+        "ppy": 238.9,
+        "fx": 425.3,
+        "fy": 425.1,
+        "model": "brown_conrady",
+        "coeffs": [0.0] * 5,
+    } | changed
+
+
+def test_from_realsense():
+    expected = Camera(848, 480, 425.3, 425.1, 421.2, 238.9)
+    assert Camera.from_realsense(realsense()) == expected
+    assert Camera.from_realsense(SimpleNamespace(**realsense())) == expected
+    # The device states its unit in float32.
+    assert Camera.from_realsense(realsense(), depth_units=float(np.float32(0.001))).depth_scale == 1000.0
+    assert Camera.from_realsense(realsense(), depth_units=0.0001).depth_scale == 10000.0
+    assert Camera.from_realsense(realsense(), depth_scale=5000.0).depth_scale == 5000.0
+    assert Camera.from_realsense(realsense(), disparity=(0.1, 0)).disparity == (0.1, 0.0)
+    with pytest.raises(ValueError, match="depth_units or depth_scale, got both"):
+        Camera.from_realsense(realsense(), depth_units=0.001, depth_scale=1000.0)
+    with pytest.raises(ValueError, match="depth_units > 0"):
+        Camera.from_realsense(realsense(), depth_units=0.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        ("brown_conrady", "brown_conrady"),
+        (SimpleNamespace(name="inverse_brown_conrady"), "inverse_brown_conrady"),
+        ("distortion.inverse_brown_conrady", "inverse_brown_conrady"),
+        ("Inverse Brown Conrady", "inverse_brown_conrady"),
+        ("RS2_DISTORTION_BROWN_CONRADY", "brown_conrady"),
+        (2, "inverse_brown_conrady"),
+        (4, "brown_conrady"),
+    ],
+)
+def test_from_realsense_models(model, expected):
+    camera = Camera.from_realsense(realsense(model=model, coeffs=KINECT))
+    assert (camera.distortion_model, camera.distortion) == (expected, KINECT)
+
+
+def test_from_realsense_models_that_cannot_be():
+    assert Camera.from_realsense(realsense(model="none", coeffs=KINECT)).distortion == ()
+    assert Camera.from_realsense(realsense(model="Modified Brown Conrady")).distortion == ()
+    with pytest.raises(ValueError, match=r"got modified_brown_conrady with coefficients"):
+        Camera.from_realsense(realsense(model="Modified Brown Conrady", coeffs=KINECT))
+    with pytest.raises(ValueError, match=r"expected a RealSense model, one of .* got 'cubic'"):
+        Camera.from_realsense(realsense(model="cubic"))
+
+
+@pytest.mark.parametrize("preset", PRESETS, ids=lambda p: p.__name__)
+def test_presets(preset):
+    camera = preset()
+    assert "Source:" in preset.__doc__
+    assert (camera.depth_scale is None) != (camera.disparity is None)
+    assert abs(camera.cx - camera.width / 2) < 0.1 * camera.width
+    assert abs(camera.cy - camera.height / 2) < 0.12 * camera.height
+    assert_rays_land_on_their_pixels(camera, 1e-7)
+
+
+def test_preset_modes():
+    assert presets.realsense_d435(848, 480).fx == pytest.approx(643.3 * 848 / 1280, rel=1e-4)
+    with pytest.raises(ValueError, match=r"expected a mode of .* got 640x480"):
+        presets.realsense_d435(640, 480)
+
+
+def test_kinect_v1_raw_disparity_in_metres():
+    z = presets.kinect_v1_disparity().points(np.full((480, 640), 985, np.uint16))[0, 0, 2]
+    assert z == pytest.approx(351.3 / (1092.5 - 985), rel=1e-14)
+
+
+@real_cameras
+def test_real_cameras(path):
+    camera = Camera.load(path)
+    assert_rays_land_on_their_pixels(camera, 1e-7)
+    assert Camera.from_dict(json.loads(path.read_text())).to_dict() == camera.to_dict()
+    if camera.is_distorted:
+        x, y = distort(camera.tan_x, camera.tan_y, camera.distortion)
+        assert np.abs(x - camera.tan_x_columns).max() < TOLERANCE
+        assert np.abs(y - camera.tan_y_rows[:, None]).max() < TOLERANCE
+
+
+@real_cameras
+def test_real_frames_give_points_in_their_stated_range(path):
+    image = pytest.importorskip("PIL.Image")
+    camera = Camera.load(path)
+    first = sorted((path.parent / "depth").glob("*.png"))[0]
+    with image.open(first) as opened:
+        depth = np.asarray(opened)
+    z = camera.points(depth)[..., 2]
+    valid = np.isfinite(z)
+    assert 0.5 < valid.mean() <= 1
+    assert 0.1 < z[valid].min() < np.median(z[valid]) < z[valid].max() < 20

@@ -1,0 +1,277 @@
+"""The door for depth frames: every dtype, layout, unit and kind of missing pixel, against the contract."""
+
+import warnings
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import as_depth_frame
+
+
+def camera(shape=(4, 6), **depth):
+    return Camera(shape[1], shape[0], 100.0, 100.0, 2.5, 1.5, **depth)
+
+
+def expected_valid(depth, cam):
+    """Which pixels are measurements, one by one, from the words of the contract."""
+    valid = np.zeros(depth.shape, bool)
+    nearest, farthest = cam.depth_range or (0, np.inf)
+    is_float = depth.dtype.kind == "f"
+    sentinels = [depth.dtype.type(v) if is_float else v for v in cam.invalid_values]
+    for index, value in np.ndenumerate(depth):
+        raw = float(value)
+        if not np.isfinite(raw) or value in sentinels:
+            continue
+        if cam.disparity is not None:
+            q = cam.disparity[0] * raw + cam.disparity[1]
+            valid[index] = q > 0 and nearest <= 1 / q <= farthest
+        else:
+            z = raw if is_float else raw / cam.depth_scale
+            valid[index] = z > 0 and nearest <= z <= farthest
+    return valid
+
+
+ranges = st.one_of(
+    st.none(),
+    st.tuples(st.floats(0, 30), st.floats(0.001, 80)).filter(lambda r: r[0] < r[1]),
+)
+units = st.one_of(
+    st.fixed_dictionaries({"depth_scale": st.sampled_from([1.0, 1000.0, 5000.0, 999.7, 256.0])}),
+    st.fixed_dictionaries(
+        {
+            "disparity": st.tuples(
+                st.floats(-0.01, 0.01).filter(lambda s: abs(s) > 1e-6),
+                st.floats(-2, 4).map(lambda v: round(v, 3)),
+            )
+        }
+    ),
+)
+codes = st.one_of(st.integers(0, 65535), st.sampled_from([0, 1, 2047, 65534, 65535]))
+
+
+@given(
+    depth=hnp.arrays(np.uint16, (4, 6), elements=codes),
+    unit=units,
+    depth_range=ranges,
+    invalid=st.lists(codes, max_size=4).map(tuple),
+    take=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_uint16_validity(depth, unit, depth_range, invalid, take):
+    if take and invalid:
+        depth = depth.copy()
+        depth[1, :3] = invalid[0]
+    cam = camera(**unit, depth_range=depth_range, invalid_values=invalid)
+    frame = as_depth_frame(depth, cam)
+    valid = expected_valid(depth, cam)
+    np.testing.assert_array_equal(frame.valid, valid)
+    np.testing.assert_array_equal(np.isfinite(frame.metres), valid)
+    np.testing.assert_array_equal(frame.raw[valid], depth[valid])
+    q = depth * frame.scale + frame.offset if frame.is_disparity else frame.scale / np.maximum(depth, 1)
+    np.testing.assert_allclose(frame.inverse_depth[valid], q[valid], rtol=1e-15)
+
+
+@given(
+    depth=hnp.arrays(
+        st.sampled_from([np.float32, np.float64]),
+        (4, 6),
+        elements=st.one_of(
+            st.floats(-10, 40, width=32),
+            st.sampled_from([0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, 8.0, 30.0, -1.0]),
+        ),
+    ),
+    disparity=st.one_of(
+        st.none(), st.tuples(st.sampled_from([-0.3, 0.02, 1.7]), st.sampled_from([0.0, 2.5, -1.0]))
+    ),
+    depth_range=st.one_of(ranges, st.sampled_from([(0.5, 8.0)])),
+    invalid=st.lists(st.sampled_from([0.0, 0.5, 8.0, 30.0, -1.0, 0.1]), max_size=3).map(tuple),
+)
+@settings(max_examples=100, deadline=None)
+def test_float_validity(depth, disparity, depth_range, invalid):
+    assume(not ((np.abs(depth) < 1e-30) & (depth != 0)).any())  # no depth: see the test of extremes
+    cam = camera(disparity=disparity, depth_range=depth_range, invalid_values=invalid)
+    frame = as_depth_frame(depth, cam)
+    assert frame.raw.dtype == depth.dtype
+    np.testing.assert_array_equal(frame.valid, expected_valid(depth, cam))
+
+
+@given(bound=st.floats(1e-3, 1e3), dtype=st.sampled_from([np.float32, np.float64]))
+@settings(max_examples=50, deadline=None)
+def test_the_ends_of_the_range_are_exact(bound, dtype):
+    cam = camera((1, 2), depth_range=(bound, 2e3))
+    lowest = as_depth_frame(np.ones((1, 2), dtype), cam).lowest
+    assert Fraction(float(lowest)) >= Fraction(bound) > Fraction(float(np.nextafter(lowest, dtype(0))))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "becomes"),
+    [
+        ("u1", "u2"),
+        ("u2", "u2"),
+        (">u2", "u2"),
+        ("i2", "f8"),
+        ("u4", "f8"),
+        (">i4", "f8"),
+        ("i8", "f8"),
+        ("f2", "f4"),
+        ("f4", "f4"),
+        (">f4", "f4"),
+        ("f8", "f8"),
+        (">f8", "f8"),
+    ],
+)
+def test_dtypes(dtype, becomes):
+    depth = (np.arange(24).reshape(4, 6) % 7).astype(dtype)
+    frame = as_depth_frame(depth, camera(depth_scale=2.0))
+    assert frame.raw.dtype == np.dtype(becomes)
+    assert frame.raw.dtype.isnative
+    np.testing.assert_array_equal(frame.raw, depth)
+    np.testing.assert_array_equal(frame.valid, depth > 0)
+    scale = 2.0 if np.dtype(dtype).kind in "ui" else 1.0
+    np.testing.assert_array_equal(frame.metres[frame.valid], depth[depth > 0] / scale)
+
+
+def test_negative_integers_are_missing():
+    depth = np.array([[-5, 0, 3], [7, -32768, 32767]], np.int16)
+    frame = as_depth_frame(depth, camera((2, 3), depth_scale=1000.0, depth_range=(0.004, 100)))
+    assert frame.valid.tolist() == [[False, False, False], [True, False, True]]
+
+
+def test_layouts():
+    whole = np.arange(96, dtype=np.uint16).reshape(8, 12)
+    read_only = whole[:4, :6].copy()
+    read_only.flags.writeable = False
+    unaligned = np.frombuffer(b"\0" + whole[:4, :6].tobytes(), np.uint16, 24, 1).reshape(4, 6)
+    for depth in (whole[::2, ::2], whole[:4, :6], whole[:6, :4].T, whole[3::-1, 5::-1], read_only, unaligned):
+        frame = as_depth_frame(depth, camera(depth_scale=1000.0))
+        assert frame.raw.flags.c_contiguous
+        assert frame.raw.flags.aligned
+        assert not frame.raw.flags.writeable
+        np.testing.assert_array_equal(frame.raw, depth)
+
+
+def test_the_common_case_copies_nothing():
+    depth = np.ones((4, 6), np.uint16)
+    cam = camera(depth_scale=1000.0, invalid_values=(0, 65535), depth_range=(0, 20))
+    assert np.shares_memory(as_depth_frame(depth, cam).raw, depth)
+    assert depth.flags.writeable
+
+
+def test_invalid_values_inside_the_interval_leave_the_callers_frame_alone():
+    depth = np.full((4, 6), 7, np.uint16)
+    depth[0, 0] = 9
+    frame = as_depth_frame(depth, camera(depth_scale=1000.0, invalid_values=(7,)))
+    assert frame.valid.sum() == 1
+    assert (depth[0, 0], depth[1, 1]) == (9, 7)
+
+
+def test_a_disparity_of_which_every_code_is_a_measurement_is_widened():
+    depth = np.full((4, 6), 100, np.uint16)
+    depth[0] = [0, 65535, 100, 2047, 2048, 2046]
+    cam = camera(disparity=(1e-5, 0.1), invalid_values=(2047,))
+    frame = as_depth_frame(depth, cam)
+    assert frame.raw.dtype == np.float64
+    assert frame.valid[0].tolist() == [True, True, True, False, True, True]
+    untouched = as_depth_frame(np.where(depth == 2047, 5, depth).astype(np.uint16), cam)
+    assert untouched.raw.dtype == np.uint16
+    assert untouched.valid.all()
+
+
+def test_no_raw_value_is_valid():
+    frame = as_depth_frame(np.arange(24, dtype=np.uint16).reshape(4, 6), camera(disparity=(-1.0, -1.0)))
+    assert not frame.valid.any()
+    frame = as_depth_frame(np.ones((4, 6)), camera(depth_range=(2, 3)))
+    assert not frame.valid.any()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_extremes_that_would_overflow_are_missing(dtype):
+    depth = np.zeros((4, 6), dtype)
+    info = np.finfo(dtype)
+    depth[0] = [info.smallest_subnormal, info.tiny / 2, 1e-30, 1e30, np.inf, info.max]
+    frame = as_depth_frame(depth, camera())
+    expected = [False, False, True, True, False, dtype is np.float32]
+    assert frame.valid[0].tolist() == expected
+
+
+def test_float_frames_are_metres_whatever_the_depth_scale():
+    frame = as_depth_frame(np.full((4, 6), 1.5, np.float32), camera(depth_scale=1000.0))
+    assert (frame.scale, frame.offset) == (1.0, 0.0)
+    assert (frame.metres == 1.5).all()
+
+
+def test_float_disparity():
+    frame = as_depth_frame(np.full((4, 6), 200.5), camera(disparity=(0.01, 0.1)))
+    assert frame.is_disparity
+    np.testing.assert_allclose(frame.metres, 1 / 2.105)
+
+
+def test_millimetres_as_floats_draw_one_warning_here():
+    depth = np.full((480, 640), 1500.0, np.float32)
+    depth[::3] = 0
+    depth[:, ::20] = np.nan
+    with pytest.warns(UserWarning, match="float depth is in metres.*millimetres") as caught:
+        as_depth_frame(depth, camera((480, 640), depth_scale=1000.0))
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+    with pytest.warns(UserWarning, match="millimetres"):
+        camera((480, 640), depth_range=(0.1, 10.0)).points(depth)
+
+
+@pytest.mark.parametrize("far", [0, 0.4, 0.49])
+def test_no_warning_for_metres(far):
+    depth = np.full((32, 100), 3.0)
+    depth[:, : int(far * 100)] = 300.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_depth_frame(depth, camera((32, 100)))
+        as_depth_frame(np.full((32, 100), 300.0), camera((32, 100), depth_range=(1, 1000)))
+        as_depth_frame(np.full((32, 100), np.nan), camera((32, 100)))
+        as_depth_frame(np.full((32, 100), np.inf), camera((32, 100)))
+        as_depth_frame(np.full((32, 100), 300.0), camera((32, 100), disparity=(0.001, 0)))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32])
+def test_integers_need_a_unit(dtype):
+    with pytest.raises(ValueError, match=r"depth_scale .* or disparity .*got a camera with neither"):
+        as_depth_frame(np.ones((4, 6), dtype), camera())
+
+
+@pytest.mark.parametrize("dtype", [bool, complex, object, "U3", "M8[s]"])
+def test_other_dtypes(dtype):
+    with pytest.raises(TypeError, match="integers or floats, got dtype"):
+        as_depth_frame(np.zeros((4, 6), dtype), camera())
+
+
+def test_masked_arrays_are_refused():
+    with pytest.raises(TypeError, match="masked"):
+        as_depth_frame(np.ma.masked_equal(np.ones((4, 6)), 0), camera())
+
+
+@pytest.mark.parametrize(
+    ("shape", "hint"),
+    [
+        ((4, 6, 3), "colour"),
+        ((4, 6, 4), "colour"),
+        ((4, 6, 1), "squeeze"),
+        ((1, 4, 6), "squeeze"),
+        ((6, 4), "transposed"),
+        ((8, 12), r"got \(8, 12\)$"),
+        ((24,), r"got \(24,\)$"),
+        ((), r"got \(\)$"),
+        ((0, 0), r"got \(0, 0\)$"),
+    ],
+)
+def test_shapes(shape, hint):
+    with pytest.raises(ValueError, match=rf"\(4, 6\).*{hint}"):
+        as_depth_frame(np.ones(shape), camera())
+
+
+def test_lists():
+    frame = as_depth_frame([[1, 2], [0, 4]], camera((2, 2), depth_scale=2.0))
+    np.testing.assert_array_equal(frame.metres, [[0.5, 1.0], [np.nan, 2.0]])
