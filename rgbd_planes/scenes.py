@@ -24,7 +24,7 @@ KINECT_NOISE = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m: sigma_Z = 1.425e-3 Z² (eq. noise_models)."""
 
 KINECT_BASELINE = 0.075
-"""Distance of a Kinect v1's projector from its infrared camera, in metres (Khoshelham and Oude Elberink 2012)."""
+"""Metres from a Kinect v1's infrared camera to its projector (Khoshelham and Oude Elberink 2012)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,13 +234,15 @@ def polygon(name: str, vertices: ArrayLike) -> Surface:
     edges = np.roll(points, -1, axis=0) - points
     normal = np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0)
     size = np.linalg.norm(edges, axis=1).max()
-    normal /= np.linalg.norm(normal)
+    area = np.linalg.norm(normal)
+    if not area > 1e-9 * size**2:
+        raise ValueError(f"the corners of {name!r} enclose no area: {points.tolist()}")
+    normal /= area
     inward = np.cross(normal, edges)
     sides = np.column_stack([inward, -(inward * points).sum(axis=1)])
     heights = (points - points[0]) @ normal
     inside = points @ inward.T + sides[:, 3]
-    # Written so that a NaN, of a polygon without area, is refused as well.
-    if not (np.abs(heights).max() <= 1e-9 * size and inside.min() >= -1e-9 * size**2):
+    if np.abs(heights).max() > 1e-9 * size or inside.min() < -1e-9 * size**2:
         raise ValueError(
             f"the corners of {name!r} are not those of a flat, convex polygon: {points.tolist()}"
         )
@@ -304,8 +306,8 @@ def room(eye: Sequence[float] = (0.35, -1.5, -0.2), target: Sequence[float] = (-
     furniture = (
         *box("cabinet", (-1.52, 0.0, 2.65), (0.5, 1.75, 0.95)),
         *box("desk top", (1.05, -0.70, 3.05), (1.5, 0.05, 0.85), turn=-6.0),
-        *box("desk drawers", (1.45, 0.0, 3.02), (0.5, 0.70, 0.7), turn=-6.0),
-        *box("desk leg", (0.42, 0.0, 3.14), (0.05, 0.70, 0.62), turn=-6.0),
+        *box("desk drawers", (1.45, 0.0, 3.07), (0.5, 0.70, 0.62), turn=-6.0),
+        *box("desk leg", (0.42, 0.0, 3.17), (0.05, 0.70, 0.55), turn=-6.0),
         *box("screen", (0.98, -0.75, 3.2), (0.66, 0.44, 0.04), turn=14.0),
         *box("carton", (-0.48, 0.0, 2.3), (0.6, 0.42, 0.5), turn=33.0),
         *box("parcel", (-0.5, -0.42, 2.32), (0.32, 0.24, 0.28), turn=-18.0),
