@@ -168,7 +168,8 @@ class Rendering:
         Raises
         ------
         ValueError
-            A share outside 0..1, a negative noise, or a camera without units for `quantise`.
+            A share outside 0..1, a negative noise, or, for `quantise`, a camera without units or (disparity)
+            without a raw value that means missing.
         """
         if not noise >= 0.0:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
@@ -188,6 +189,24 @@ class Rendering:
             missing |= _shadow(self.camera.tan_x, self.depth, baseline)
         depth[missing] = np.nan
         return _to_raw(depth, self.camera) if quantise else depth
+
+    def tile_labels(self, tile: tuple[int, int]) -> NDArray[np.int32]:
+        """The plane that each tile sees, 0 where a tile sees more than one, or none.
+
+        Parameters
+        ----------
+        tile : (height, width)
+            In pixels. The last row and column of tiles may be smaller.
+
+        Returns
+        -------
+        (R, C) int32
+        """
+        rows = np.arange(0, self.camera.height, tile[0])
+        columns = np.arange(0, self.camera.width, tile[1])
+        lowest = np.minimum.reduceat(np.minimum.reduceat(self.labels, rows, axis=0), columns, axis=1)
+        highest = np.maximum.reduceat(np.maximum.reduceat(self.labels, rows, axis=0), columns, axis=1)
+        return np.where(lowest == highest, lowest, 0).astype(np.int32)
 
 
 def plane(normal: ArrayLike, distance: float) -> Scene:
@@ -372,14 +391,18 @@ def _patches(generator: np.random.Generator, shape: Iterable[int], share: float)
 
 def _to_raw(depth: Floats, camera: Camera) -> NDArray[np.uint16]:
     """Metres, NaN missing, to the camera's integer units."""
+    candidates = [value for value in camera.invalid_values if value.is_integer() and 0 <= value <= 65535]
     if camera.disparity is not None:
         scale, offset = camera.disparity
-        raw = (1.0 / depth - offset) / scale
+        raw = np.rint((1.0 / depth - offset) / scale)
+        smallest = 0
+        candidates += [value for value in (0, 65535) if scale * value + offset <= 0.0]
+        if not candidates:
+            raise ValueError("quantise needs a raw value that means missing: give the camera invalid_values")
     elif camera.depth_scale is not None:
-        raw = depth * camera.depth_scale
+        raw = np.rint(depth * camera.depth_scale)
+        smallest = 1
+        candidates = [0]
     else:
         raise ValueError("quantise needs a camera with depth_scale or disparity; quantise=False gives metres")
-    raw = np.rint(raw)
-    missing = next((int(value) for value in camera.invalid_values if 0 <= value <= 65535), 0)
-    # Nothing below 1 is a measurement (raw 0 means missing), nothing above 65535 fits.
-    return np.where((raw >= 1.0) & (raw <= 65535.0), raw, missing).astype(np.uint16)
+    return np.where((raw >= smallest) & (raw <= 65535.0), raw, candidates[0]).astype(np.uint16)

@@ -130,6 +130,20 @@ def test_look_at_puts_the_target_on_the_optical_axis_and_stays_level():
     assert pose[1, 1] > 0.0  # and its y points down
 
 
+@pytest.mark.parametrize("tile", [(8, 8), (7, 13), (48, 64), (100, 100)])
+def test_tile_labels_are_of_tiles_that_see_one_plane(tile):
+    rendering = scenes.room().render(small_camera())
+    expected = [
+        [
+            patch.flat[0] if (patch == patch.flat[0]).all() else 0
+            for column in range(0, 64, tile[1])
+            for patch in [rendering.labels[row : row + tile[0], column : column + tile[1]]]
+        ]
+        for row in range(0, 48, tile[0])
+    ]
+    assert np.array_equal(rendering.tile_labels(tile), expected)
+
+
 def test_noise_is_the_papers():
     camera = small_camera(width=400, height=300, fx=525.0, fy=525.0, cx=199.5, cy=149.5)
     rendering = scenes.plane((0.3, 0.2, -1.0), 2.0).render(camera)
@@ -201,6 +215,14 @@ def test_quantised_to_the_cameras_units():
     assert np.abs(scale * raw + offset - 1.0 / rendering.depth)[~missing].max() <= 0.5 * abs(scale) * (
         1 + 1e-9
     )
+
+    # Without an invalid value, a raw value whose inverse depth is not positive says missing.
+    raw = room.render(small_camera(depth_scale=None, disparity=camera.disparity)).measure(
+        noise=0.0, holes=1.0
+    )
+    assert (scale * raw + offset <= 0.0).all()
+    with pytest.raises(ValueError, match="invalid_values"):
+        room.render(small_camera(depth_scale=None, disparity=(1e-3, 0.1))).measure()
 
     too_far = scenes.plane((0.0, 0.0, -1.0), 70.0).render(small_camera())
     assert not too_far.measure(noise=0.0).any()  # 70 m do not fit 16 bits of millimetres
