@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.files import written_whole
+from rgbd_planes.files import write_beside
 
 Frame = NDArray[Any]
 
@@ -69,7 +69,7 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
         raise ValueError(f"{path}: expected a path that ends in .png")
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
-    with written_whole(path) as beside:
+    with write_beside(path) as beside:
         Image.fromarray(np.ascontiguousarray(image)).save(beside, format="PNG")
 
 

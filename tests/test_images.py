@@ -167,14 +167,14 @@ def test_pickled_arrays_are_not_executed(tmp_path):
 
 def test_written_whole_or_not_at_all(tmp_path):
     path = tmp_path / "file.txt"
-    with files.written_whole(path) as beside:
+    with files.write_beside(path) as beside:
         assert beside.suffix == ".txt"
         beside.write_text("first")
         assert not path.exists()
     assert path.read_text() == "first"
 
     def fail():
-        with files.written_whole(path) as half:
+        with files.write_beside(path) as half:
             half.write_text("sec")
             raise RuntimeError("disk on fire")
 
@@ -187,7 +187,7 @@ def test_written_whole_or_not_at_all(tmp_path):
 def test_writing_through_a_link_keeps_the_link(tmp_path):
     (tmp_path / "real.txt").write_text("old")
     (tmp_path / "link.txt").symlink_to("real.txt")
-    with files.written_whole(tmp_path / "link.txt") as beside:
+    with files.write_beside(tmp_path / "link.txt") as beside:
         beside.write_text("new")
     assert (tmp_path / "link.txt").is_symlink()
     assert (tmp_path / "real.txt").read_text() == "new"
@@ -199,7 +199,7 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
     received = []
     reader = threading.Thread(target=lambda: received.append(pipe.read_text()))
     reader.start()
-    with files.written_whole(pipe) as target:
+    with files.write_beside(pipe) as target:
         target.write_text("through")
     reader.join()
     assert received == ["through"]
