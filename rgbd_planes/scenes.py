@@ -385,7 +385,7 @@ def _patches(generator: np.random.Generator, shape: Iterable[int], share: float)
     """A mask that is true on `share` of the pixels, in smooth patches."""
     from scipy.ndimage import gaussian_filter
 
-    field = gaussian_filter(generator.standard_normal(tuple(shape)), sigma=6.0, mode="wrap")
+    field = gaussian_filter(generator.standard_normal(tuple(shape)), sigma=8.0, mode="wrap")
     return np.asarray(field < np.quantile(field, share)) if share < 1.0 else np.ones_like(field, dtype=bool)
 
 
