@@ -12,7 +12,7 @@ from rgbd_planes.plane_fits import TileStatus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
     from rgbd_planes.tiles import TilePlanes
 
@@ -43,7 +43,7 @@ def normal_colours(normals: Floats) -> Floats:
     Parameters
     ----------
     normals : (..., 3) float64
-        In camera coordinates (x right, y down, z forward). NaN where there is none.
+        x to the right of the image, y down, z away from the camera. NaN where there is none.
 
     Returns
     -------
@@ -55,8 +55,8 @@ def normal_colours(normals: Floats) -> Floats:
 
 
 def plot_tiles(
-    tiles: "TilePlanes", depth_metres: Floats | None = None, figure: "Figure | SubFigure | None" = None
-) -> "Figure | SubFigure":
+    tiles: "TilePlanes", depth_metres: Floats | None = None, figure: "Figure | None" = None
+) -> "Figure":
     """Draw a fitted frame: depth, normals as colours, and the tiles by status.
 
     Parameters
@@ -126,7 +126,7 @@ def _draw_depth(panel: "Axes", legend: "Axes", tiles: "TilePlanes", depth: Float
 
 
 def _draw_normals(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
-    panel.imshow(_to_pixels(normal_colours(tiles.planes[..., :3]), tiles), interpolation="nearest")
+    panel.imshow(_to_pixels(normal_colours(_normals_in_image(tiles)), tiles), interpolation="nearest")
     panel.set_title("Normals of the planes")
     # The half ball of normals that face the camera, as the camera sees it.
     x, y = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
@@ -148,8 +148,8 @@ def _draw_normals(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
 def _draw_status(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
     colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[tiles.status]
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
-    light = np.clip(tiles.planes[..., :3] @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
-    shade = np.where(tiles.fitted, 0.55 + 0.6 * light, 1.0)[..., None]
+    light = np.clip(_normals_in_image(tiles) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    shade = np.where(tiles.fitted, 0.6 + 0.55 * light, 1.0)[..., None]
     panel.imshow(_to_pixels(np.minimum(colours * shade, 1.0), tiles), interpolation="nearest")
     _draw_grid(panel, tiles)
     height, width = tiles.tile
@@ -173,6 +173,12 @@ def _draw_grid(panel: "Axes", tiles: "TilePlanes") -> None:
     bottom, right = tiles.camera.height - 0.5, tiles.camera.width - 0.5
     panel.vlines(np.cumsum(tiles.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
     panel.hlines(np.cumsum(tiles.tile_heights[:-1]) - 0.5, -0.5, right, **style)
+
+
+def _normals_in_image(tiles: "TilePlanes") -> Floats:
+    """The normals with x to the right of the image and y down it, also where a focal length is negative."""
+    signs = np.sign([tiles.camera.fx, tiles.camera.fy, 1.0])
+    return np.asarray(tiles.planes[..., :3] * signs)
 
 
 def _to_pixels(values: NDArray[Any], tiles: "TilePlanes") -> NDArray[Any]:

@@ -75,6 +75,17 @@ def test_without_a_frame_the_planes_own_depth_is_drawn():
     np.testing.assert_allclose(shown, truth, rtol=1e-9)
 
 
+def test_colours_are_of_the_image_whatever_the_sign_of_fy():
+    normal = np.array([0.0, -0.6, -0.8])  # of a floor
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
+    upwards = rp.Camera(width=68, height=50, fx=52.5, fy=-52.5, cx=33.5, cy=24.5)
+    floor = rp.fit_tiles(scenes.plane(normal, 1.5).render(camera).depth, camera, tile=8)
+    mirrored = rp.fit_tiles(scenes.plane(normal * [1, -1, 1], 1.5).render(upwards).depth, upwards, tile=8)
+    for panel in (1, 2):
+        pictures = [image_of(tiles.plot().axes[panel]) for tiles in (floor, mirrored)]
+        np.testing.assert_allclose(*pictures, atol=1e-9)
+
+
 def test_every_status_and_none_of_them_ok():
     tiles, depth = fitted()
     tiles.status[:] = np.arange(tiles.status.size).reshape(tiles.shape) % 4
