@@ -64,19 +64,29 @@ def test_demo_writes_a_picture_and_says_what_it_found(tmp_path, monkeypatch, cap
     cosines = (tiles.planes[labels > 0][:, :3] * truth[:, :3]).sum(axis=1)
     angle = np.median(np.degrees(np.arccos(cosines)))
     offset = np.median(np.abs(tiles.planes[labels > 0][:, 3] - truth[:, 3])) * 1000
-    count, printed_angle, printed_offset = re.search(
-        r"^  all\s+(\d+)\s+([\d.]+)°\s+([\d.]+) mm", out, re.M
-    ).groups()
+    count, *printed = re.search(r"^  all\s+(\d+)\s+([\d.]+)°\s+([\d.]+) mm", out, re.M).groups()
+    printed_angle, printed_offset = map(float, printed)
     assert int(count) == (labels > 0).sum()
-    assert float(printed_angle) == pytest.approx(angle, abs=0.006)
-    assert float(printed_offset) == pytest.approx(offset, abs=0.06)
+    assert printed_angle == pytest.approx(angle, abs=0.006)
+    assert printed_offset == pytest.approx(offset, abs=0.06)
     assert angle < 1.5  # degrees: the paper's noise on 20 x 20 tiles, 2 to 4 m away
     assert re.search(r"floor\s+\d+", out)
+    usual = float(re.search(r"all, by standard_pca\s+\d+\s+([\d.]+)°", out)[1])
+    assert usual > 2.0 * printed_angle
 
     # The line that it offers works as it stands.
     command = re.search(r"^  rgbd-planes (fit .*)$", out, re.MULTILINE)[1]
     assert cli.main(command.split()) == 0
     assert os.path.exists("planes.png")
+
+
+def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
+    assert cli.main(["demo", "--out", str(tmp_path), "--tile", "480x640"]) == 0
+    assert "nothing to compare" in capsys.readouterr().out
+    assert "fit into the frame" in fails(capsys, "demo", "--out", tmp_path / "new", "--tile", "481")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").touch()
+    assert "file: File exists" in fails(capsys, "demo", "--out", tmp_path / "file")
 
 
 @pytest.mark.parametrize("method", METHODS)
