@@ -1,0 +1,8 @@
+"""``python -m rgbd_planes``: the command line."""
+
+import sys
+
+from rgbd_planes.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

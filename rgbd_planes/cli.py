@@ -1,0 +1,281 @@
+"""The command line: ``rgbd-planes demo``, ``rgbd-planes fit``.
+
+A command is one function, listed in ``COMMANDS``: it declares its arguments on the parser it is given and
+returns what runs them. Its docstring is its help.
+"""
+
+import argparse
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+
+from rgbd_planes import __version__
+
+if TYPE_CHECKING:  # a command imports what it needs when it runs, so that --help is instant
+    from rgbd_planes.scenes import Rendering
+    from rgbd_planes.tiles import TilePlanes
+
+Run = Callable[[argparse.Namespace], None]
+
+
+class CommandError(Exception):
+    """What the user can mend: one line on stderr."""
+
+
+def demo(parser: argparse.ArgumentParser) -> Run:
+    """Render a room as a Kinect would see it, fit it, and draw what was found; needs no file.
+
+    example: rgbd-planes demo --out pictures
+    """
+    parser.add_argument("--out", type=Path, default=Path("."), metavar="FOLDER", help="where to write (.)")
+    parser.add_argument("--tile", type=_tile, default=(16, 16), metavar="N or HxW", help="tile size (16)")
+    parser.add_argument("--seed", type=int, default=1, help="of the noise and the missing pixels (1)")
+
+    def run(arguments: argparse.Namespace) -> None:
+        from rgbd_planes import Camera, TileFitter, fit_tiles, scenes
+        from rgbd_planes.files import check_writable
+        from rgbd_planes.images import write_png
+
+        camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=1000.0)
+        fitter = TileFitter(camera, tile=arguments.tile, max_error=0.03, num_threads=1)
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        picture, frame_file, camera_file = (
+            arguments.out / name for name in ("demo.png", "demo_depth.png", "demo_camera.json")
+        )
+        for path in (picture, frame_file, camera_file):
+            check_writable(path)
+
+        rendering = scenes.room().render(camera)
+        depth = rendering.measure(
+            holes=0.05, patches=0.03, baseline=scenes.KINECT_BASELINE, seed=arguments.seed
+        )
+        print(
+            f"Rendered a room of {len(rendering.planes)} planes, {camera.width} x {camera.height} pixels, "
+            f"Kinect noise, {(depth == 0).mean():.1%} of the pixels missing."
+        )
+
+        tiles = fitter.fit(depth)  # compiles, the first time
+        milliseconds = 1e3 * _median_seconds(lambda: fitter.fit(depth))
+        print(_counts(tiles))
+        print(f"One fit takes {milliseconds:.2f} ms (one thread, median of 20).")
+        print(_accuracy(tiles, fit_tiles(depth, camera, arguments.tile, "standard_pca"), rendering))
+
+        write_png(frame_file, depth)
+        camera.save(camera_file)
+        _save_figure(tiles, depth, picture)
+        print(f"See {picture}. The same from the files:")
+        print(f"  rgbd-planes fit {frame_file} --camera {camera_file} --figure planes.png")
+
+    return run
+
+
+def fit(parser: argparse.ArgumentParser) -> Run:
+    """Fit a plane to every tile of a depth image (PNG, TIFF, PGM, NPY, NPZ).
+
+    example: rgbd-planes fit depth.png --camera camera.json --tile 16 --out planes.npz --figure planes.png
+    """
+    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
+    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    parser.add_argument("--tile", type=_tile, default=(16, 16), metavar="N or HxW", help="tile size (16)")
+    parser.add_argument(
+        "--method",
+        default="range_explicit",
+        metavar="NAME",
+        help="range_explicit (default), range_implicit, standard_explicit, standard_implicit, standard_pca",
+    )
+    parser.add_argument(
+        "--max-missing", type=float, default=0.5, metavar="SHARE", help="fit no tile that misses more (0.5)"
+    )
+    parser.add_argument(
+        "--max-error", type=float, metavar="METRES", help="call a tile with a larger residual rough"
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
+    parser.add_argument(
+        "--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them"
+    )
+    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and tiles")
+
+    def run(arguments: argparse.Namespace) -> None:
+        from rgbd_planes import Camera, fit_tiles
+        from rgbd_planes.images import read_depth
+
+        _check_output(arguments.out, (".npz",))
+        _check_output(arguments.figure, (".png", ".pdf", ".svg"))
+        camera = Camera.load(arguments.camera)
+        depth = read_depth(arguments.depth)
+        tiles = fit_tiles(
+            depth,
+            camera,
+            arguments.tile,
+            arguments.method,
+            max_missing=arguments.max_missing,
+            max_error=arguments.max_error,
+            num_threads=arguments.threads,
+        )
+        print(_counts(tiles))
+        if arguments.out is not None:
+            tiles.save(arguments.out)
+            print(f"Wrote {arguments.out}")
+        if arguments.figure is not None:
+            _save_figure(tiles, depth, arguments.figure)
+            print(f"Wrote {arguments.figure}")
+
+    return run
+
+
+COMMANDS = (demo, fit)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command; what goes wrong is one line on stderr.
+
+    Returns
+    -------
+    int
+        0; 2 after an error.
+    """
+    parser = _Parser(
+        prog="rgbd-planes",
+        description="Fit planes to depth images.",
+        epilog="rgbd-planes COMMAND --help tells more",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    for command in COMMANDS:
+        summary, _, example = (command.__doc__ or "").strip().partition("\n")
+        subparser = subparsers.add_parser(
+            command.__name__,
+            help=summary,
+            description=summary,
+            epilog=example.strip(),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        subparser.set_defaults(run=command(subparser))
+    arguments = parser.parse_args(argv)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
+            warnings.showwarning = _show_warning
+            arguments.run(arguments)
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (CommandError, OSError, TypeError, ValueError) as error:
+        print(f"rgbd-planes {arguments.command}: {_one_line(error)}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def _tile(text: str) -> tuple[int, int]:
+    """Parse "16", or "12x20" for a height of 12."""
+    try:
+        height, _, width = text.partition("x")
+        return int(height), int(width or height)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None
+
+
+def _check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Refuse now what could not be written after the work."""
+    from rgbd_planes.files import check_writable
+
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        raise CommandError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
+    check_writable(path)
+
+
+def _save_figure(tiles: "TilePlanes", depth: Any, path: Path) -> None:
+    from rgbd_planes.files import write_beside
+
+    figure = tiles.plot(depth)
+    with write_beside(path) as beside:
+        figure.savefig(beside, dpi=120)
+
+
+def _counts(tiles: "TilePlanes") -> str:
+    import numpy as np
+
+    from rgbd_planes import TileStatus
+
+    height, width = tiles.tile
+    counts = {status: np.count_nonzero(tiles.status == status) for status in TileStatus}
+    found = ", ".join(f"{count} {status.name}" for status, count in counts.items() if count)
+    line = f"{tiles.status.size} tiles of {height} x {width} pixels by {tiles.method}: {found}"
+    if tiles.fitted.any():
+        line += (
+            f"; median residual {1e3 * np.median(tiles.rmse_metric[tiles.fitted]):.1f} mm along the normal"
+        )
+    return line + "."
+
+
+def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") -> str:
+    """A table of the errors of the tiles that see one plane, for the largest planes and for all."""
+    import numpy as np
+
+    def line(name: str, fits: "TilePlanes", chosen: Any) -> str:
+        truth = rendering.planes[labels[chosen] - 1]
+        # Of small angles the cosine loses digits, the chord does not.
+        chord = np.linalg.norm(fits.planes[chosen][:, :3] - truth[:, :3], axis=-1)
+        angle = np.degrees(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
+        offset = 1e3 * np.abs(fits.planes[chosen][:, 3] - truth[:, 3])
+        return f"  {name:<22}{len(truth):>6}{np.median(angle):>13.2f}°{np.median(offset):>13.1f} mm"
+
+    labels = np.where(tiles.fitted & usual.fitted, rendering.tile_labels(tiles.tile), 0)
+    sizes = np.bincount(labels.ravel(), minlength=len(rendering.planes) + 1)[1:]
+    largest = [i for i in np.argsort(-sizes, kind="stable")[:6] if sizes[i] > 0]
+    if not largest:
+        return "No tile sees one plane alone: nothing to compare with the truth."
+    return "\n".join(
+        [
+            "Against the truth, medians over the tiles that see one plane:",
+            f"  {'plane':<22}{'tiles':>6}{'normal off':>14}{'distance off':>16}",
+            *(line(rendering.names[i], tiles, labels == i + 1) for i in largest),
+            line("all", tiles, labels > 0),
+            line(f"all, by {usual.method}", usual, labels > 0),
+            "  (the noise is independent between pixels, the ideal case for a fit of 1/Z)",
+        ]
+    )
+
+
+def _median_seconds(work: Callable[[], object], repeats: int = 20) -> float:
+    import statistics
+
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    print(f"rgbd-planes: warning: {_one_line(message)}", file=sys.stderr)
+
+
+def _one_line(message: object) -> str:
+    """The text of an error: of the system's own, the file and the reason without the number."""
+    if isinstance(message, OSError) and message.strerror is not None:
+        message = f"{message.filename}: {message.strerror}" if message.filename else message.strerror
+    return " ".join(str(message).split())

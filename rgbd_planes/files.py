@@ -1,0 +1,44 @@
+"""Files appear whole or not at all."""
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A path beside `path` to write to; it takes the place of `path` once the block has ended well.
+
+    It has the suffix of `path`, from which many writers know the format. After an error nothing is left
+    behind, and a file that was there before is as it was.
+
+    Raises
+    ------
+    OSError
+        The folder does not exist, `path` is a folder, or it cannot be written there.
+    """
+    target = Path(os.path.realpath(path))  # a link stays a link
+    check_writable(target)
+    if target.exists() and not target.is_file():  # a device or a pipe, which nothing may replace
+        yield target
+        return
+    beside = target.with_name(f".{target.stem}.{os.getpid()}-{threading.get_ident()}{target.suffix}")
+    try:
+        yield beside
+        beside.replace(target)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise now the OSError that writing `path` would raise after the work is done."""
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
+    existing_device = target.exists() and not target.is_file()
+    if not os.access(target if existing_device else target.parent, os.W_OK):
+        raise PermissionError(f"cannot write {path}: permission denied")

@@ -1,0 +1,166 @@
+"""Depth frames in files: PNG, TIFF, PGM, NPY, NPZ."""
+
+import os
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.files import write_beside
+
+Frame = NDArray[Any]
+
+
+def read_depth(path: str | os.PathLike[str]) -> Frame:
+    """Read a depth frame as it is stored: no value is scaled or converted.
+
+    Parameters
+    ----------
+    path : path
+        A .png (8 or 16 bits), .tif or .tiff (integers or float), .pgm (8 or 16 bits), .npy, or .npz with one
+        array.
+
+    Returns
+    -------
+    (H, W) array
+        Raw units (integers) or, by the library's contract, metres (floats).
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        The suffix is none of these, the file is damaged or truncated or of another format, or what it holds
+        is not one image of one channel.
+    """
+    file = Path(path)
+    reader = _READERS.get(file.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}")
+    if not file.exists():
+        raise FileNotFoundError(f"{path}: there is no such file")
+    if not file.is_file():
+        raise ValueError(f"{path}: expected a file, got a folder or a device")
+    frame = reader(file)
+    if frame.ndim != 2 or 0 in frame.shape:
+        raise ValueError(f"{path}: expected one depth image (height, width), got shape {frame.shape}")
+    return frame
+
+
+def write_png(path: str | os.PathLike[str], image: Frame) -> None:
+    """Write an (H, W) uint8 or uint16 image, a depth frame or labels, as PNG; whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        The image has another shape or dtype, or the path another suffix.
+    OSError
+        It cannot be written there.
+    """
+    from PIL import Image
+
+    if Path(path).suffix.lower() != ".png":
+        raise ValueError(f"{path}: expected a path that ends in .png")
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
+    with write_beside(path) as beside:
+        Image.fromarray(np.ascontiguousarray(image)).save(beside, format="PNG")
+
+
+def _read_png(path: Path) -> Frame:
+    return _read_with_pillow(path, "PNG")
+
+
+def _read_tiff(path: Path) -> Frame:
+    return _read_with_pillow(path, "TIFF")
+
+
+def _read_with_pillow(path: Path, file_format: str) -> Frame:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path, formats=[file_format]) as image:
+            mode, count = image.mode, getattr(image, "n_frames", 1)
+            if mode.startswith(("L", "I", "F")) and mode not in ("LA", "La", "LAB") and count == 1:
+                frame = np.array(image)
+            else:
+                frame = None
+    except UnidentifiedImageError:
+        raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
+    except (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) as error:
+        # All of these come out of Pillow for files that end early or hold nonsense.
+        raise ValueError(f"{path}: damaged or truncated {file_format} image ({error})") from error
+    if frame is None:
+        reason = (
+            f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
+        )
+        raise ValueError(f"{path}: expected one depth image of one channel, got {reason}")
+    if file_format == "PNG" and mode == "I":  # how some versions of Pillow open 16 bits
+        frame = frame.astype(np.uint16)
+    return frame
+
+
+_PGM_HEADER = re.compile(rb"P([25])" + rb"(?:\s|#[^\n]*\n)+(\d+)" * 3 + rb"\s")
+
+
+def _read_pgm(path: Path) -> Frame:
+    # Not with Pillow, which stretches values to the full range when the largest is not 255 or 65535.
+    content = path.read_bytes()
+    header = _PGM_HEADER.match(content)
+    if header is None:
+        raise ValueError(f"{path}: not a PGM image (P5 or P2), or damaged")
+    width, height, largest = (int(number) for number in header.groups()[1:])
+    if not 0 < largest < 65536:
+        raise ValueError(f"{path}: expected a largest value of 1 to 65535 in the PGM header, got {largest}")
+    dtype = np.dtype(np.uint8 if largest < 256 else np.uint16)
+    if header[1] == b"5":
+        pixels = content[header.end() :]
+        count = len(pixels) // dtype.itemsize
+        values = np.frombuffer(pixels, dtype.newbyteorder(">"), min(count, height * width))
+    else:
+        try:
+            values = np.array(content[header.end() :].split(), dtype=dtype)
+        except (ValueError, OverflowError):
+            raise ValueError(f"{path}: expected numbers from 0 to {largest} in the PGM image") from None
+        count = len(values)
+    if count < height * width:
+        raise ValueError(f"{path}: truncated PGM image: {count} of {height * width} pixels")
+    return values[: height * width].astype(dtype).reshape(height, width)
+
+
+def _read_npy(path: Path) -> Frame:
+    with path.open("rb") as file:
+        if file.read(6) != b"\x93NUMPY":
+            raise ValueError(f"{path}: not an NPY file")
+    try:
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(f"{path}: damaged or truncated NPY file ({error})") from error
+
+
+def _read_npz(path: Path) -> Frame:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+        if len(names) == 1:
+            with np.load(path, allow_pickle=False) as arrays:
+                return np.asarray(arrays[names[0]])
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError) as error:
+        raise ValueError(f"{path}: damaged or truncated NPZ file ({error})") from error
+    raise ValueError(f"{path}: expected an NPZ file with one array, got {len(names)}: {', '.join(names)}")
+
+
+_READERS: dict[str, Callable[[Path], Frame]] = {
+    ".png": _read_png,
+    ".tif": _read_tiff,
+    ".tiff": _read_tiff,
+    ".pgm": _read_pgm,
+    ".npy": _read_npy,
+    ".npz": _read_npz,
+}

@@ -1,0 +1,194 @@
+"""The figure of a fit: depth, normals as colours, and the tiles by status.
+
+Figures are made without pyplot: nothing here touches a display, a backend or global state.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.plane_fits import TileStatus
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rgbd_planes.tiles import TilePlanes
+
+Floats = NDArray[np.float64]
+
+# Green, red and blue are the paper's (its figure of a segmented room corner).
+STATUS_COLOURS = {
+    TileStatus.OK: (0.30, 0.69, 0.42),
+    TileStatus.TOO_FEW: (0.84, 0.19, 0.22),
+    TileStatus.DEGENERATE: (0.98, 0.70, 0.18),
+    TileStatus.ROUGH: (0.20, 0.40, 0.85),
+}
+STATUS_MEANINGS = {
+    TileStatus.OK: "plane fitted",
+    TileStatus.TOO_FEW: "too many pixels missing",
+    TileStatus.DEGENERATE: "pixels determine no plane",
+    TileStatus.ROUGH: "plane fitted, residual too large",
+}
+_MISSING = (0.86, 0.86, 0.86)
+_LIGHT = np.array([-0.35, -0.65, -0.67])  # from above, over the camera's left shoulder
+_PANEL_INCHES = 5.2
+_LEGEND_INCHES = 0.85
+
+
+def normal_colours(normals: Floats) -> Floats:
+    """Colours of unit normals: red grows to the right, green upwards, blue towards the camera.
+
+    Parameters
+    ----------
+    normals : (..., 3) float64
+        x to the right of the image, y down, z away from the camera. NaN where there is none.
+
+    Returns
+    -------
+    (..., 3) float64
+        RGB in 0..1; light grey where there is no normal.
+    """
+    colours = 0.5 + 0.5 * normals * np.array([1.0, -1.0, -1.0])
+    return np.where(np.isfinite(colours), colours, _MISSING)
+
+
+def plot_tiles(
+    tiles: "TilePlanes", depth_metres: Floats | None = None, figure: "Figure | None" = None
+) -> "Figure":
+    """Draw a fitted frame: depth, normals as colours, and the tiles by status.
+
+    Parameters
+    ----------
+    tiles : TilePlanes
+        Of one frame.
+    depth_metres : (H, W) float64, optional
+        The measured depth in metres, NaN where missing. Without it, the depth of the fitted planes.
+    figure : matplotlib Figure or SubFigure, optional
+        Drawn into; a new one by default, which `savefig` writes and a notebook shows.
+
+    Returns
+    -------
+    matplotlib Figure or SubFigure
+
+    Raises
+    ------
+    ValueError
+        The planes are those of a batch, or the depth has not the shape of the camera's frame.
+    """
+    if len(tiles.shape) != 2:
+        raise ValueError(
+            f"expected the tiles of one frame, got a batch of shape {tiles.shape}: plot tiles[i]"
+        )
+    height, width = tiles.camera.shape
+    if depth_metres is not None and depth_metres.shape != (height, width):
+        raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
+    if figure is None:
+        from matplotlib.figure import Figure
+
+        panel_height = _PANEL_INCHES * min(max(height / width, 0.3), 1.6)
+        figure = Figure((3 * _PANEL_INCHES, panel_height + _LEGEND_INCHES + 0.35), layout="constrained")
+
+    panel_share = _PANEL_INCHES * height / width
+    panels = figure.subplots(
+        2, 3, gridspec_kw={"height_ratios": [panel_share, _LEGEND_INCHES], "hspace": 0.0, "wspace": 0.03}
+    )
+    _draw_depth(panels[0, 0], panels[1, 0], tiles, depth_metres)
+    _draw_normals(panels[0, 1], panels[1, 1], tiles)
+    _draw_status(panels[0, 2], panels[1, 2], tiles)
+    for panel in panels.flat:
+        panel.set_xticks([])
+        panel.set_yticks([])
+        panel.set_anchor("N")
+        for side in panel.spines.values():
+            side.set_visible(False)
+    return figure
+
+
+def _draw_depth(panel: "Axes", legend: "Axes", tiles: "TilePlanes", depth: Floats | None) -> None:
+    fitted = depth is None
+    shown = _fitted_depth(tiles) if depth is None else np.where(depth > 0.0, depth, np.nan)
+    known = shown[np.isfinite(shown)]
+    # A few stray far pixels must not take the whole scale.
+    nearest, farthest = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
+    from matplotlib import colormaps
+
+    colours = colormaps["viridis_r"].with_extremes(bad=_MISSING)
+    image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=max(farthest, nearest + 1e-9))
+    panel.set_title("Depth of the fitted planes" if fitted else "Measured depth")
+    bar = legend.inset_axes((0.1, 0.72, 0.8, 0.16))
+    legend.figure.colorbar(image, cax=bar, orientation="horizontal")
+    bar.tick_params(labelsize=9, length=2)
+    missing = 1.0 - known.size / shown.size
+    note = "metres" if fitted else f"metres     (grey: missing, {100 * missing:.1f} % of the pixels)"
+    bar.set_xlabel(note, fontsize=9)
+
+
+def _draw_normals(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
+    panel.imshow(_to_pixels(normal_colours(_normals_in_image(tiles)), tiles), interpolation="nearest")
+    panel.set_title("Normals of the planes")
+    # The half ball of normals that face the camera, as the camera sees it.
+    x, y = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
+    squared = x**2 + y**2
+    z = -np.sqrt(np.maximum(1.0 - squared, 0.0))
+    ball = np.dstack([normal_colours(np.dstack([x, y, z])), squared <= 1.0])
+    axes = legend.inset_axes((0.0, 0.0, 1.0, 1.0))
+    axes.imshow(ball, extent=(-1, 1, 1, -1))
+    axes.set_xlim(-10.0, 10.0)
+    axes.set_ylim(1.75, -1.75)
+    axes.set_axis_off()
+    style: dict[str, Any] = {"fontsize": 9, "ha": "center", "va": "center"}
+    axes.text(0.0, -1.4, "up", **style)
+    axes.text(0.0, 1.4, "down", **style)
+    axes.text(-1.3, 0.0, "facing left", **(style | {"ha": "right"}))
+    axes.text(1.3, 0.0, "facing right", **(style | {"ha": "left"}))
+
+
+def _draw_status(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
+    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[tiles.status]
+    # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
+    light = np.clip(_normals_in_image(tiles) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    shade = np.where(tiles.fitted, 0.6 + 0.55 * light, 1.0)[..., None]
+    panel.imshow(_to_pixels(np.minimum(colours * shade, 1.0), tiles), interpolation="nearest")
+    _draw_grid(panel, tiles)
+    height, width = tiles.tile
+    panel.set_title(f"Tiles of {height} x {width} pixels, {tiles.method}")
+
+    from matplotlib.patches import Patch
+
+    handles = [
+        Patch(color=STATUS_COLOURS[status], label=f"{np.count_nonzero(tiles.status == status)}  {meaning}")
+        for status, meaning in STATUS_MEANINGS.items()
+        if (tiles.status == status).any()
+    ]
+    legend.legend(handles=handles, loc="upper center", ncols=2, fontsize=9, frameon=False, borderaxespad=0.2)
+
+
+def _draw_grid(panel: "Axes", tiles: "TilePlanes") -> None:
+    smallest = min(tiles.tile) * 640 / tiles.camera.width
+    if smallest < 5:  # lines would hide what they divide
+        return
+    style: dict[str, Any] = {"color": "white", "linewidth": 0.5 if smallest >= 12 else 0.3, "alpha": 0.6}
+    bottom, right = tiles.camera.height - 0.5, tiles.camera.width - 0.5
+    panel.vlines(np.cumsum(tiles.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
+    panel.hlines(np.cumsum(tiles.tile_heights[:-1]) - 0.5, -0.5, right, **style)
+
+
+def _normals_in_image(tiles: "TilePlanes") -> Floats:
+    """The normals with x to the right of the image and y down it, also where a focal length is negative."""
+    signs = np.sign([tiles.camera.fx, tiles.camera.fy, 1.0])
+    return np.asarray(tiles.planes[..., :3] * signs)
+
+
+def _to_pixels(values: NDArray[Any], tiles: "TilePlanes") -> NDArray[Any]:
+    """Each tile's value on each of its pixels."""
+    return values.repeat(tiles.tile_heights, axis=0).repeat(tiles.tile_widths, axis=1)
+
+
+def _fitted_depth(tiles: "TilePlanes") -> Floats:
+    """(H, W) depth in metres where each pixel's ray meets its tile's plane; NaN where it does not."""
+    alpha = _to_pixels(np.where(tiles.fitted[..., None], tiles.alpha, np.nan), tiles)
+    camera = tiles.camera
+    inverse_depth = alpha[..., 0] * camera.tan_x + alpha[..., 1] * camera.tan_y + alpha[..., 2]
+    return 1.0 / np.where(inverse_depth > 0.0, inverse_depth, np.nan)

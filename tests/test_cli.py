@@ -1,0 +1,297 @@
+"""The command line: what it prints and writes, and one line on stderr for whatever goes wrong."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import real_data
+from PIL import Image
+
+import rgbd_planes as rp
+from rgbd_planes import cli, images, scenes
+from rgbd_planes.fitting import METHODS
+
+CAMERA = rp.Camera(width=80, height=60, fx=65.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=1000.0)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder to work in with a depth frame and its camera."""
+    monkeypatch.chdir(tmp_path)
+    images.write_png("depth.png", scenes.room().render(CAMERA).measure(holes=0.05, seed=1))
+    CAMERA.save("camera.json")
+    return tmp_path
+
+
+def fails(capsys, *arguments):
+    """Run a command that must fail, and return its one line on stderr."""
+    try:
+        status = cli.main([str(argument) for argument in arguments])
+    except SystemExit as exit_:  # from argparse
+        status = exit_.code
+    out, err = capsys.readouterr()
+    assert status == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("rgbd-planes")
+    assert "Traceback" not in err
+    return err
+
+
+def test_demo_writes_a_picture_and_says_what_it_found(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["demo", "--out", "here/and/there", "--tile", "20", "--seed", "4"]) == 0
+    out = capsys.readouterr().out
+    assert sorted(os.listdir("here/and/there")) == ["demo.png", "demo_camera.json", "demo_depth.png"]
+    with Image.open("here/and/there/demo.png") as picture:
+        assert picture.width > 1000
+        assert np.ptp(np.asarray(picture.convert("L"))) > 200
+
+    depth = images.read_depth("here/and/there/demo_depth.png")
+    camera = rp.Camera.load("here/and/there/demo_camera.json")
+    tiles = rp.fit_tiles(depth, camera, tile=20, max_error=0.03)
+    assert f"768 tiles of 20 x 20 pixels by range_explicit: {(tiles.status == 0).sum()} OK" in out
+    assert re.search(r"One fit takes [\d.]+ ms", out)
+    # The printed accuracy, again from the files.
+    rendering = scenes.room().render(camera)
+    assert np.array_equal(depth, rendering.measure(holes=0.05, patches=0.03, baseline=0.075, seed=4))
+    labels = np.where(tiles.fitted, rendering.tile_labels((20, 20)), 0)
+    truth = rendering.planes[labels[labels > 0] - 1]
+    cosines = (tiles.planes[labels > 0][:, :3] * truth[:, :3]).sum(axis=1)
+    angle = np.median(np.degrees(np.arccos(cosines)))
+    offset = np.median(np.abs(tiles.planes[labels > 0][:, 3] - truth[:, 3])) * 1000
+    count, *printed = re.search(r"^  all\s+(\d+)\s+([\d.]+)°\s+([\d.]+) mm", out, re.M).groups()
+    printed_angle, printed_offset = map(float, printed)
+    assert int(count) == (labels > 0).sum()
+    assert printed_angle == pytest.approx(angle, abs=0.006)
+    assert printed_offset == pytest.approx(offset, abs=0.06)
+    assert angle < 1.5  # degrees: the paper's noise on 20 x 20 tiles, 2 to 4 m away
+    assert re.search(r"floor\s+\d+", out)
+    usual = float(re.search(r"all, by standard_pca\s+\d+\s+([\d.]+)°", out)[1])
+    assert usual > 2.0 * printed_angle
+
+    # The line that it offers works as it stands.
+    command = re.search(r"^  rgbd-planes (fit .*)$", out, re.MULTILINE)[1]
+    assert cli.main(command.split()) == 0
+    assert os.path.exists("planes.png")
+
+
+def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
+    assert cli.main(["demo", "--out", str(tmp_path), "--tile", "480x640"]) == 0
+    assert "nothing to compare" in capsys.readouterr().out
+    assert "fit into the frame" in fails(capsys, "demo", "--out", tmp_path / "new", "--tile", "481")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").touch()
+    assert "file: File exists" in fails(capsys, "demo", "--out", tmp_path / "file")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_fit_writes_what_fit_tiles_returns(folder, capsys, method):
+    arguments = ["--tile", "12x16", "--method", method, "--max-missing", "0.04", "--max-error", "0.02"]
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz", *arguments]) == 0
+    expected = rp.fit_tiles(
+        images.read_depth("depth.png"), CAMERA, (12, 16), method, max_missing=0.04, max_error=0.02
+    )
+    loaded = rp.TilePlanes.load("p.npz")
+    assert np.array_equal(loaded.planes, expected.planes, equal_nan=True)
+    assert np.array_equal(loaded.status, expected.status)
+    assert len(np.unique(loaded.status)) > 1
+    out = capsys.readouterr().out
+    for status in rp.TileStatus:
+        count = (expected.status == status).sum()
+        assert (f"{count} {status.name}" in out) == (count > 0)
+    assert "Wrote p.npz" in out
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+def test_fit_reads_every_format(folder, capsys, suffix):
+    frame = images.read_depth("depth.png")
+    if suffix == ".npy":
+        np.save("frame.npy", frame / 1000.0)  # metres
+    elif suffix == ".npz":
+        np.savez("frame.npz", frame)
+    elif suffix == ".pgm":
+        header = f"P5 {frame.shape[1]} {frame.shape[0]} 10000\n".encode()
+        (folder / "frame.pgm").write_bytes(header + frame.astype(">u2").tobytes())
+    else:
+        Image.fromarray(frame).save(f"frame{suffix}")
+    assert cli.main(["fit", f"frame{suffix}", "--camera", "camera.json", "--out", "p.npz"]) == 0
+    expected = rp.fit_tiles(frame, CAMERA)
+    np.testing.assert_allclose(rp.TilePlanes.load("p.npz").planes, expected.planes, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_fit_draws(folder, capsys, suffix):
+    figure = f"planes{suffix}"
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--figure", figure]) == 0
+    start = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
+    assert (folder / figure).read_bytes().startswith(start)
+    assert sorted(os.listdir()) == ["camera.json", "depth.png", figure]
+
+
+def cut(name, share=0.5):
+    def make(folder):
+        content = (folder / name).read_bytes()
+        (folder / name).write_bytes(content[: int(share * len(content))])
+
+    return make
+
+
+def store(array):
+    def make(folder):
+        Image.fromarray(array).save(folder / "depth.png")
+
+    return make
+
+
+def camera(**changes):
+    def make(folder):
+        values = {name: value for name, value in (CAMERA.to_dict() | changes).items() if value != "none"}
+        (folder / "camera.json").write_text(json.dumps(values))
+
+    return make
+
+
+BAD_INPUT = {
+    "missing depth": (lambda folder: os.remove("depth.png"), [], r"depth\.png: there is no such file"),
+    "missing camera": (lambda folder: os.remove("camera.json"), [], r"camera\.json: No such file"),
+    "truncated depth": (cut("depth.png"), [], r"depth\.png: damaged or truncated PNG"),
+    "empty depth": (cut("depth.png", 0.0), [], r"depth\.png: not a PNG"),
+    "truncated camera": (cut("camera.json"), [], r"camera\.json"),
+    "colour": (store(np.zeros((60, 80, 3), np.uint8)), [], "colour"),
+    "another size": (store(np.ones((50, 80), np.uint16)), [], r"\(60, 80\).*\(50, 80\)"),
+    "no scale": (camera(depth_scale=None), [], "depth_scale .* disparity"),
+    "unknown key": (camera(focal=3.0), [], "focal"),
+    "lacking key": (camera(fx="none"), [], "fx"),
+    "tile too large": (None, ["--tile", "61"], "60 x 80"),
+    "tile too small": (None, ["--tile", "1"], "at least 2"),
+    "tile no number": (None, ["--tile", "16y12"], "16 or 12x20, got '16y12'"),
+    "method": (None, ["--method", "ransac"], "range_explicit.*ransac"),
+    "share": (None, ["--max-missing", "2"], "max_missing"),
+    "threads": (None, ["--threads", "0"], "num_threads"),
+    "out is no npz": (None, ["--out", "p.csv"], r"ends in \.npz"),
+    "figure is no picture": (None, ["--figure", "p.docx"], r"\.png or"),
+    "out in no folder": (None, ["--out", "none/p.npz"], "no folder"),
+    "out is a folder": (lambda folder: os.mkdir("p.npz"), ["--out", "p.npz"], "is a folder"),
+    "unknown option": (None, ["--colour"], "--colour"),
+}
+
+
+@pytest.mark.parametrize(("spoil", "options", "message"), BAD_INPUT.values(), ids=BAD_INPUT.keys())
+def test_bad_input_is_one_line_and_nothing_written(folder, capsys, spoil, options, message):
+    if spoil is not None:
+        spoil(folder)
+    before = sorted(os.listdir())
+    outputs = [] if "--out" in options else ["--out", "planes.npz"]
+    outputs += [] if "--figure" in options else ["--figure", "planes.png"]
+    err = fails(capsys, "fit", "depth.png", "--camera", "camera.json", *outputs, *options)
+    assert re.search(message, err)
+    assert sorted(os.listdir()) == before
+
+
+def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
+    np.save("depth.npy", np.full((60, 80), np.nan))
+    assert cli.main(["fit", "depth.npy", "--camera", "camera.json", "--figure", "p.png"]) == 0
+    assert "20 TOO_FEW." in capsys.readouterr().out
+
+
+def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, monkeypatch):
+    (folder / "p.png").write_bytes(b"old")
+
+    def fail(self, path, **options):
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--figure", "p.png"]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert (folder / "p.png").read_bytes() == b"old"
+    assert sorted(os.listdir()) == ["camera.json", "depth.png", "p.png"]
+
+
+@pytest.mark.filterwarnings("default")
+def test_warnings_are_one_line(folder, capsys):
+    np.save("depth.npy", images.read_depth("depth.png").astype(np.float64))  # millimetres, as metres
+    assert cli.main(["fit", "depth.npy", "--camera", "camera.json"]) == 0
+    err = capsys.readouterr().err
+    assert err.startswith("rgbd-planes: warning: ")
+    assert "millimetres" in err
+    assert err.count("\n") == 1
+
+
+def test_no_command_and_an_unknown_one(capsys):
+    assert "COMMAND" in fails(capsys)
+    assert "segmint" in fails(capsys, "segmint")
+
+
+@pytest.mark.parametrize("command", [command.__name__ for command in cli.COMMANDS])
+def test_help_shows_an_example(capsys, command):
+    with pytest.raises(SystemExit) as exit_:
+        cli.main([command, "--help"])
+    assert exit_.value.code == 0
+    out = capsys.readouterr().out
+    assert f"example: rgbd-planes {command}" in out
+    if command == "fit":
+        assert all(method in out for method in METHODS)
+
+
+def run_module(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "rgbd_planes", *arguments], capture_output=True, text=True, **options
+    )
+
+
+def test_python_m_and_version():
+    ran = run_module("--version")
+    assert (ran.returncode, ran.stdout) == (0, rp.__version__ + "\n")
+    ran = run_module("fit", "gone.png", "--camera", "gone.json")
+    assert ran.returncode == 2
+    assert ran.stderr == "rgbd-planes fit: gone.json: No such file or directory\n"
+
+
+def test_help_needs_no_heavy_import():
+    program = (
+        "import sys; from rgbd_planes import cli\n"
+        "try: cli.main(['fit', '--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numba', 'numpy', 'matplotlib', 'PIL', 'scipy'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
+
+
+def test_a_reader_that_leaves_early_is_no_error(folder):
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "rgbd_planes", "fit", "depth.png", "--camera", "camera.json"]
+    ran = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
+@pytest.mark.parametrize("path", real_data.sets(), ids=lambda path: path.name)
+def test_fit_on_real_frames(tmp_path, capsys, path):
+    frame = sorted(path.glob("depth/*.png"))[0]
+    out, figure = tmp_path / "planes.npz", tmp_path / "planes.png"
+    camera_file = path / "camera.json"
+    assert (
+        cli.main(
+            ["fit", str(frame), "--camera", str(camera_file), "--out", str(out), "--figure", str(figure)]
+        )
+        == 0
+    )
+    assert (
+        capsys.readouterr().err.replace(
+            "compiling kernels: once for this installation, about 10 seconds\n", ""
+        )
+        == ""
+    )
+    tiles = rp.TilePlanes.load(out)
+    assert (tiles.status == rp.TileStatus.OK).mean() > 0.5
+    with Image.open(figure) as picture:
+        assert picture.format == "PNG"

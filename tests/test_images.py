@@ -1,0 +1,216 @@
+"""Depth frames from files: every value as it was stored, and a clear error for what is not a depth frame."""
+
+import io
+import os
+import threading
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rgbd_planes import files, images
+
+
+def a_frame(dtype=np.uint16, shape=(37, 53)):
+    generator = np.random.default_rng(7)
+    if np.dtype(dtype).kind == "f":
+        return generator.random(shape).astype(dtype)
+    return generator.integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("suffix", [".png", ".PNG", ".tif", ".tiff"])
+def test_images_come_back_as_they_were_stored(tmp_path, dtype, suffix):
+    frame = a_frame(dtype)
+    path = tmp_path / f"depth{suffix}"
+    Image.fromarray(frame).save(path)
+    read = images.read_depth(path)
+    assert read.dtype == dtype
+    assert np.array_equal(read, frame)
+
+
+def test_float_tiff(tmp_path):
+    frame = a_frame(np.float32)
+    Image.fromarray(frame).save(tmp_path / "depth.tiff")
+    assert np.array_equal(images.read_depth(tmp_path / "depth.tiff"), frame)
+
+
+def test_big_endian_tiff(tmp_path):
+    frame = a_frame()
+    Image.frombytes("I;16B", frame.shape[::-1], frame.astype(">u2").tobytes()).save(tmp_path / "depth.tif")
+    read = images.read_depth(tmp_path / "depth.tif")
+    assert np.array_equal(read, frame)
+    assert read.max() > 255
+
+
+@pytest.mark.parametrize("largest", [200, 255, 2047, 10000, 65535])
+@pytest.mark.parametrize("plain", [False, True])
+def test_pgm_is_not_stretched_to_its_largest_value(tmp_path, largest, plain):
+    frame = (a_frame().astype(int) % (largest + 1)).astype(np.uint16)
+    header = (
+        f"P{2 if plain else 5}\n# made by a test\n{frame.shape[1]} {frame.shape[0]}\n# 1/1000 m\n{largest}\n"
+    )
+    stored = frame.astype("u1" if largest < 256 else ">u2").tobytes()
+    if plain:
+        stored = "\n".join(" ".join(map(str, row)) for row in frame).encode()
+    (tmp_path / "depth.pgm").write_bytes(header.encode() + stored)
+    read = images.read_depth(tmp_path / "depth.pgm")
+    assert read.dtype == (np.uint8 if largest < 256 else np.uint16)
+    assert np.array_equal(read, frame)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32, np.float64])
+def test_arrays_come_back_as_they_were_stored(tmp_path, dtype):
+    frame = a_frame(dtype)
+    np.save(tmp_path / "depth.npy", frame)
+    np.savez(tmp_path / "plain.npz", frame)
+    np.savez_compressed(tmp_path / "named.npz", depth=frame)
+    for name in ("depth.npy", "plain.npz", "named.npz"):
+        read = images.read_depth(tmp_path / name)
+        assert read.dtype == dtype
+        assert np.array_equal(read, frame)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_write_png_comes_back(tmp_path, dtype):
+    frame = a_frame(dtype)
+    images.write_png(tmp_path / "depth.png", frame[:, ::2])
+    assert np.array_equal(images.read_depth(tmp_path / "depth.png"), frame[:, ::2])
+    with pytest.raises(ValueError, match="uint8 or uint16"):
+        images.write_png(tmp_path / "other.png", frame.astype(np.int32))
+    with pytest.raises(ValueError, match=r"ends in \.png"):
+        images.write_png(tmp_path / "other.jpg", frame)
+    assert os.listdir(tmp_path) == ["depth.png"]
+
+
+def test_missing_file_and_unknown_suffix(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"gone\.png: there is no such file"):
+        images.read_depth(tmp_path / "gone.png")
+    for name in ("depth.jpg", "depth"):
+        with pytest.raises(ValueError, match=r"must be one of \.png, \.tif"):
+            images.read_depth(tmp_path / name)
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(ValueError, match="expected a file"):
+        images.read_depth(tmp_path / "folder.png")
+
+
+def encoded(suffix):
+    frame, buffer = a_frame(), io.BytesIO()
+    if suffix == ".pgm":
+        return f"P5 {frame.shape[1]} {frame.shape[0]} 65535\n".encode() + frame.astype(">u2").tobytes()
+    if suffix == ".npy":
+        np.save(buffer, frame)
+    elif suffix == ".npz":
+        np.savez_compressed(buffer, depth=frame)
+    else:
+        Image.fromarray(frame).save(buffer, {".png": "PNG", ".tif": "TIFF"}[suffix])
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF data")  # what Pillow says on top
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.01, 0.1, 0.5, 0.9])
+def test_a_truncated_file_is_an_error_that_names_it(tmp_path, suffix, share):
+    whole = encoded(suffix)
+    (tmp_path / f"depth{suffix}").write_bytes(whole)
+    assert np.array_equal(images.read_depth(tmp_path / f"depth{suffix}"), a_frame())
+    (tmp_path / f"depth{suffix}").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ValueError, match=rf"depth\{suffix}: "):
+        images.read_depth(tmp_path / f"depth{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+def test_a_file_of_another_format(tmp_path, suffix):
+    Image.fromarray(a_frame(np.uint8)).save(tmp_path / "image.jpg")
+    (tmp_path / f"depth{suffix}").write_bytes((tmp_path / "image.jpg").read_bytes())
+    with pytest.raises(ValueError, match=rf"depth\{suffix}: "):
+        images.read_depth(tmp_path / f"depth{suffix}")
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA", "P", "1"])
+def test_colour_and_palette_images_are_no_depth(tmp_path, mode):
+    Image.new(mode, (8, 6)).save(tmp_path / "colour.png")
+    with pytest.raises(ValueError, match="colour"):
+        images.read_depth(tmp_path / "colour.png")
+
+
+def test_several_images_or_arrays(tmp_path):
+    pages = [Image.fromarray(a_frame()) for _ in range(2)]
+    pages[0].save(tmp_path / "pages.tif", save_all=True, append_images=pages[1:])
+    with pytest.raises(ValueError, match="2 images"):
+        images.read_depth(tmp_path / "pages.tif")
+    np.savez(tmp_path / "two.npz", depth=a_frame(), confidence=a_frame())
+    with pytest.raises(ValueError, match="got 2: depth, confidence"):
+        images.read_depth(tmp_path / "two.npz")
+    np.savez(tmp_path / "none.npz")
+    with pytest.raises(ValueError, match="got 0"):
+        images.read_depth(tmp_path / "none.npz")
+    np.save(tmp_path / "colour.npy", np.zeros((4, 5, 3)))
+    with pytest.raises(ValueError, match=r"\(4, 5, 3\)"):
+        images.read_depth(tmp_path / "colour.npy")
+    np.save(tmp_path / "empty.npy", np.zeros((0, 5)))
+    with pytest.raises(ValueError, match=r"\(0, 5\)"):
+        images.read_depth(tmp_path / "empty.npy")
+    (tmp_path / "negative.pgm").write_bytes(b"P2 2 1 255\n3 -4\n")
+    with pytest.raises(ValueError, match="numbers from 0 to 255"):
+        images.read_depth(tmp_path / "negative.pgm")
+    (tmp_path / "deep.pgm").write_bytes(b"P5 2 1 70000\n" + bytes(8))
+    with pytest.raises(ValueError, match="got 70000"):
+        images.read_depth(tmp_path / "deep.pgm")
+
+
+def test_pickled_arrays_are_not_executed(tmp_path):
+    np.save(tmp_path / "depth.npy", np.array([[{"a": 1}]], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="damaged"):
+        images.read_depth(tmp_path / "depth.npy")
+
+
+def test_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "file.txt"
+    with files.write_beside(path) as beside:
+        assert beside.suffix == ".txt"
+        beside.write_text("first")
+        assert not path.exists()
+    assert path.read_text() == "first"
+
+    def fail():
+        with files.write_beside(path) as half:
+            half.write_text("sec")
+            raise RuntimeError("disk on fire")
+
+    with pytest.raises(RuntimeError, match="disk on fire"):
+        fail()
+    assert path.read_text() == "first"
+    assert os.listdir(tmp_path) == ["file.txt"]
+
+
+def test_writing_through_a_link_keeps_the_link(tmp_path):
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to("real.txt")
+    with files.write_beside(tmp_path / "link.txt") as beside:
+        beside.write_text("new")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "real.txt").read_text() == "new"
+
+
+def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    received = []
+    reader = threading.Thread(target=lambda: received.append(pipe.read_text()))
+    reader.start()
+    with files.write_beside(pipe) as target:
+        target.write_text("through")
+    reader.join()
+    assert received == ["through"]
+    assert pipe.is_fifo()
+
+
+def test_places_that_cannot_be_written(tmp_path, monkeypatch):
+    with pytest.raises(FileNotFoundError, match="there is no folder"):
+        files.check_writable(tmp_path / "none" / "file.png")
+    with pytest.raises(IsADirectoryError, match="it is a folder"):
+        files.check_writable(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # for root everything is writable
+    with pytest.raises(PermissionError, match="permission denied"):
+        files.check_writable(tmp_path / "file.png")

@@ -1,0 +1,130 @@
+"""The figure of a fit: what it draws is what was fitted."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import rgbd_planes as rp
+from rgbd_planes import plotting, scenes
+
+
+def fitted(tile=8, **options):
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(holes=0.05, seed=1)
+    depth[:16, :24] = 0
+    return rp.fit_tiles(depth, camera, tile=tile, **options), depth
+
+
+def image_of(panel):
+    return np.asarray(panel.get_images()[0].get_array())
+
+
+def test_colours_of_normals_follow_the_stated_convention():
+    right, up, facing = plotting.normal_colours(np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]]))
+    np.testing.assert_allclose(right, [1.0, 0.5, 0.5])
+    np.testing.assert_allclose(up, [0.5, 1.0, 0.5])
+    np.testing.assert_allclose(facing, [0.5, 0.5, 1.0])
+    none = plotting.normal_colours(np.full((2, 3), np.nan))
+    assert np.isfinite(none).all()
+    assert np.ptp(none) == 0.0
+
+
+@pytest.mark.parametrize("tile", [8, (7, 11), 3, (50, 68)])
+def test_panels_show_depth_normals_and_statuses_where_they_belong(tile, tmp_path):
+    tiles, depth = fitted(tile, max_error=0.02)
+    figure = tiles.plot(depth)
+    assert isinstance(figure, Figure)
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert len(panels) == 3
+
+    shown = image_of(panels[0])
+    assert np.array_equal(np.ma.getmaskarray(shown) | ~np.isfinite(shown), depth == 0)
+    np.testing.assert_allclose(shown[depth > 0], depth[depth > 0] / 1000.0)
+
+    normals, statuses = image_of(panels[1]), image_of(panels[2])
+    height, width = tiles.tile
+    for row, column in np.ndindex(tiles.shape):
+        here = np.s_[row * height : (row + 1) * height, column * width : (column + 1) * width]
+        expected = plotting.normal_colours(tiles.planes[row, column, :3])
+        assert (normals[here] == expected).all()
+        colour = np.array(plotting.STATUS_COLOURS[rp.TileStatus(tiles.status[row, column])])
+        drawn = statuses[here].reshape(-1, 3)
+        assert (drawn == drawn[0]).all()
+        # Light changes how bright a colour is, not which.
+        np.testing.assert_allclose(np.cross(drawn[0], colour), 0.0, atol=0.03)
+    texts = [
+        text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()
+    ]
+    present = np.unique(tiles.status)
+    assert sorted(texts) == sorted(
+        f"{np.count_nonzero(tiles.status == s)}  {plotting.STATUS_MEANINGS[rp.TileStatus(s)]}"
+        for s in present
+    )
+    figure.savefig(tmp_path / "figure.png", dpi=40)
+    assert (tmp_path / "figure.png").stat().st_size > 1000
+
+
+def test_without_a_frame_the_planes_own_depth_is_drawn():
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=-52.5, cx=33.5, cy=24.5)
+    truth = scenes.plane((0.2, 0.3, -1.0), 2.0).render(camera).depth
+    shown = image_of(rp.fit_tiles(truth, camera, tile=8).plot().axes[0])
+    np.testing.assert_allclose(shown, truth, rtol=1e-9)
+
+
+def test_colours_are_of_the_image_whatever_the_sign_of_fy():
+    normal = np.array([0.0, -0.6, -0.8])  # of a floor
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
+    upwards = rp.Camera(width=68, height=50, fx=52.5, fy=-52.5, cx=33.5, cy=24.5)
+    floor = rp.fit_tiles(scenes.plane(normal, 1.5).render(camera).depth, camera, tile=8)
+    mirrored = rp.fit_tiles(scenes.plane(normal * [1, -1, 1], 1.5).render(upwards).depth, upwards, tile=8)
+    for panel in (1, 2):
+        pictures = [image_of(tiles.plot().axes[panel]) for tiles in (floor, mirrored)]
+        np.testing.assert_allclose(*pictures, atol=1e-9)
+
+
+def test_every_status_and_none_of_them_ok():
+    tiles, depth = fitted()
+    tiles.status[:] = np.arange(tiles.status.size).reshape(tiles.shape) % 4
+    figure = tiles.plot(depth)
+    assert [len(axes.get_legend().get_texts()) for axes in figure.axes if axes.get_legend()] == [4]
+    empty = rp.fit_tiles(np.zeros_like(depth), tiles.camera, tile=8)
+    assert (empty.status == rp.TileStatus.TOO_FEW).all()
+    empty.plot(np.zeros_like(depth)).canvas.draw()
+    empty.plot().canvas.draw()
+
+
+def test_drawn_into_a_part_of_a_figure():
+    tiles, depth = fitted()
+    figure = Figure((12, 8), layout="constrained")
+    upper, lower = figure.subfigures(2, 1)
+    assert tiles.plot(depth, upper) is upper
+    tiles.plot(None, lower)
+    figure.canvas.draw()
+    assert len(upper.axes) == len(lower.axes) > 0
+
+
+def test_what_cannot_be_drawn():
+    tiles, depth = fitted()
+    batch = rp.TileFitter(tiles.camera, 8).fit_batch(np.stack([depth, depth]))
+    with pytest.raises(ValueError, match=r"plot tiles\[i\]"):
+        batch.plot()
+    batch[1].plot()
+    with pytest.raises(ValueError, match="shape"):
+        plotting.plot_tiles(tiles, np.ones((3, 3)))
+
+
+def test_no_global_state_of_matplotlib():
+    program = (
+        "import io, sys, rgbd_planes as rp; from rgbd_planes import scenes;"
+        "camera = rp.Camera(width=32, height=24, fx=30.0, fy=30.0, cx=15.5, cy=11.5);"
+        "assert 'matplotlib' not in sys.modules and 'PIL' not in sys.modules;"
+        "depth = scenes.room().render(camera).depth;"
+        "rp.fit_tiles(depth, camera, tile=8).plot(depth).savefig(io.BytesIO());"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)
