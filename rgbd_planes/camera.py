@@ -397,9 +397,10 @@ class Camera:
 
         Notes
         -----
-        Inverse Brown-Conrady is taken as librealsense's header defines it: the polynomial undistorts. Depth
-        streams have all coefficients zero. Modified Brown-Conrady and the fisheye models with coefficients
-        other than zero are an error.
+        Inverse Brown-Conrady is taken as librealsense's header defines it: the polynomial undistorts. (The
+        deprojection in newer releases of its rsutil.h inverts the polynomial instead, as for Brown-Conrady;
+        for that, change `distortion_model`.) Depth streams have all coefficients zero. Modified Brown-Conrady
+        and the fisheye models with coefficients other than zero are an error.
         """
         made = camera_formats.from_realsense(intrinsics, depth_units)
         if "depth_scale" in made and depth.get("depth_scale") is not None:
