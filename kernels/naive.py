@@ -26,7 +26,10 @@ def write_moments(n, u, v, w, uu, uv, uw, vv, vw, ww, i, moments):
 def range_window_moments(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, windows, start, stop, moments
 ):
-    """Range-space moments, about the origin, of windows ``start`` to ``stop`` (eq. tan_theta_scattermatrix)."""
+    """Range-space moments, about the origin, of windows ``start`` to ``stop``.
+
+    The sums of eq. tan_theta_scattermatrix.
+    """
     for i in range(start, stop):
         n = s_x = s_y = s_q = s_xx = s_xy = s_xq = s_yy = s_yq = s_qq = 0.0
         for row in range(windows[i, 0], windows[i, 0] + windows[i, 2]):
@@ -53,7 +56,10 @@ def range_window_moments(
 def standard_window_moments(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, windows, start, stop, moments
 ):
-    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop`` (eq. XYZ_scattermatrix)."""
+    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``.
+
+    The sums of eq. XYZ_scattermatrix.
+    """
     for i in range(start, stop):
         n = s_x = s_y = s_z = s_xx = s_xy = s_xz = s_yy = s_yz = s_zz = 0.0
         for row in range(windows[i, 0], windows[i, 0] + windows[i, 2]):

@@ -27,7 +27,7 @@ _NAMES = {
 }
 _MODULES = ("presets", "scenes")
 
-__all__ = ["__version__", *_NAMES, *_MODULES]  # noqa: PLE0604
+__all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
     from rgbd_planes import presets as presets

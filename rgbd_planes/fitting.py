@@ -39,7 +39,8 @@ def check_error(max_error: float | None) -> float:
 def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np.float64]:
     """Return how many valid pixels a tile of so many pixels needs: at least three."""
     # The small term keeps a share such as 0.3 of 10 pixels, 3.0000000000000004 or so, what it says it is.
-    return np.maximum(3.0, pixels - np.floor(pixels * max_missing + 1e-9))
+    needed: npt.NDArray[np.float64] = np.maximum(3.0, pixels - np.floor(pixels * max_missing + 1e-9))
+    return needed
 
 
 def solve_planes(

@@ -2,6 +2,7 @@
 
 import enum
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +76,7 @@ class PlaneFits:
     @property
     def fitted(self) -> npt.NDArray[np.bool_]:
         """True where there is a plane: status OK or ROUGH."""
-        return (self.status == TileStatus.OK) | (self.status == TileStatus.ROUGH)
+        return np.isin(self.status, (TileStatus.OK, TileStatus.ROUGH))
 
     def _summary(self) -> str:
         """Counts of each status that occurs, and the median residual."""
@@ -92,7 +93,7 @@ class PlaneFits:
         return f"<{type(self).__name__} {self.shape}, {self._summary()}>"
 
 
-def allocate(leading: tuple[int, ...], cells: tuple[int, ...]) -> dict[str, npt.NDArray[np.generic]]:
+def allocate(leading: tuple[int, ...], cells: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of a `PlaneFits` for ``cells`` tiles or windows in each of ``leading`` frames."""
     shape = leading + cells
     return {

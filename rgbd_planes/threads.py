@@ -45,9 +45,7 @@ def run_in_ranges(work: Work, count: int, num_threads: int) -> None:
         return
     bounds = [count * i // num_threads for i in range(num_threads + 1)]
     # This thread takes the last range itself, so that as many threads as asked for are at work.
-    futures = [
-        _pool(num_threads - 1).submit(work, bounds[i], bounds[i + 1]) for i in range(num_threads - 1)
-    ]
+    futures = [_pool(num_threads - 1).submit(work, bounds[i], bounds[i + 1]) for i in range(num_threads - 1)]
     try:
         work(bounds[-2], bounds[-1])
     finally:

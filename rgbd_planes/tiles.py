@@ -57,7 +57,9 @@ class TilePlanes(PlaneFits):
     def __getitem__(self, frame: int) -> "TilePlanes":
         """The planes of one frame of a batch, without copying."""
         if len(self.shape) != 3:
-            raise TypeError("only the planes of a batch of frames can be indexed; index an array, such as .planes")
+            raise TypeError(
+                "only the planes of a batch of frames can be indexed; index an array, such as .planes"
+            )
         return TilePlanes(
             camera=self.camera, method=self.method, tile=self.tile,
             **{name: getattr(self, name)[frame] for name in _ARRAYS},
@@ -73,7 +75,9 @@ class TilePlanes(PlaneFits):
         *frames, rows, columns = self.shape
         count = f"{frames[0]} frames of " if frames else ""
         height, width = self.tile
-        return f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
+        return (
+            f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
+        )
 
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
@@ -157,8 +161,8 @@ class TileFitter:
     ----------
     camera : Camera
     tile : int or (height, width)
-        Size of a tile in pixels, at least 2 each way. A frame that is no multiple of it keeps its ragged last row and
-        column of tiles.
+        Size of a tile in pixels, at least 2 each way. A frame that is no multiple of it keeps its ragged
+        last row and column of tiles.
     method : str
         ``range_explicit``, least squares of the inverse depth (eq. RGBD_explicit_fit), the maximum-likelihood
         fit for a disparity sensor; ``range_implicit`` (eq. tan_theta_scattermatrix); ``standard_explicit``,
@@ -277,7 +281,12 @@ class TileFitter:
         if out is None:
             return allocate(frames, self._grid)
         shape = frames + self._grid
-        if out.shape != shape or out.tile != self.tile or out.camera is not self.camera or out.method != self.method:
+        if (
+            out.shape != shape
+            or out.tile != self.tile
+            or out.camera is not self.camera
+            or out.method != self.method
+        ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
         return {name: getattr(out, name) for name in _ARRAYS}
 
@@ -288,13 +297,15 @@ class TileFitter:
         """Fit one frame into arrays of shape (R, C, ...)."""
         rows, columns = self._grid
         count = rows * columns
-        flat = {
-            name: array.reshape((array.shape[0], count) if name in ("_moments", "_reference", "_work") else (count, -1))
-            for name, array in arrays.items()
-        }
-        for name in ("rmse", "rmse_metric", "valid_count", "status"):
-            flat[name] = arrays[name].reshape(count)
-        work = self._direct(frame, arrays) if self.implementation == "direct" else self._windowed(frame, arrays, flat)
+        flat: dict[str, npt.NDArray[Any]] = {}
+        for name, array in arrays.items():
+            leading = name in ("_moments", "_reference", "_work")  # (10, R, C), others (R, C, 4) or (R, C)
+            flat[name] = array.reshape((len(array), count) if leading else (count, *array.shape[2:]))
+        work = (
+            self._direct(frame, arrays)
+            if self.implementation == "direct"
+            else self._windowed(frame, arrays, flat)
+        )
 
         def fit_rows(start: int, stop: int) -> None:
             work(start, stop)
@@ -305,10 +316,9 @@ class TileFitter:
     def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         arrays["_reference"][:2] = self._centre[:2]
         in_range_space = self.method.startswith("range")
+        kernel: Any
         if self.camera.is_separable:
-            kernel = (
-                moments.range_moments_separable if in_range_space else moments.standard_moments_separable
-            )
+            kernel = moments.range_moments_separable if in_range_space else moments.standard_moments_separable
         else:
             kernel = moments.range_moments if in_range_space else moments.standard_moments
         full = (self._full,) if in_range_space else ()
@@ -374,19 +384,16 @@ def fit_tiles(
 
 def _check_tile(tile: int | tuple[int, int], camera: Camera) -> tuple[int, int]:
     """Return the tile's (height, width)."""
-    try:
-        height, width = (tile, tile) if np.ndim(tile) == 0 else tile  # type: ignore[misc]
-        height, width = int(height), int(width)
-        whole = (height, width) == ((tile, tile) if np.ndim(tile) == 0 else tuple(tile))  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        whole = False
-    if not whole:
+    sides = (tile, tile) if isinstance(tile, (int, np.integer)) else tuple(np.atleast_1d(tile))
+    if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
         raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
+    height, width = int(sides[0]), int(sides[1])
     if height < 2 or width < 2:
         raise ValueError(f"tile must be at least 2 x 2 pixels, got {tile!r}")
     if height > camera.height or width > camera.width:
         raise ValueError(
-            f"tile must fit into the frame of {camera.height} x {camera.width} pixels (height x width), got {tile!r}"
+            f"tile must fit into the frame of {camera.height} x {camera.width} pixels (height x width), "
+            f"got {tile!r}"
         )
     return height, width
 

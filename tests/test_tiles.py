@@ -48,8 +48,8 @@ def as_dtype(metres, dtype):
     return np.round(metres * 1000).astype(dtype) if dtype == "uint16" else metres.astype(dtype)
 
 
-# Residuals come from moments, so a residual far below the data's own size is rounding: of the tile's spread for
-# "direct", of its depth for "naive", of sums over the whole frame for "integral".
+# Residuals come from moments, so a residual far below the data's own size is rounding: of the tile's spread
+# for "direct", of its depth for "naive", of sums over the whole frame for "integral".
 RMSE_FLOOR = {"direct": 2e-7, "naive": 1e-6, "integral": 5e-6}
 # So is what the data may change by in a problem that counts as well posed, see `oracle.fit`.
 CHANGE = {"direct": 1e-12, "naive": 1e-11, "integral": 1e-11}
@@ -92,7 +92,9 @@ def test_equals_oracle(method, implementation, dtype, holes, tile, distortion, r
     depth = as_dtype(make_holes(make_depth(camera, rng), holes, rng), dtype)
     windows = oracle.tile_windows(camera, tile)
     for max_missing in (0.5, 1.0):
-        tiles = rp.fit_tiles(depth, camera, tile, method, implementation=implementation, max_missing=max_missing)
+        tiles = rp.fit_tiles(
+            depth, camera, tile, method, implementation=implementation, max_missing=max_missing
+        )
         expected = oracle.fit_windows(
             depth, camera, windows, method, max_missing=max_missing, change=CHANGE[implementation]
         )
@@ -169,7 +171,8 @@ def test_threads_change_no_bit(method, implementation, rng):
     camera = make_camera()
     frames = np.stack([make_holes(make_depth(camera, rng), "some", rng) for _ in range(5)])
     results = [
-        rp.TileFitter(camera, (7, 9), method, implementation=implementation, num_threads=n) for n in (1, 2, 3, 8, None)
+        rp.TileFitter(camera, (7, 9), method, implementation=implementation, num_threads=n)
+        for n in (1, 2, 3, 8, None)
     ]
     single = [results[0].fit(frame) for frame in frames]
     for fitter in results:
@@ -284,12 +287,16 @@ def test_nothing_valid_is_no_error():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_real_frame_equals_oracle(real_frame, method):
+    """The changes that a well-posed problem survives are larger here than above.
+
+    Sums over a whole frame of this size carry a hundred times the rounding, and the standard fits of steep
+    surfaces square what they are given.
+    """
     depth, camera = real_frame
     windows = np.array(oracle.tile_windows(camera, 40))
     chosen = np.arange(0, len(windows), 5)
     for implementation in IMPLEMENTATIONS:
         tiles = rp.fit_tiles(depth, camera, 40, method, implementation=implementation)
-        # Sums over a whole frame of this size carry ten times the rounding of the small frames above.
-        change = 1e-10 if implementation == "integral" else CHANGE[implementation]
+        change = {"direct": 1e-12, "naive": 1e-9, "integral": 1e-8}[implementation]
         expected = oracle.fit_windows(depth, camera, windows[chosen], method, change=change)
         assert_equals_oracle(tiles, expected, chosen=chosen, rmse_floor=RMSE_FLOOR[implementation])
