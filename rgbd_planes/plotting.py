@@ -1,19 +1,22 @@
 """The figure of a fit: depth, normals as colours, and the tiles by status.
 
-Figures are made without pyplot: nothing here touches a display, a backend or global state.
+Figures are made without pyplot: nothing here touches a display, a backend or global state. Imported only
+when something is drawn, since matplotlib takes a while.
 """
 
+import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from rgbd_planes.plane_fits import TileStatus
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from rgbd_planes.tiles import TilePlanes
 
 Floats = NDArray[np.float64]
@@ -37,6 +40,15 @@ _PANEL_INCHES = 5.2
 _LEGEND_INCHES = 0.85
 
 
+class NotebookFigure(Figure):
+    """A figure that a notebook shows, also where pyplot, which would see to that, was never imported."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=80)
+        return buffer.getvalue()
+
+
 def normal_colours(normals: Floats) -> Floats:
     """Colours of unit normals: red grows to the right, green upwards, blue towards the camera.
 
@@ -55,8 +67,8 @@ def normal_colours(normals: Floats) -> Floats:
 
 
 def plot_tiles(
-    tiles: "TilePlanes", depth_metres: Floats | None = None, figure: "Figure | None" = None
-) -> "Figure":
+    tiles: "TilePlanes", depth_metres: Floats | None = None, figure: Figure | None = None
+) -> Figure:
     """Draw a fitted frame: depth, normals as colours, and the tiles by status.
 
     Parameters
@@ -85,10 +97,10 @@ def plot_tiles(
     if depth_metres is not None and depth_metres.shape != (height, width):
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
     if figure is None:
-        from matplotlib.figure import Figure
-
         panel_height = _PANEL_INCHES * min(max(height / width, 0.3), 1.6)
-        figure = Figure((3 * _PANEL_INCHES, panel_height + _LEGEND_INCHES + 0.35), layout="constrained")
+        figure = NotebookFigure(
+            (3 * _PANEL_INCHES, panel_height + _LEGEND_INCHES + 0.35), layout="constrained"
+        )
 
     panel_share = _PANEL_INCHES * height / width
     panels = figure.subplots(
@@ -106,14 +118,12 @@ def plot_tiles(
     return figure
 
 
-def _draw_depth(panel: "Axes", legend: "Axes", tiles: "TilePlanes", depth: Floats | None) -> None:
+def _draw_depth(panel: Axes, legend: Axes, tiles: "TilePlanes", depth: Floats | None) -> None:
     fitted = depth is None
     shown = _fitted_depth(tiles) if depth is None else np.where(depth > 0.0, depth, np.nan)
     known = shown[np.isfinite(shown)]
     # A few stray far pixels must not take the whole scale.
     nearest, farthest = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
-    from matplotlib import colormaps
-
     colours = colormaps["viridis_r"].with_extremes(bad=_MISSING)
     image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=max(farthest, nearest + 1e-9))
     panel.set_title("Depth of the fitted planes" if fitted else "Measured depth")
@@ -125,7 +135,7 @@ def _draw_depth(panel: "Axes", legend: "Axes", tiles: "TilePlanes", depth: Float
     bar.set_xlabel(note, fontsize=9)
 
 
-def _draw_normals(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
+def _draw_normals(panel: Axes, legend: Axes, tiles: "TilePlanes") -> None:
     panel.imshow(_to_pixels(normal_colours(_normals_in_image(tiles)), tiles), interpolation="nearest")
     panel.set_title("Normals of the planes")
     # The half ball of normals that face the camera, as the camera sees it.
@@ -145,7 +155,7 @@ def _draw_normals(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
     axes.text(1.3, 0.0, "facing right", **(style | {"ha": "left"}))
 
 
-def _draw_status(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
+def _draw_status(panel: Axes, legend: Axes, tiles: "TilePlanes") -> None:
     colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[tiles.status]
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
     light = np.clip(_normals_in_image(tiles) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
@@ -155,8 +165,6 @@ def _draw_status(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
     height, width = tiles.tile
     panel.set_title(f"Tiles of {height} x {width} pixels, {tiles.method}")
 
-    from matplotlib.patches import Patch
-
     handles = [
         Patch(color=STATUS_COLOURS[status], label=f"{np.count_nonzero(tiles.status == status)}  {meaning}")
         for status, meaning in STATUS_MEANINGS.items()
@@ -165,7 +173,7 @@ def _draw_status(panel: "Axes", legend: "Axes", tiles: "TilePlanes") -> None:
     legend.legend(handles=handles, loc="upper center", ncols=2, fontsize=9, frameon=False, borderaxespad=0.2)
 
 
-def _draw_grid(panel: "Axes", tiles: "TilePlanes") -> None:
+def _draw_grid(panel: Axes, tiles: "TilePlanes") -> None:
     smallest = min(tiles.tile) * 640 / tiles.camera.width
     if smallest < 5:  # lines would hide what they divide
         return

@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-import real_data
 from PIL import Image
 
 import rgbd_planes as rp
@@ -273,25 +272,16 @@ def test_a_reader_that_leaves_early_is_no_error(folder):
     assert (ran.returncode, ran.stderr) == (0, "")
 
 
-@pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
-@pytest.mark.parametrize("path", real_data.sets(), ids=lambda path: path.name)
-def test_fit_on_real_frames(tmp_path, capsys, path):
-    frame = sorted(path.glob("depth/*.png"))[0]
-    out, figure = tmp_path / "planes.npz", tmp_path / "planes.png"
-    camera_file = path / "camera.json"
-    assert (
-        cli.main(
-            ["fit", str(frame), "--camera", str(camera_file), "--out", str(out), "--figure", str(figure)]
-        )
-        == 0
-    )
-    assert (
-        capsys.readouterr().err.replace(
-            "compiling kernels: once for this installation, about 10 seconds\n", ""
-        )
-        == ""
-    )
-    tiles = rp.TilePlanes.load(out)
+def test_fit_on_real_frames(tmp_path, monkeypatch, capsys, real_frame):
+    monkeypatch.chdir(tmp_path)
+    depth, camera = real_frame
+    images.write_png("depth.png", depth)
+    camera.save("camera.json")
+    command = ["fit", "depth.png", "--camera", "camera.json", "--out", "planes.npz", "--figure", "planes.png"]
+    assert cli.main(command) == 0
+    assert "warning" not in capsys.readouterr().err
+    tiles = rp.TilePlanes.load("planes.npz")
+    assert np.array_equal(tiles.status, rp.fit_tiles(depth, camera).status)
     assert (tiles.status == rp.TileStatus.OK).mean() > 0.5
-    with Image.open(figure) as picture:
+    with Image.open("planes.png") as picture:
         assert picture.format == "PNG"

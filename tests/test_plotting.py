@@ -107,6 +107,11 @@ def test_drawn_into_a_part_of_a_figure():
     assert len(upper.axes) == len(lower.axes) > 0
 
 
+def test_a_notebook_shows_it_without_pyplot():
+    tiles, depth = fitted()
+    assert tiles.plot(depth)._repr_png_().startswith(b"\x89PNG")
+
+
 def test_what_cannot_be_drawn():
     tiles, depth = fitted()
     batch = rp.TileFitter(tiles.camera, 8).fit_batch(np.stack([depth, depth]))
