@@ -17,7 +17,7 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 # One pixel beside a row of 64 is at 1e-5; rounding is at 1e-15.
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
-CENTRE = 1e-9
+CENTRE = 1e-6
 
 
 @kernel()
@@ -131,7 +131,7 @@ def range_planes(
 def write_plane(x, y, z, d, near, i, planes, alpha):
     """Write the plane x·X + y·Y + z·Z + d = 0 of any sign and norm; return its norm, or 0 if degenerate."""
     norm = math.sqrt(x * x + y * y + z * z)
-    if not abs(d) > CENTRE * near * norm:
+    if norm == 0.0 or not abs(d) > CENTRE * near * norm:
         return 0.0
     sign = math.copysign(1.0 / norm, d)
     planes[i, 0] = x * sign

@@ -120,7 +120,8 @@ def angle(a, b):
 def fit(method, x, y, q, max_missing=0.5, max_error=np.inf, change=1e-12):
     """Fit one tile, given its rays and inverse depths, NaN where missing.
 
-    The problem counts as well posed if relative changes of ``change`` in its data hardly move its solution.
+    The problem counts as well posed if relative changes of ``change`` in its data hardly move its solution,
+    and the plane is not seen edge-on.
     """
     nothing = np.full(4, np.nan)
     valid = np.isfinite(q)
@@ -131,12 +132,14 @@ def fit(method, x, y, q, max_missing=0.5, max_error=np.inf, change=1e-12):
     if not determined(method, x, y, q):
         return Plane(DEGENERATE, count, nothing)
     plane, own, metric = solve(method, x, y, q)
-    if not abs(plane[3]) > 1e-9 * np.mean(1.0 / q):  # through the camera centre
+    if not abs(plane[3]) > 1e-6 * np.mean(1.0 / q):  # through the camera centre
         return Plane(DEGENERATE, count, nothing)
     a, b, c = 1.0 + change * (np.arange(3 * len(q)) * 7919 % 13 / 6.0 - 1.0).reshape(3, -1)
     moved, _, _ = solve(method, x * a, y * b, q * c)
     plane, moved = orient(plane), orient(moved)
-    steady = angle(plane[:3], moved[:3]) < 1e-8 and abs(plane[3] - moved[3]) < 1e-9 * abs(plane[3])
+    # A plane that passes the camera at a twentieth of the depth is seen at less than three degrees.
+    seen = plane[3] > 0.05 * np.mean(1.0 / q)
+    steady = seen and angle(plane[:3], moved[:3]) < 1e-8 and abs(plane[3] - moved[3]) < 1e-9 * abs(plane[3])
     return Plane(ROUGH if metric > max_error else OK, count, plane, own, metric, bool(steady))
 
 
