@@ -33,7 +33,7 @@ def smallest_eigenvalue(a, b, c, d, e, f):
 
 @kernel()
 def eigenvector(a, b, c, d, e, f, eigenvalue):
-    """Unit eigenvector: the largest column of the adjugate of M - λI. Zero if the eigenvalue is double."""
+    """Unit eigenvector: the largest column of the adjugate of M - λI. Any of its plane's, or zero, for a double one."""
     a = a - eigenvalue
     d = d - eigenvalue
     f = f - eigenvalue
@@ -57,7 +57,7 @@ def eigenvector(a, b, c, d, e, f, eigenvalue):
 
 @kernel()
 def smallest_eigenpair(a, b, c, d, e, f):
-    """Smallest eigenvalue and its unit eigenvector; the vector is zero where it is not determined.
+    """Smallest eigenvalue and its unit eigenvector; the vector is zero for a zero matrix.
 
     The root of the cubic has lost digits to the determinant. Two Rayleigh quotients, each of which cubes
     the error of the vector, bring them back.

@@ -1,0 +1,106 @@
+"""Importing, first calls, threads and forks, each in a process of its own where it must be."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from test_tiles import make_camera, make_depth
+
+import rgbd_planes as rp
+from rgbd_planes import compilation
+
+
+def run(code, **environment):
+    """Run code in a fresh interpreter and return what it prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=os.environ | environment,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_import_is_light():
+    code = (
+        "import sys, rgbd_planes as rp; rp.fit_tiles; "
+        "print([m for m in ('matplotlib', 'PIL', 'pandas', 'tqdm', 'shapely') if m in sys.modules])"
+    )
+    assert run(code).strip() == "[]"
+
+
+def test_public_names_are_there():
+    for name in dir(rp):
+        assert getattr(rp, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = rp.nonsense
+
+
+def test_slow_first_call_is_announced_once(caplog, monkeypatch):
+    monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compilation, "_announced", threading.Event())
+    monkeypatch.setattr(compilation, "_compiled", set())
+    with compilation.announced("quick"):
+        pass
+    assert caplog.messages == []
+    with compilation.announced("slow"):
+        time.sleep(0.2)
+    with compilation.announced("slow too"):
+        time.sleep(0.1)
+    assert len(caplog.messages) == 1
+    assert caplog.messages[0].startswith("compiling kernels")
+
+
+def test_works_without_a_place_for_a_cache():
+    """A locator that finds nothing is what a read-only home and installation come to."""
+    code = (
+        "import numba.core.caching as caching; caching.CacheImpl._locator_classes = []\n"
+        "import numpy as np, rgbd_planes as rp\n"
+        "camera = rp.Camera(16, 16, 9.0, 9.0, 8.0, 8.0)\n"
+        "print(rp.fit_tiles(np.full((16, 16), 2.0), camera).planes.round(9).tolist())"
+    )
+    assert run(code).strip().splitlines()[-1].endswith("-1.0, 2.0]]]")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_child_fits_with_threads():
+    code = (
+        "import os, numpy as np, rgbd_planes as rp\n"
+        "camera = rp.Camera(64, 64, 50.0, 50.0, 32.0, 32.0)\n"
+        "fitter = rp.TileFitter(camera, 8, num_threads=3)\n"
+        "depth = np.full((64, 64), 2.0)\n"
+        "fitter.fit(depth)\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    os._exit(0 if np.allclose(fitter.fit(depth).planes[..., 3], 2.0) else 1)\n"
+        "print(os.waitpid(child, 0)[1])\n"
+    )
+    # Python warns that forking a process with threads may deadlock: that is what is tested.
+    assert run(code, PYTHONWARNINGS="ignore").strip() == "0"
+
+
+def test_eight_threads_at_once(rng):
+    """Python threads that share a fitter get what one alone gets."""
+    camera = make_camera()
+    fitter = rp.TileFitter(camera, 8, num_threads=2)
+    frames = [make_depth(camera, rng) for _ in range(8)]
+    wanted = [fitter.fit(frame).planes for frame in frames]
+    failures = []
+
+    def fit_often(i):
+        for _ in range(20):
+            if not np.array_equal(fitter.fit(frames[i]).planes, wanted[i]):
+                failures.append(i)
+
+    threads = [threading.Thread(target=fit_often, args=(i,)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failures == []

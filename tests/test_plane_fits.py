@@ -1,0 +1,78 @@
+"""What a result shows, saves and turns into."""
+
+import numpy as np
+import pytest
+from test_tiles import make_camera, make_depth, make_holes
+
+import rgbd_planes as rp
+
+
+@pytest.fixture
+def tiles(rng):
+    camera = make_camera((0.1, -0.2, 0.001, 0.0, 0.0), depth_range=(0.1, 9.0))
+    depth = make_holes(make_depth(camera, rng), "tiles", rng)
+    return rp.fit_tiles(depth, camera, (11, 13), "range_implicit", max_error=0.01)
+
+
+def test_repr_says_what_there_is(tiles):
+    text = repr(tiles)
+    assert text.startswith("<TilePlanes: 5 x 5 tiles of 11 x 13 pixels, range_implicit: ")
+    for status in rp.TileStatus:
+        count = np.count_nonzero(tiles.status == status)
+        assert (f"{count} {status.name}" in text) == (count > 0)
+
+
+def test_save_and_load(tiles, tmp_path):
+    tiles.save(tmp_path / "planes.npz")
+    loaded = rp.TilePlanes.load(tmp_path / "planes.npz")
+    assert loaded.camera == tiles.camera
+    assert (loaded.tile, loaded.method) == (tiles.tile, tiles.method)
+    for name in ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(tiles, name))
+        assert getattr(loaded, name).dtype == getattr(tiles, name).dtype
+    assert [path.name for path in tmp_path.iterdir()] == ["planes.npz"]
+
+
+def test_load_of_something_else(tmp_path):
+    np.savez(tmp_path / "other.npz", a=np.ones(3))
+    with pytest.raises(ValueError, match=r"TilePlanes.save wrote, got .*other.npz"):
+        rp.TilePlanes.load(tmp_path / "other.npz")
+
+
+def test_save_to_nowhere_leaves_nothing(tiles, tmp_path):
+    with pytest.raises(OSError, match="nowhere"):
+        tiles.save(tmp_path / "nowhere" / "planes.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_table_has_one_row_a_tile(tiles):
+    table = tiles.to_table()
+    assert {len(column) for column in table.values()} == {25}
+    i = 13
+    row, column = table["row"][i], table["column"][i]
+    assert (row, column) == (2, 3)
+    assert (table["top"][i], table["left"][i]) == (22, 39)
+    assert table["height"][-1] == 48 - 44
+    assert table["width"][-1] == 64 - 52
+    np.testing.assert_array_equal(table["d"], tiles.planes[..., 3].ravel())
+    assert table["status"][i] == rp.TileStatus(tiles.status[row, column]).name
+    np.testing.assert_array_equal(tiles.tile_heights, [11, 11, 11, 11, 4])
+
+
+def test_batch_is_indexed_by_frame(rng):
+    camera = make_camera()
+    frames = [make_depth(camera, rng) for _ in range(3)]
+    stack = rp.TileFitter(camera, 16).fit_batch(frames)
+    assert len(stack) == 3
+    assert repr(stack).startswith("<TilePlanes: 3 frames of 3 x 4 tiles")
+    assert list(stack.to_table()["frame"]) == [0] * 12 + [1] * 12 + [2] * 12
+    np.testing.assert_array_equal(stack[-1].planes, stack.planes[2])
+    with pytest.raises(TypeError, match="batch"):
+        stack[0][0]
+    with pytest.raises(TypeError, match="no length"):
+        len(stack[0])
+
+
+def test_table_is_a_data_frame(tiles):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    assert len(pandas.DataFrame(tiles.to_table())) == 25

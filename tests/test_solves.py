@@ -1,0 +1,104 @@
+"""The closed-form solves against LAPACK, on any matrices."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from rgbd_planes.kernels import eigen3, eigen4, secular
+
+clouds = hnp.arrays(
+    np.float64, st.tuples(st.integers(4, 40), st.just(3)), elements=st.floats(-1, 1, width=32), unique=True
+)
+
+
+def entries(matrix):
+    return matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+
+
+@settings(max_examples=300, deadline=None)
+@given(clouds, st.floats(0, 1), st.floats(-8, 8))
+def test_smallest_eigenpair_3x3(points, thickness, exponent):
+    """Scatter matrices of clouds from flat to round, from tiny to huge."""
+    points = (points - points.mean(axis=0)) * [1.0, 1.0, thickness] @ rotation(points) * 10.0**exponent
+    matrix = points.T @ points
+    value, *vector = eigen3.smallest_eigenpair(*entries(matrix))
+    values = np.linalg.eigvalsh(matrix)
+    assert abs(value - values[0]) <= 1e-13 * values[2]
+    vector = np.array(vector)
+    if values[1] - values[0] > 1e-6 * values[2]:
+        assert abs(np.linalg.norm(vector) - 1) < 1e-12
+        assert np.linalg.norm(matrix @ vector - value * vector) <= 1e-12 * values[2] / (
+            (values[1] - values[0]) / values[2]
+        )
+
+
+@settings(max_examples=300, deadline=None)
+@given(clouds, st.floats(1e-3, 1), st.floats(0.3, 30))
+def test_smallest_eigenvector_4x4(points, thickness, distance):
+    """Of (X, Y, Z, 1), for clouds at some distance: the residual of the eigenvector and its eigenvalue."""
+    points = (points - points.mean(axis=0)) * [1.0, 1.0, thickness] @ rotation(points) + [0.1, 0.2, distance]
+    mean = points.mean(axis=0)
+    centred = points - mean
+    scatter = centred.T @ centred
+    gaps = np.linalg.eigvalsh(scatter)
+    one = np.column_stack([points, np.ones(len(points))])
+    value, *vector = eigen4.smallest_eigenvector(len(points), *mean, *entries(scatter))
+    singular, vectors = np.linalg.svd(one)[1:]
+    if gaps[1] - gaps[0] < 1e-6 * gaps[2] or singular[2] ** 2 - singular[3] ** 2 < 1e-9 * singular[2] ** 2:
+        return
+    if abs(vectors[-1, 3]) < 1e-6:
+        return  # through the origin
+    np.testing.assert_allclose(value, singular[3] ** 2, rtol=1e-7, atol=1e-13 * singular[0] ** 2)
+    wanted = -vectors[-1, :3] / vectors[-1, 3]
+    bound = 1e-13 * (singular[0] / (singular[2] - singular[3])) ** 2 + 1e-12
+    np.testing.assert_allclose(vector, wanted, atol=bound * np.linalg.norm(wanted) / abs(vectors[-1, 3]))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0, 0.02), st.integers(3, 30))
+def test_secular_solve_is_the_eigenvector(seed, noise, side):
+    """Of (tanθx, tanθy, 1, q), given the explicit solution, in any part of the image."""
+    rng = np.random.default_rng(seed)
+    x, y = (grid.ravel() / 525.0 + rng.uniform(-0.5, 0.5) for grid in np.mgrid[:side, :side])
+    alpha = rng.uniform(-1, 1, 3) + [0, 0, 1.5]
+    q = np.column_stack([x, y, np.ones_like(x)]) @ alpha + noise * rng.standard_normal(len(x))
+    rays = np.column_stack([x, y, np.ones_like(x)])
+    a0 = np.linalg.lstsq(rays, q)[0]
+    rss = np.sum((q - rays @ a0) ** 2)
+    u0, v0, q0 = x.mean(), y.mean(), q[0]
+    u, v, w = x - u0, y - v0, q - q0
+    value, *solution = secular.smallest_eigenvector(
+        len(x), u.sum(), v.sum(), u @ u, u @ v, v @ v, u0, v0, q0, w.sum(), u @ w, v @ w, *a0, rss
+    )
+    smallest = np.linalg.svd(rays, compute_uv=False)[2] ** 2
+    quotient = rss / (1 + a0 @ a0)
+    if abs(quotient - smallest) < 1e-9 * smallest:
+        return
+    if quotient > smallest:
+        assert np.isnan([value, *solution]).all()
+        return
+    _, singular, vectors = np.linalg.svd(np.column_stack([rays, q]))
+    wanted = -vectors[-1, :3] / vectors[-1, 3]
+    gap = singular[2] ** 2 - singular[3] ** 2
+    bound = 1e-14 * singular[0] ** 2 / gap * np.linalg.norm(wanted) ** 2
+    np.testing.assert_allclose(solution, wanted, atol=10 * bound + 1e-11)
+    np.testing.assert_allclose(value, singular[3] ** 2, rtol=1e-8, atol=1e-14 * singular[0] ** 2)
+
+
+def test_no_matrix_no_vector():
+    assert eigen3.smallest_eigenpair(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_diagonal(seed):
+    diagonal = np.random.default_rng(seed).permutation([1.0, 5.0, 9.0])
+    value, *vector = eigen3.smallest_eigenpair(diagonal[0], 0.0, 0.0, diagonal[1], 0.0, diagonal[2])
+    assert value == pytest.approx(1.0)
+    np.testing.assert_allclose(np.abs(vector), diagonal == 1.0, atol=1e-14)
+
+
+def rotation(points):
+    """A rotation that depends on the points, so that nothing lines up with the axes."""
+    return np.linalg.qr(np.random.default_rng(int(abs(points).sum() * 1e6)).standard_normal((3, 3)))[0]

@@ -1,0 +1,73 @@
+"""Windows of any size and place, also overlapping, against the oracle."""
+
+import numpy as np
+import oracle
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
+
+import rgbd_planes as rp
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_equals_oracle(data):
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    camera = make_camera(data.draw(st.sampled_from([(), (0.2, -0.5, 0.001, 0.002, 0.3)])), 31, 26)
+    depth = make_depth(camera, rng)
+    depth[rng.random(depth.shape) < data.draw(st.sampled_from([0.0, 0.1, 0.7]))] = np.nan
+    count = data.draw(st.integers(1, 8))
+    height, width = rng.integers(1, 27, count), rng.integers(1, 32, count)
+    windows = np.column_stack([rng.integers(0, 27 - height), rng.integers(0, 32 - width), height, width])
+    method = data.draw(st.sampled_from(METHODS))
+    max_missing = data.draw(st.sampled_from([0.0, 0.5, 1.0]))
+    for implementation in ("integral", "naive"):
+        fits = rp.fit_windows(
+            depth, camera, windows, method, implementation=implementation, max_missing=max_missing
+        )
+        expected = oracle.fit_windows(
+            depth, camera, windows, method, max_missing=max_missing, change=CHANGE[implementation]
+        )
+        assert_equals_oracle(fits, expected, rmse_floor=RMSE_FLOOR[implementation])
+        assert fits.shape == (count,)
+        np.testing.assert_array_equal(fits.windows, windows)
+
+
+@pytest.mark.parametrize("implementation", ["integral", "naive"])
+def test_threads_change_no_bit(implementation, rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    windows = np.column_stack([rng.integers(0, 24, (50, 2)), np.full((50, 2), 24)])
+    one, three = (
+        rp.fit_windows(depth, camera, windows, implementation=implementation, num_threads=n) for n in (1, 3)
+    )
+    np.testing.assert_array_equal(one.planes, three.planes)
+
+
+def test_no_windows_no_planes():
+    camera = make_camera()
+    assert rp.fit_windows(np.ones(camera.shape), camera, []).planes.shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("windows", "error", "message"),
+    [
+        ([0, 0, 5, 5], ValueError, r"shape \(K, 4\)"),
+        ([[0, 0, 5]], ValueError, r"got \(1, 3\)"),
+        ([[0, 0, 5.0, 5]], TypeError, "must be integers"),
+        ([[0, 0, 5, 5], [44, 0, 5, 5]], ValueError, r"got \[44, 0, 5, 5\] .* as window 1"),
+        ([[-1, 0, 5, 5]], ValueError, "inside the frame"),
+        ([[0, 0, 0, 5]], ValueError, "inside the frame"),
+    ],
+)
+def test_bad_windows(windows, error, message):
+    camera = make_camera()
+    with pytest.raises(error, match=message):
+        rp.fit_windows(np.ones(camera.shape), camera, windows)
+
+
+def test_bad_arguments():
+    camera = make_camera()
+    with pytest.raises(ValueError, match="integral, naive, got 'direct'"):
+        rp.fit_windows(np.ones(camera.shape), camera, [], implementation="direct")
