@@ -33,7 +33,10 @@ def smallest_eigenvalue(a, b, c, d, e, f):
 
 @kernel()
 def eigenvector(a, b, c, d, e, f, eigenvalue):
-    """Unit eigenvector: the largest column of the adjugate of M - λI. Any of its plane's, or zero, for a double one."""
+    """Unit eigenvector: the largest column of the adjugate of M - λI.
+
+    Where the eigenvalue is double, any vector of its plane, or zero.
+    """
     a = a - eigenvalue
     d = d - eigenvalue
     f = f - eigenvalue

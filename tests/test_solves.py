@@ -62,7 +62,7 @@ def test_secular_solve_is_the_eigenvector(seed, noise, side):
     """Of (tanθx, tanθy, 1, q), given the explicit solution, in any part of the image."""
     rng = np.random.default_rng(seed)
     x, y = (grid.ravel() / 525.0 + rng.uniform(-0.5, 0.5) for grid in np.mgrid[:side, :side])
-    alpha = rng.uniform(-1, 1, 3) + [0, 0, 1.5]
+    alpha = rng.uniform((-1, -1, 0.5), (1, 1, 2.5))
     q = np.column_stack([x, y, np.ones_like(x)]) @ alpha + noise * rng.standard_normal(len(x))
     rays = np.column_stack([x, y, np.ones_like(x)])
     a0 = np.linalg.lstsq(rays, q)[0]
