@@ -6,7 +6,6 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.files import write_beside
 
 Array = NDArray[np.float64]
 
@@ -307,19 +307,23 @@ class Camera:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a camera from a JSON file with the keys of `to_dict`."""
-        return cls.from_dict(camera_formats.read_json(path))
+        """Read a camera from a JSON file with the keys of `to_dict`.
+
+        Raises
+        ------
+        OSError, ValueError, TypeError
+            Naming the file.
+        """
+        values = camera_formats.read_json(path)
+        try:
+            return cls.from_dict(values)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{os.fspath(path)}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera to a JSON file; the file appears whole or not at all."""
-        target = Path(path)
-        beside = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}")
-        text = json.dumps(self.to_dict(), indent=2) + "\n"
-        try:
-            beside.write_text(text, encoding="utf-8")
-            beside.replace(target)
-        finally:
-            beside.unlink(missing_ok=True)
+        with write_beside(path) as beside:
+            beside.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
     @classmethod
     def from_opencv(
