@@ -62,8 +62,8 @@ def eigenvector(a, b, c, d, e, f, eigenvalue):
 def smallest_eigenpair(a, b, c, d, e, f):
     """Smallest eigenvalue and its unit eigenvector; the vector is zero for a zero matrix.
 
-    The root of the cubic has lost digits to the determinant. Two Rayleigh quotients, each of which cubes
-    the error of the vector, bring them back.
+    The root of the cubic has lost digits to the determinant. A Rayleigh quotient, which cubes the error of
+    the vector, brings them back.
     """
     scale = a + d + f
     if not scale > 0.0:
@@ -71,7 +71,6 @@ def smallest_eigenpair(a, b, c, d, e, f):
     a, b, c, d, e, f = a / scale, b / scale, c / scale, d / scale, e / scale, f / scale
     root = smallest_eigenvalue(a, b, c, d, e, f)
     x, y, z = eigenvector(a, b, c, d, e, f, root)
-    for _ in range(2):
-        root = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
-        x, y, z = eigenvector(a, b, c, d, e, f, root)
+    root = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
+    x, y, z = eigenvector(a, b, c, d, e, f, root)
     return max(root, 0.0) * scale, x, y, z

@@ -34,6 +34,19 @@ def test_smallest_eigenpair_3x3(points, thickness, exponent):
         )
 
 
+@pytest.mark.parametrize("width", [1.0, 0.1, 0.01, 0.001])
+@pytest.mark.parametrize("thickness", [0.0, 1e-4, 0.3])
+def test_normal_of_a_strip(width, thickness, rng):
+    """Long thin tiles, as steep surfaces are: no more digits lost than the shape costs."""
+    for _ in range(50):
+        points = rng.standard_normal((40, 3)) * [1.0, width, thickness * width]
+        points = points @ np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        points -= points.mean(axis=0)
+        wanted = np.linalg.svd(points)[2][-1]
+        vector = np.array(eigen3.smallest_eigenpair(*entries(points.T @ points))[1:])
+        assert np.linalg.norm(vector - wanted * np.sign(vector @ wanted)) < 3e-14 / width**2
+
+
 @settings(max_examples=300, deadline=None)
 @given(clouds, st.floats(1e-3, 1), st.floats(0.3, 30))
 def test_smallest_eigenvector_4x4(points, thickness, distance):
