@@ -25,11 +25,12 @@ _NAMES = {
     "fit_tiles": "tiles",
     "fit_windows": "windows",
 }
-_MODULES = ("presets", "scenes")
+_MODULES = ("noise", "presets", "scenes")
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
+    from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
     from rgbd_planes.camera import Camera as Camera
