@@ -19,35 +19,41 @@ TAIL_7, TAIL_8, TAIL_9, TAIL_10 = 0.7432728996205819, -0.7913807918587487, 0.387
 def inverse_depths(moments, reference, in_range_space, start, stop, mean, spread):
     """Mean inverse depth of each tile and the standard deviation about it, both (T,), written.
 
-    From the moments of (X, Y, Z) they are those of Z to first order.
+    From the moments of (X, Y, Z) they are those of Z to first order. An empty ``spread`` is left out.
     """
     for i in range(start, stop):
-        n = moments[0, i]
-        mean_w = moments[3, i] / n
-        deviation = math.sqrt(max(moments[9, i] / n - mean_w * mean_w, 0.0))
-        w = reference[2, i] + mean_w
+        w = reference[2, i] + moments[3, i] / moments[0, i]
         mean[i] = w if in_range_space else 1.0 / w
-        spread[i] = deviation if in_range_space else deviation / (w * w)
+    for i in range(start, min(stop, spread.shape[0])):
+        mean_w = moments[3, i] / moments[0, i]
+        deviation = math.sqrt(max(moments[9, i] / moments[0, i] - mean_w * mean_w, 0.0))
+        spread[i] = deviation if in_range_space else deviation * mean[i] * mean[i]
 
 
 @kernel()
-def residual_ratio(planes, rmse_metric, valid_count, mean, variance, counts, expected, start, stop, ratio):
+def residual_ratio(
+    planes, rmse_metric, valid_count, mean, variance, counts, expected, freedom, start, stop,
+    ratio, inverse_freedom,
+):  # fmt: skip
     """Sum of squared residuals in inverse depth over what the noise alone makes it on average.
 
     Parameters
     ----------
     mean, variance : (T,) float64
         Inverse depth of the tile, and the variance of one pixel's.
-    expected : (K,) float64
-        Expected sum of squared residuals for each count, in units of ``variance``.
-    ratio : (T,) float64, written
-        NaN where there is no plane; 0 where no residual is expected, as of three pixels.
+    expected, freedom : (K,) float64
+        Expected sum of squared residuals for each count, in units of ``variance``, and its degrees of
+        freedom.
+    ratio, inverse_freedom : (T,) float64, written
+        The ratio is NaN where there is no plane, and 0 where no residual is expected, as of three pixels.
     """
     for i in range(start, stop):
+        k = counts[i]
         # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``.
         rmse = rmse_metric[i] * mean[i] / planes[i, 3]
-        total = variance[i] * expected[counts[i]]
+        total = variance[i] * expected[k]
         ratio[i] = valid_count[i] * rmse * rmse / total if total > 0.0 else rmse * 0.0
+        inverse_freedom[i] = 1.0 / freedom[k]
 
 
 @kernel()
@@ -60,7 +66,7 @@ def mark_rough(planes, rmse_metric, valid_count, mean, variance, limit, start, s
 
 
 @kernel(reduction=True)
-def chi_square_tail(ratio, counts, freedom, p_value):
+def chi_square_tail(ratio, inverse_freedom, p_value):
     """Probability that chi-square over its degrees of freedom exceeds ``ratio``.
 
     L = x^(1/6) - x^(1/3)/2 + x^(1/2)/3 is very nearly normal (Canal, "A normal approximation for the
@@ -69,7 +75,7 @@ def chi_square_tail(ratio, counts, freedom, p_value):
     """
     for i in range(ratio.shape[0]):
         x = math.sqrt(min(max(ratio[i], 1e-6), 1e6))
-        v = 1.0 / freedom[counts[i]]
+        v = inverse_freedom[i]
         # Cube root of x by Halley's method.
         y = math.sqrt(math.sqrt(x))
         for _ in range(3):
@@ -102,10 +108,47 @@ def chi_square_tail(ratio, counts, freedom, p_value):
 
 
 @kernel()
+def ray_covariance(moments, reference, in_range_space, tilt_variance, offset_variance, i):
+    """Covariance of tile i's α, as its entries aa, ab, ac, bb, bc, cc: σq²A⁻¹ with A = MᵀM.
+
+    In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a
+    variance of its own. From the moments of (X, Y, Z) the scatter of the rays u = X/Z is that to first
+    order: noise along the ray drops out of it.
+    """
+    share = 1.0 / moments[0, i]
+    s_u = moments[1, i]
+    s_v = moments[2, i]
+    mean_u = reference[0, i] + s_u * share
+    mean_v = reference[1, i] + s_v * share
+    c_uu = moments[4, i] - s_u * s_u * share
+    c_uv = moments[5, i] - s_u * s_v * share
+    c_vv = moments[7, i] - s_v * s_v * share
+    if not in_range_space:
+        s_w = moments[3, i]
+        c_uw = moments[6, i] - s_u * s_w * share
+        c_vw = moments[8, i] - s_v * s_w * share
+        c_ww = moments[9, i] - s_w * s_w * share
+        nearness = 1.0 / (reference[2, i] + s_w * share)
+        mean_u *= nearness
+        mean_v *= nearness
+        square = nearness * nearness
+        c_uu = (c_uu - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
+        c_uv = (c_uv - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
+        c_vv = (c_vv - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
+    scale = tilt_variance / (c_uu * c_vv - c_uv * c_uv)
+    aa = scale * c_vv
+    ab = -scale * c_uv
+    bb = scale * c_uu
+    ac = -(aa * mean_u + ab * mean_v)
+    bc = -(ab * mean_u + bb * mean_v)
+    return aa, ab, ac, bb, bc, offset_variance * share - (ac * mean_u + bc * mean_v)
+
+
+@kernel()
 def alpha_covariance(
     moments, reference, alpha, in_range_space, variance, counts, tilt, offset, start, stop, covariance
 ):
-    """Covariance of α: σq²A⁻¹ with A = MᵀM, written from the centred rays.
+    """Covariance of α, (T, 3, 3), written; NaN where there is no plane.
 
     Parameters
     ----------
@@ -114,38 +157,13 @@ def alpha_covariance(
     tilt, offset : (K,) float64
         Correlated noise: the factors, by count, on the variances of the slopes and of the mean. 1 where
         pixels are independent.
-    covariance : (T, 3, 3) float64, written
-        NaN where there is no plane.
-
-    Notes
-    -----
-    In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate. From the moments of
-    (X, Y, Z) the scatter of the rays u = X/Z is that to first order: noise along the ray drops out of it.
     """
     for i in range(start, stop):
-        n = moments[0, i]
-        mean_u = reference[0, i] + moments[1, i] / n
-        mean_v = reference[1, i] + moments[2, i] / n
-        c_uu = moments[4, i] - moments[1, i] * (moments[1, i] / n)
-        c_uv = moments[5, i] - moments[1, i] * (moments[2, i] / n)
-        c_vv = moments[7, i] - moments[2, i] * (moments[2, i] / n)
-        if not in_range_space:
-            c_uw = moments[6, i] - moments[1, i] * (moments[3, i] / n)
-            c_vw = moments[8, i] - moments[2, i] * (moments[3, i] / n)
-            c_ww = moments[9, i] - moments[3, i] * (moments[3, i] / n)
-            mean_w = reference[2, i] + moments[3, i] / n
-            mean_u /= mean_w
-            mean_v /= mean_w
-            c_uu = (c_uu - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) / (mean_w * mean_w)
-            c_uv = (c_uv - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) / (mean_w * mean_w)
-            c_vv = (c_vv - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) / (mean_w * mean_w)
-        nan = 0.0 * alpha[i, 0]
-        scale = nan + variance[i] * tilt[counts[i]] / (c_uu * c_vv - c_uv * c_uv)
-        aa = scale * c_vv
-        ab = -scale * c_uv
-        bb = scale * c_uu
-        ac = -(aa * mean_u + ab * mean_v)
-        bc = -(ab * mean_u + bb * mean_v)
+        k = counts[i]
+        scale = variance[i] + 0.0 * alpha[i, 0]
+        aa, ab, ac, bb, bc, cc = ray_covariance(
+            moments, reference, in_range_space, scale * tilt[k], scale * offset[k], i
+        )
         covariance[i, 0, 0] = aa
         covariance[i, 0, 1] = ab
         covariance[i, 0, 2] = ac
@@ -154,39 +172,55 @@ def alpha_covariance(
         covariance[i, 1, 2] = bc
         covariance[i, 2, 0] = ac
         covariance[i, 2, 1] = bc
-        covariance[i, 2, 2] = variance[i] * offset[counts[i]] / n - (ac * mean_u + bc * mean_v)
+        covariance[i, 2, 2] = cc
 
 
 @kernel()
-def plane_covariance(planes, alpha_covariance, start, stop, covariance):
-    """Covariance of (n, d) from that of α, to first order, (T, 4, 4), written.
+def plane_covariance(
+    moments, reference, planes, in_range_space, variance, counts, tilt, offset, start, stop, covariance
+):
+    """Covariance of (n, d), (T, 4, 4), written, from that of α to first order.
 
     dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
     """
     for i in range(start, stop):
+        k = counts[i]
         x = planes[i, 0]
         y = planes[i, 1]
         z = planes[i, 2]
         d = planes[i, 3]
-        c = alpha_covariance[i]
+        scale = variance[i] * d * d
+        aa, ab, ac, bb, bc, cc = ray_covariance(
+            moments, reference, in_range_space, scale * tilt[k], scale * offset[k], i
+        )
         # Σn, and nᵀΣn
-        s_x = c[0, 0] * x + c[0, 1] * y + c[0, 2] * z
-        s_y = c[1, 0] * x + c[1, 1] * y + c[1, 2] * z
-        s_z = c[2, 0] * x + c[2, 1] * y + c[2, 2] * z
+        s_x = aa * x + ab * y + ac * z
+        s_y = ab * x + bb * y + bc * z
+        s_z = ac * x + bc * y + cc * z
         s = x * s_x + y * s_y + z * s_z
-        dd = d * d
-        out = covariance[i]
         # PΣP = Σ - n(Σn)ᵀ - (Σn)nᵀ + s·nnᵀ
-        out[0, 0] = dd * (c[0, 0] - 2.0 * x * s_x + s * x * x)
-        out[1, 1] = dd * (c[1, 1] - 2.0 * y * s_y + s * y * y)
-        out[2, 2] = dd * (c[2, 2] - 2.0 * z * s_z + s * z * z)
-        out[0, 1] = out[1, 0] = dd * (c[0, 1] - x * s_y - s_x * y + s * x * y)
-        out[0, 2] = out[2, 0] = dd * (c[0, 2] - x * s_z - s_x * z + s * x * z)
-        out[1, 2] = out[2, 1] = dd * (c[1, 2] - y * s_z - s_y * z + s * y * z)
-        out[0, 3] = out[3, 0] = -dd * d * (s_x - s * x)
-        out[1, 3] = out[3, 1] = -dd * d * (s_y - s * y)
-        out[2, 3] = out[3, 2] = -dd * d * (s_z - s * z)
-        out[3, 3] = dd * dd * s
+        xy = ab - x * s_y - s_x * y + s * x * y
+        xz = ac - x * s_z - s_x * z + s * x * z
+        yz = bc - y * s_z - s_y * z + s * y * z
+        xd = -d * (s_x - s * x)
+        yd = -d * (s_y - s * y)
+        zd = -d * (s_z - s * z)
+        covariance[i, 0, 0] = aa - (2.0 * s_x - s * x) * x
+        covariance[i, 0, 1] = xy
+        covariance[i, 0, 2] = xz
+        covariance[i, 0, 3] = xd
+        covariance[i, 1, 0] = xy
+        covariance[i, 1, 1] = bb - (2.0 * s_y - s * y) * y
+        covariance[i, 1, 2] = yz
+        covariance[i, 1, 3] = yd
+        covariance[i, 2, 0] = xz
+        covariance[i, 2, 1] = yz
+        covariance[i, 2, 2] = cc - (2.0 * s_z - s * z) * z
+        covariance[i, 2, 3] = zd
+        covariance[i, 3, 0] = xd
+        covariance[i, 3, 1] = yd
+        covariance[i, 3, 2] = zd
+        covariance[i, 3, 3] = d * d * s
 
 
 @kernel()
@@ -227,26 +261,24 @@ def add_moments(moments, reference, labels, totals, total_reference):
 
 
 @kernel()
-def difference(alpha, covariance, first, second, statistic):
-    """δᵀ(Σi + Σj)⁻¹δ of δ = αi - αj for pairs of planes: chi-square with 3 degrees of freedom.
+def same_plane(alpha, covariance, other_alpha, other_covariance, p_value):
+    """P-value of δᵀ(Σ + Σ')⁻¹δ with δ = α - α', chi-square with 3 degrees of freedom, for K pairs.
 
-    ``first`` and ``second`` are (K,) indices; ``statistic`` is (K,), written.
+    ``alpha`` is (K, 3), ``covariance`` (K, 3, 3), ``p_value`` (K,), written.
     """
-    for k in range(first.shape[0]):
-        i = first[k]
-        j = second[k]
-        x = alpha[i, 0] - alpha[j, 0]
-        y = alpha[i, 1] - alpha[j, 1]
-        z = alpha[i, 2] - alpha[j, 2]
-        s = covariance[i] + covariance[j]
-        # Cholesky, s = LLᵀ, and the norm of L⁻¹δ.
-        l_11 = math.sqrt(s[0, 0])
-        l_21 = s[0, 1] / l_11
-        l_31 = s[0, 2] / l_11
-        l_22 = math.sqrt(s[1, 1] - l_21 * l_21)
-        l_32 = (s[1, 2] - l_31 * l_21) / l_22
-        l_33 = math.sqrt(s[2, 2] - l_31 * l_31 - l_32 * l_32)
+    for k in range(alpha.shape[0]):
+        x = alpha[k, 0] - other_alpha[k, 0]
+        y = alpha[k, 1] - other_alpha[k, 1]
+        z = alpha[k, 2] - other_alpha[k, 2]
+        # Cholesky, Σ + Σ' = LLᵀ, and L⁻¹δ.
+        l_11 = math.sqrt(covariance[k, 0, 0] + other_covariance[k, 0, 0])
+        l_21 = (covariance[k, 0, 1] + other_covariance[k, 0, 1]) / l_11
+        l_31 = (covariance[k, 0, 2] + other_covariance[k, 0, 2]) / l_11
+        l_22 = math.sqrt(covariance[k, 1, 1] + other_covariance[k, 1, 1] - l_21 * l_21)
+        l_32 = (covariance[k, 1, 2] + other_covariance[k, 1, 2] - l_31 * l_21) / l_22
+        l_33 = math.sqrt(covariance[k, 2, 2] + other_covariance[k, 2, 2] - l_31 * l_31 - l_32 * l_32)
         a = x / l_11
         b = (y - l_21 * a) / l_22
         c = (z - l_31 * a - l_32 * b) / l_33
-        statistic[k] = a * a + b * b + c * c
+        half = 0.5 * (a * a + b * b + c * c)
+        p_value[k] = math.erfc(math.sqrt(half)) + 2.0 * math.sqrt(half / math.pi) * math.exp(-half)

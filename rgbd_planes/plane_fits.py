@@ -105,9 +105,8 @@ class PlaneFits:
     @property
     def angle_std(self) -> Float:
         """S float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
-        from rgbd_planes.uncertainty import angle_std
-
-        return angle_std(self.plane_covariance)
+        variance = np.trace(self.plane_covariance[..., :3, :3], axis1=-2, axis2=-1)
+        return np.asarray(np.degrees(np.sqrt(variance)))
 
     @property
     def offset_std(self) -> Float:
@@ -115,7 +114,7 @@ class PlaneFits:
         return np.asarray(np.sqrt(self.plane_covariance[..., 3, 3]))
 
     def _statistic(self, name: str, entries: tuple[int, ...]) -> Float:
-        from rgbd_planes.uncertainty import flat_frames, frame_statistics
+        from rgbd_planes.fit_statistics import flat_frames, frame_statistics
 
         values = np.empty((*self.shape, *entries))
         frames = flat_frames(self, self._cell_dimensions)

@@ -25,7 +25,7 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import moments
 from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
-from rgbd_planes.uncertainty import RoughTest
+from rgbd_planes.fit_statistics import RoughTest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,181 +1,196 @@
-"""What the sensor's noise says of fitted planes: covariances, p-values, and which tiles are too rough."""
+"""What follows from a plane's covariance: comparisons, distances, angles, other frames.
 
-import functools
-from typing import TYPE_CHECKING, Any
+Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
+``plane_covariance`` of a fit. All is to first order in the errors. Leading shapes broadcast.
+"""
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.kernels import statistics
-from rgbd_planes.noise import NoiseModel, ResidualStatistics
-
-if TYPE_CHECKING:
-    from rgbd_planes.fitting import Arrays
-    from rgbd_planes.plane_fits import PlaneFits
 
 Float = npt.NDArray[np.float64]
 
-DEFAULT_SIGNIFICANCE = 0.01
-# Below this many degrees of freedom the normal approximation of the chi-square is off in the third digit.
-FEW = 12.0
 
-
-@functools.lru_cache(maxsize=32)
-def _table(noise: NoiseModel, largest: int) -> ResidualStatistics:
-    """Statistics for every count from 0 to ``largest``."""
-    return noise.statistics(np.arange(largest + 1))
-
-
-class FrameStatistics:
-    """The uncertainty of the planes of one frame, from its moments: flat arrays, T planes."""
-
-    def __init__(self, arrays: "Arrays", noise: NoiseModel, in_range_space: bool) -> None:
-        self._arrays = arrays
-        self._in_range_space = in_range_space
-        self._count = len(arrays["status"])
-        moments, reference = arrays["_moments"], arrays["_reference"]
-        self._mean, spread = np.empty((2, self._count))
-        statistics.inverse_depths(moments, reference, in_range_space, 0, self._count, self._mean, spread)
-        self._variance = noise.mean_variance(self._mean, spread)
-        counts = arrays["valid_count"]
-        largest = int(counts.max(initial=0))
-        if largest <= 10_000:
-            self._counts, self._table = counts, _table(noise, _round_up(largest))
-        else:
-            counts, self._counts = np.unique(counts, return_inverse=True)
-            self._table = noise.statistics(counts)
-
-    def p_value(self, out: Float) -> None:
-        """Write the p-values of the residuals into (T,) ``out``."""
-        ratio = np.empty(self._count)
-        statistics.residual_ratio(
-            self._arrays["planes"], self._arrays["rmse_metric"], self._arrays["valid_count"], self._mean,
-            self._variance, self._counts, self._table.expected, 0, self._count, ratio,
-        )  # fmt: skip
-        statistics.chi_square_tail(ratio, self._counts, self._table.freedom, out)
-        few = self._table.freedom < FEW
-        if few[self._counts].any():
-            from scipy.special import chdtrc
-
-            chosen = few[self._counts] & np.isfinite(ratio)
-            freedom = self._table.freedom[self._counts[chosen]]
-            out[chosen] = np.where(freedom < 0.01, 1.0, chdtrc(freedom, freedom * ratio[chosen]))
-
-    def alpha_covariance(self, out: Float) -> None:
-        """Write the covariances of α into (T, 3, 3) ``out``."""
-        statistics.alpha_covariance(
-            self._arrays["_moments"], self._arrays["_reference"], self._arrays["alpha"], self._in_range_space,
-            self._variance, self._counts, self._table.tilt, self._table.offset, 0, self._count, out,
-        )  # fmt: skip
-
-    def plane_covariance(self, out: Float) -> None:
-        """Write the covariances of (n, d) into (T, 4, 4) ``out``."""
-        alpha_covariance = np.empty((self._count, 3, 3))
-        self.alpha_covariance(alpha_covariance)
-        statistics.plane_covariance(self._arrays["planes"], alpha_covariance, 0, self._count, out)
-
-
-def _round_up(count: int) -> int:
-    """The next of few sizes, so that tables are shared."""
-    return max(256, 1 << (count - 1).bit_length()) if count else 256
-
-
-def frame_statistics(fits: "PlaneFits", frame: "Arrays") -> FrameStatistics:
-    """The uncertainty of one frame of ``fits``.
-
-    Raises
-    ------
-    ValueError
-        The camera has no noise model.
-    """
-    noise = fits.camera.noise
-    if noise is None:
-        raise ValueError(
-            "expected a camera with a noise model for uncertainties, got one without: "
-            "Camera(..., noise=rp.noise.kinect_v1()), or rp.estimate_noise(frames, camera)"
-        )
-    return FrameStatistics(frame, noise, fits.method.startswith("range"))
-
-
-class RoughTest:
-    """Gives ROUGH to the tiles whose residual the noise explains less often than a significance level.
+def same_plane(
+    alpha: npt.ArrayLike, covariance: npt.ArrayLike, other_alpha: npt.ArrayLike, other_covariance: npt.ArrayLike
+) -> Float:
+    """Test whether planes fitted to different pixels are one plane.
 
     Parameters
     ----------
-    noise : NoiseModel or None
-    significance : float or None
-        As in `TileFitter`.
-    largest : int
-        Most pixels of a tile.
-    """
-
-    def __init__(self, noise: NoiseModel | None, significance: float | None, largest: int) -> None:
-        if significance is not None and not 0.0 <= significance < 1.0:
-            raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
-        if significance is not None and noise is None:
-            raise ValueError(
-                "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
-                "or rp.estimate_noise(frames, camera)"
-            )
-        level = DEFAULT_SIGNIFICANCE if significance is None else significance
-        self._noise = noise if level > 0.0 else None
-        if self._noise is None:
-            return
-        from scipy.special import chdtri
-
-        counts = np.arange(largest + 1)
-        table = self._noise.statistics(counts)
-        limit = table.expected * chdtri(table.freedom, level) / table.freedom
-        self._limit = np.where(counts > 3, limit, np.inf)
-
-    def mark(self, method: str, arrays: "Arrays", start: int, stop: int) -> None:
-        """Mark tiles ``start`` to ``stop`` of one frame: flat arrays, as in `fitting.solve_planes`."""
-        if self._noise is None:
-            return
-        mean, spread = np.empty((2, len(arrays["status"])))
-        statistics.inverse_depths(
-            arrays["_moments"], arrays["_reference"], method.startswith("range"), start, stop, mean, spread
-        )
-        variance = np.empty(len(mean))
-        variance[start:stop] = self._noise.mean_variance(mean[start:stop], spread[start:stop])
-        statistics.mark_rough(
-            arrays["planes"], arrays["rmse_metric"], arrays["valid_count"], mean, variance, self._limit,
-            start, stop, arrays["status"], ROUGH,
-        )  # fmt: skip
-
-
-ROUGH = 3
-
-
-def angle_std(plane_covariance: npt.ArrayLike) -> Float:
-    """Standard deviation of the angle between a normal and the true one, in degrees.
-
-    Parameters
-    ----------
-    plane_covariance : (..., 4, 4) array_like
+    alpha, other_alpha : (..., 3) array_like
+        As ``alpha`` of a fit: -n / d.
+    covariance, other_covariance : (..., 3, 3) array_like
+        As ``alpha_covariance`` of a fit.
 
     Returns
     -------
     (...) float64
-        √tr Σn, the root mean square of the angle to first order.
+        P-value of δᵀ(Σ + Σ')⁻¹δ, chi-square with 3 degrees of freedom: small for two planes, NaN where one is
+        missing.
+
+    Examples
+    --------
+    Tiles and their neighbours to the right::
+
+        a, c = tiles.alpha, tiles.alpha_covariance
+        p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
     """
-    covariance = np.asarray(plane_covariance, np.float64)
-    return np.asarray(np.degrees(np.sqrt(np.trace(covariance[..., :3, :3], axis1=-2, axis2=-1))))
+    first, second = _array("alpha", alpha, (3,)), _array("other_alpha", other_alpha, (3,))
+    first_covariance = _array("covariance", covariance, (3, 3))
+    second_covariance = _array("other_covariance", other_covariance, (3, 3))
+    shape = np.broadcast_shapes(
+        first.shape[:-1], second.shape[:-1], first_covariance.shape[:-2], second_covariance.shape[:-2]
+    )
+
+    def flat(array: Float, entries: tuple[int, ...]) -> Float:
+        return np.ascontiguousarray(np.broadcast_to(array, (*shape, *entries))).reshape(-1, *entries)
+
+    p_value = np.empty(shape)
+    statistics.same_plane(
+        flat(first, (3,)), flat(first_covariance, (3, 3)), flat(second, (3,)), flat(second_covariance, (3, 3)),
+        p_value.reshape(-1),
+    )  # fmt: skip
+    return p_value
 
 
-def flat_frames(fits: "PlaneFits", cells: int) -> list[dict[str, npt.NDArray[Any]]]:
-    """The arrays of each frame of ``fits``, flat: (T, ...), and (10, T), (3, T).
+def point_distance(
+    points: npt.ArrayLike,
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike,
+    point_covariance: npt.ArrayLike | None = None,
+) -> tuple[Float, Float]:
+    """Signed distance of points to planes, positive on the camera's side, and its standard deviation.
 
-    ``cells`` is the number of dimensions that count the planes of a frame.
+    Parameters
+    ----------
+    points : (..., 3) array_like
+        Metres.
+    planes : (..., 4) array_like
+    plane_covariance : (..., 4, 4) array_like
+    point_covariance : (..., 3, 3) array_like, optional
+        Of points that are measured independently of the planes.
+
+    Returns
+    -------
+    distance, std : (...) float64
+        Metres.
     """
-    names = ("planes", "alpha", "rmse_metric", "valid_count", "status", "_moments", "_reference")
-    batch = fits.status.ndim > cells
-    frames = []
-    for i in range(len(fits.status) if batch else 1):
-        flat = {}
-        for name in names:
-            array = getattr(fits, name)[i] if batch else getattr(fits, name)
-            leading = name in ("_moments", "_reference")
-            flat[name] = array.reshape((len(array), -1) if leading else (-1, *array.shape[cells:]))
-        frames.append(flat)
-    return frames
+    point, plane = _array("points", points, (3,)), _array("planes", planes, (4,))
+    covariance = _array("plane_covariance", plane_covariance, (4, 4))
+    distance = np.sum(point * plane[..., :3], axis=-1) + plane[..., 3]
+    lever = np.concatenate([point, np.ones((*point.shape[:-1], 1))], axis=-1)
+    variance = _form(lever, covariance)
+    if point_covariance is not None:
+        variance = variance + _form(plane[..., :3], _array("point_covariance", point_covariance, (3, 3)))
+    return distance, np.sqrt(np.maximum(variance, 0.0))
+
+
+def angle_between(
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike,
+    other_planes: npt.ArrayLike,
+    other_covariance: npt.ArrayLike,
+) -> tuple[Float, Float]:
+    """Angle between the normals of planes fitted to different pixels, and its standard deviation.
+
+    Parameters
+    ----------
+    planes, other_planes : (..., 4) array_like
+    plane_covariance, other_covariance : (..., 4, 4) array_like
+
+    Returns
+    -------
+    angle, std : (...) float64
+        Degrees, 0 to 180. Between planes that are parallel to within their errors the angle is the length of
+        an error, never negative; the standard deviation is then that of a component along the line between
+        the normals, or along the most uncertain direction where they coincide.
+    """
+    first, second = _array("planes", planes, (4,))[..., :3], _array("other_planes", other_planes, (4,))[..., :3]
+    first_covariance = _array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
+    second_covariance = _array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
+    cosine = np.sum(first * second, axis=-1)
+    sine = np.linalg.norm(np.cross(first, second), axis=-1)
+    angle = np.arctan2(sine, cosine)
+    apart = sine > 1e-12
+    scale = 1.0 / np.where(apart, sine, 1.0)[..., None]
+    # From each normal towards the other, along the great circle between them.
+    variance = _form((second - cosine[..., None] * first) * scale, first_covariance)
+    variance = variance + _form((first - cosine[..., None] * second) * scale, second_covariance)
+    if not apart.all():
+        both = first_covariance + second_covariance
+        both = np.where(np.isfinite(both), both, 0.0)
+        largest = np.broadcast_to(np.linalg.eigvalsh(both)[..., -1], variance.shape)
+        variance = np.where(apart | np.isnan(sine), variance, largest)
+    return np.degrees(angle), np.degrees(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def transform_planes(
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike,
+    transform: npt.ArrayLike,
+    transform_covariance: npt.ArrayLike | None = None,
+) -> tuple[Float, Float]:
+    """Take planes and their covariances to another frame.
+
+    Parameters
+    ----------
+    planes : (..., 4) array_like
+    plane_covariance : (..., 4, 4) array_like
+    transform : (..., 4, 4) array_like
+        Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it.
+    transform_covariance : (..., 6, 6) array_like, optional
+        Of (ω, τ), radians and metres, where the true motion is exp([ω]×)·R and t + τ: rotation vector and
+        translation in the new frame's axes.
+
+    Returns
+    -------
+    planes : (..., 4) float64
+        n still points to the side of the camera that saw the plane, so d may be negative.
+    plane_covariance : (..., 4, 4) float64
+    """
+    plane = _array("planes", planes, (4,))
+    covariance = _array("plane_covariance", plane_covariance, (4, 4))
+    motion = _array("transform", transform, (4, 4))
+    rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
+    if not (
+        np.allclose(rotation @ np.swapaxes(rotation, -1, -2), np.eye(3), atol=1e-6)
+        and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
+        and (np.linalg.det(rotation) > 0.0).all()
+    ):
+        raise ValueError(f"expected transform as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}")
+    # n' = R·n and d' = d - n'·t, linear in (n, d).
+    linear = np.zeros(motion.shape)
+    linear[..., :3, :3] = rotation
+    linear[..., 3, :3] = -np.sum(translation[..., :, None] * rotation, axis=-2)
+    linear[..., 3, 3] = 1.0
+    moved = np.sum(linear * plane[..., None, :], axis=-1)
+    moved_covariance = linear @ covariance @ np.swapaxes(linear, -1, -2)
+    if transform_covariance is not None:
+        pose = _array("transform_covariance", transform_covariance, (6, 6))
+        normal = moved[..., :3]
+        shape = np.broadcast_shapes(moved.shape[:-1], translation.shape[:-1])
+        slope = np.zeros((*shape, 4, 6))
+        # dn' = ω × n', dd' = -dn'·t - n'·τ
+        x, y, z = np.moveaxis(normal, -1, 0)
+        slope[..., 0, 1], slope[..., 0, 2] = z, -y
+        slope[..., 1, 0], slope[..., 1, 2] = -z, x
+        slope[..., 2, 0], slope[..., 2, 1] = y, -x
+        slope[..., 3, :3] = -np.sum(slope[..., :3, :3] * translation[..., :, None], axis=-2)
+        slope[..., 3, 3:] = -normal
+        moved_covariance = moved_covariance + slope @ pose @ np.swapaxes(slope, -1, -2)
+    return moved, moved_covariance
+
+
+def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Float:
+    array = np.asarray(values, np.float64)
+    if array.shape[-len(entries) :] != entries:
+        expected = ", ".join(("...", *map(str, entries)))
+        raise ValueError(f"expected {name} of shape ({expected}), got {array.shape}")
+    return array
+
+
+def _form(vector: Float, matrix: Float) -> Float:
+    """vᵀMv."""
+    return np.asarray(np.einsum("...i,...ij,...j->...", vector, matrix, vector))

@@ -19,7 +19,7 @@ from rgbd_planes.fitting import (
 )
 from rgbd_planes.plane_fits import PlaneFits, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
-from rgbd_planes.uncertainty import RoughTest
+from rgbd_planes.fit_statistics import RoughTest
 
 
 @dataclass(frozen=True, eq=False, repr=False)
