@@ -24,15 +24,19 @@ _NAMES = {
     "WindowPlanes": "windows",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "merge": "merging",
 }
-_MODULES = ("presets", "scenes")
+_MODULES = ("noise", "presets", "scenes", "uncertainty")
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
+    from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
+    from rgbd_planes import uncertainty as uncertainty
     from rgbd_planes.camera import Camera as Camera
+    from rgbd_planes.merging import merge as merge
     from rgbd_planes.plane_fits import TileStatus as TileStatus
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes

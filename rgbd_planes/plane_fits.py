@@ -22,7 +22,7 @@ class TileStatus(enum.IntEnum):
     DEGENERATE = 2
     """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre."""
     ROUGH = 3
-    """Fitted, and it keeps its plane, but the residual is too large for one."""
+    """Fitted, and it keeps its plane, but the residual is larger than ``max_error`` or than the noise explains."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +72,60 @@ class PlaneFits:
     def shape(self) -> tuple[int, ...]:
         """Leading shape of the arrays."""
         return self.status.shape
+
+    @property
+    def p_value(self) -> Float:
+        """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
+
+        Of the chi-square of the residual in inverse depth under ``camera.noise``. On surfaces that are flat
+        it is uniform between 0 and 1; below the significance level a tile is ROUGH. Computed on access, as
+        the covariances are: keep it if you need it often.
+
+        Raises
+        ------
+        ValueError
+            The camera has no noise model: so for all of these.
+        """
+        return self._statistic("p_value", ())
+
+    @property
+    def alpha_covariance(self) -> Float:
+        """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
+
+        Of ``range_explicit`` it is exact where σq is constant over the tile. For the other methods it is, to
+        first order, that of ``range_explicit`` on the same pixels: the bound that they do not reach.
+        """
+        return self._statistic("alpha_covariance", (3, 3))
+
+    @property
+    def plane_covariance(self) -> Float:
+        """S + (4, 4) float64: covariance of (n, d), from that of α to first order; its rank is 3."""
+        return self._statistic("plane_covariance", (4, 4))
+
+    @property
+    def angle_std(self) -> Float:
+        """S float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
+        variance = np.trace(self.plane_covariance[..., :3, :3], axis1=-2, axis2=-1)
+        return np.asarray(np.degrees(np.sqrt(variance)))
+
+    @property
+    def offset_std(self) -> Float:
+        """S float64, metres: standard deviation of d."""
+        return np.asarray(np.sqrt(self.plane_covariance[..., 3, 3]))
+
+    def _statistic(self, name: str, entries: tuple[int, ...]) -> Float:
+        from rgbd_planes.fit_statistics import flat_frames, frame_statistics
+
+        values = np.empty((*self.shape, *entries))
+        frames = flat_frames(self, self._cell_dimensions)
+        for frame, out in zip(frames, values.reshape(len(frames), -1, *entries), strict=True):
+            getattr(frame_statistics(self, frame), name)(out)
+        return values
+
+    @property
+    def _cell_dimensions(self) -> int:
+        """How many dimensions count the planes of one frame: 2 for tiles, 1 for windows."""
+        return min(self._moments.ndim - 1, 2)
 
     @property
     def fitted(self) -> npt.NDArray[np.bool_]:

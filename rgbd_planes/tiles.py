@@ -25,6 +25,7 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import moments
 from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
+from rgbd_planes.fit_statistics import RoughTest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -175,6 +176,9 @@ class TileFitter:
         Share of missing pixels above which a tile gets TOO_FEW; at 1 whatever determines a plane is fitted.
     max_error : float, optional
         Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
+    significance : float, optional
+        Where the camera has a noise model: tiles whose residual the noise alone makes larger less often than
+        this get ROUGH, at any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
     num_threads : int, optional
         None takes threads when the work is large enough to pay for them. The result is the same for any.
 
@@ -193,6 +197,7 @@ class TileFitter:
         implementation: str = "direct",
         max_missing: float = 0.5,
         max_error: float | None = None,
+        significance: float | None = None,
         num_threads: int | None = None,
     ) -> None:
         if not isinstance(camera, Camera):
@@ -215,6 +220,7 @@ class TileFitter:
         with announced("full_tile_moments"):
             moments.full_tile_moments(camera.tan_x, camera.tan_y, *self.tile, self._centre, self._full)
         self._needed = valid_needed(self._full[0], max_missing).ravel()
+        self._rough_test = RoughTest(camera.noise, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             self._rays = (
                 (camera.tan_x_columns, camera.tan_y_rows)
@@ -310,6 +316,7 @@ class TileFitter:
         def fit_rows(start: int, stop: int) -> None:
             work(start, stop)
             solve_planes(self.method, flat, self._needed, self._max_error, start * columns, stop * columns)
+            self._rough_test.mark(self.method, flat, start * columns, stop * columns)
 
         run_in_ranges(fit_rows, rows, threads)
 
@@ -351,6 +358,7 @@ def fit_tiles(
     implementation: str = "direct",
     max_missing: float = 0.5,
     max_error: float | None = None,
+    significance: float | None = None,
     num_threads: int | None = None,
 ) -> TilePlanes:
     """Fit a plane to every tile of a depth frame.
@@ -362,7 +370,7 @@ def fit_tiles(
     depth : (H, W) array_like
         Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres. Missing is 0,
         NaN, infinity, negative, one of the camera's ``invalid_values`` or outside its ``depth_range``.
-    camera, tile, method, implementation, max_missing, max_error, num_threads
+    camera, tile, method, implementation, max_missing, max_error, significance, num_threads
         As in `TileFitter`.
 
     Returns
@@ -377,6 +385,7 @@ def fit_tiles(
         implementation=implementation,
         max_missing=max_missing,
         max_error=max_error,
+        significance=significance,
         num_threads=num_threads,
     )
     return fitter.fit(depth)

@@ -19,6 +19,7 @@ from rgbd_planes.fitting import (
 )
 from rgbd_planes.plane_fits import PlaneFits, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
+from rgbd_planes.fit_statistics import RoughTest
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +44,7 @@ def fit_windows(
     implementation: str = "integral",
     max_missing: float = 0.5,
     max_error: float | None = None,
+    significance: float | None = None,
     num_threads: int | None = None,
 ) -> WindowPlanes:
     """Fit a plane to each of many rectangles of a frame, which may overlap.
@@ -53,7 +55,7 @@ def fit_windows(
 
     Parameters
     ----------
-    depth, camera, method, max_missing, max_error, num_threads
+    depth, camera, method, max_missing, max_error, significance, num_threads
         As in `fit_tiles`.
     windows : (K, 4) array_like of int
         Row, column, height, width of each window in pixels, inside the frame.
@@ -76,6 +78,7 @@ def fit_windows(
     frame = as_depth_frame(depth, camera)
 
     arrays = allocate((), (len(rectangles),))
+    rough_test = RoughTest(camera.noise, significance, int(rectangles[:, 2:].prod(axis=1).max(initial=0)))
     needed = valid_needed(rectangles[:, 2] * rectangles[:, 3], max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
@@ -84,6 +87,7 @@ def fit_windows(
         def fit_some(start: int, stop: int) -> None:
             source(rectangles, start, stop, arrays["_moments"])
             solve_planes(method, arrays, needed, error, start, stop)
+            rough_test.mark(method, arrays, start, stop)
 
         run_in_ranges(fit_some, len(rectangles), threads)
     return WindowPlanes(camera=camera, method=method, windows=rectangles, **arrays)

@@ -1,0 +1,85 @@
+"""Exact planes of unions of tiles, from the tiles' moments: no pixel is read again."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.fit_statistics import RoughTest
+from rgbd_planes.fitting import solve_planes
+from rgbd_planes.kernels import statistics
+from rgbd_planes.plane_fits import PlaneFits, allocate
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MergedPlanes(PlaneFits):
+    """The planes of N unions of tiles: arrays of shape (N, ...), row i belongs to label i + 1.
+
+    Attributes
+    ----------
+    labels : S int32
+        Which union each of the merged tiles or windows belongs to, 0 for none.
+    """
+
+    labels: npt.NDArray[np.int32]
+
+
+def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
+    """Fit a plane to each union of tiles.
+
+    Moments about one point add, so the result is that of fitting all the unions' pixels at once.
+
+    Parameters
+    ----------
+    fits : TilePlanes, WindowPlanes or MergedPlanes
+        Of one frame. Pixels that overlapping windows share count twice.
+    labels : array_like of int
+        Of the shape of ``fits``: 0 for none, 1..N. Tiles without a plane of their own, but with valid pixels,
+        are merged as well.
+    significance : float, optional
+        As in `TileFitter`: unions with a larger residual get ROUGH.
+
+    Returns
+    -------
+    MergedPlanes
+        N planes; a label that no tile has gets TOO_FEW.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The labels are not integers of this shape, or ``fits`` are those of a batch: merge ``fits[i]``.
+    """
+    array = np.asarray(labels)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"labels must be integers, got dtype {array.dtype}")
+    if len(fits.shape) == 3:
+        raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
+    if array.shape != fits.shape:
+        raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}")
+    if array.size and array.min() < 0:
+        raise ValueError(f"labels must be 0 or more, got {array.min()}")
+    flat = np.ascontiguousarray(array, np.int32).ravel()
+    count = int(flat.max(initial=0))
+    moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
+
+    arrays = allocate((), (count,))
+    arrays["_reference"][:] = _means(moments, reference, flat, count)
+    statistics.add_moments(moments, reference, flat, arrays["_moments"], arrays["_reference"])
+    solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
+    largest = int(arrays["valid_count"].max(initial=0))
+    RoughTest(fits.camera.noise, significance, largest).mark(fits.method, arrays, 0, count)
+    return MergedPlanes(camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), **arrays)
+
+
+def _means(
+    moments: npt.NDArray[np.float64], reference: npt.NDArray[np.float64], labels: npt.NDArray[np.int32], count: int
+) -> npt.NDArray[np.float64]:
+    """(3, N): the mean of each union's valid pixels, where nothing cancels."""
+    valid = moments[0] > 0.0
+    numbers = np.bincount(labels[valid], moments[0, valid], count + 1)[1:]
+    means = np.zeros((3, count))
+    for i in range(3):
+        sums = moments[1 + i, valid] + moments[0, valid] * reference[i, valid]
+        totals = np.bincount(labels[valid], sums, count + 1)[1:]
+        np.divide(totals, numbers, out=means[i], where=numbers > 0.0)
+    return means

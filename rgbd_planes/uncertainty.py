@@ -1,0 +1,196 @@
+"""What follows from a plane's covariance: comparisons, distances, angles, other frames.
+
+Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
+``plane_covariance`` of a fit. All is to first order in the errors. Leading shapes broadcast.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.kernels import statistics
+
+Float = npt.NDArray[np.float64]
+
+
+def same_plane(
+    alpha: npt.ArrayLike, covariance: npt.ArrayLike, other_alpha: npt.ArrayLike, other_covariance: npt.ArrayLike
+) -> Float:
+    """Test whether planes fitted to different pixels are one plane.
+
+    Parameters
+    ----------
+    alpha, other_alpha : (..., 3) array_like
+        As ``alpha`` of a fit: -n / d.
+    covariance, other_covariance : (..., 3, 3) array_like
+        As ``alpha_covariance`` of a fit.
+
+    Returns
+    -------
+    (...) float64
+        P-value of δᵀ(Σ + Σ')⁻¹δ, chi-square with 3 degrees of freedom: small for two planes, NaN where one is
+        missing.
+
+    Examples
+    --------
+    Tiles and their neighbours to the right::
+
+        a, c = tiles.alpha, tiles.alpha_covariance
+        p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
+    """
+    first, second = _array("alpha", alpha, (3,)), _array("other_alpha", other_alpha, (3,))
+    first_covariance = _array("covariance", covariance, (3, 3))
+    second_covariance = _array("other_covariance", other_covariance, (3, 3))
+    shape = np.broadcast_shapes(
+        first.shape[:-1], second.shape[:-1], first_covariance.shape[:-2], second_covariance.shape[:-2]
+    )
+
+    def flat(array: Float, entries: tuple[int, ...]) -> Float:
+        return np.ascontiguousarray(np.broadcast_to(array, (*shape, *entries))).reshape(-1, *entries)
+
+    p_value = np.empty(shape)
+    statistics.same_plane(
+        flat(first, (3,)), flat(first_covariance, (3, 3)), flat(second, (3,)), flat(second_covariance, (3, 3)),
+        p_value.reshape(-1),
+    )  # fmt: skip
+    return p_value
+
+
+def point_distance(
+    points: npt.ArrayLike,
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike,
+    point_covariance: npt.ArrayLike | None = None,
+) -> tuple[Float, Float]:
+    """Signed distance of points to planes, positive on the camera's side, and its standard deviation.
+
+    Parameters
+    ----------
+    points : (..., 3) array_like
+        Metres.
+    planes : (..., 4) array_like
+    plane_covariance : (..., 4, 4) array_like
+    point_covariance : (..., 3, 3) array_like, optional
+        Of points that are measured independently of the planes.
+
+    Returns
+    -------
+    distance, std : (...) float64
+        Metres.
+    """
+    point, plane = _array("points", points, (3,)), _array("planes", planes, (4,))
+    covariance = _array("plane_covariance", plane_covariance, (4, 4))
+    distance = np.sum(point * plane[..., :3], axis=-1) + plane[..., 3]
+    lever = np.concatenate([point, np.ones((*point.shape[:-1], 1))], axis=-1)
+    variance = _form(lever, covariance)
+    if point_covariance is not None:
+        variance = variance + _form(plane[..., :3], _array("point_covariance", point_covariance, (3, 3)))
+    return distance, np.sqrt(np.maximum(variance, 0.0))
+
+
+def angle_between(
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike,
+    other_planes: npt.ArrayLike,
+    other_covariance: npt.ArrayLike,
+) -> tuple[Float, Float]:
+    """Angle between the normals of planes fitted to different pixels, and its standard deviation.
+
+    Parameters
+    ----------
+    planes, other_planes : (..., 4) array_like
+    plane_covariance, other_covariance : (..., 4, 4) array_like
+
+    Returns
+    -------
+    angle, std : (...) float64
+        Degrees, 0 to 180. Between planes that are parallel to within their errors the angle is the length of
+        an error, never negative; the standard deviation is then that of a component along the line between
+        the normals, or along the most uncertain direction where they coincide.
+    """
+    first, second = _array("planes", planes, (4,))[..., :3], _array("other_planes", other_planes, (4,))[..., :3]
+    first_covariance = _array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
+    second_covariance = _array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
+    cosine = np.sum(first * second, axis=-1)
+    sine = np.linalg.norm(np.cross(first, second), axis=-1)
+    angle = np.arctan2(sine, cosine)
+    apart = sine > 1e-12
+    scale = 1.0 / np.where(apart, sine, 1.0)[..., None]
+    # From each normal towards the other, along the great circle between them.
+    variance = _form((second - cosine[..., None] * first) * scale, first_covariance)
+    variance = variance + _form((first - cosine[..., None] * second) * scale, second_covariance)
+    if not apart.all():
+        both = first_covariance + second_covariance
+        both = np.where(np.isfinite(both), both, 0.0)
+        largest = np.broadcast_to(np.linalg.eigvalsh(both)[..., -1], variance.shape)
+        variance = np.where(apart | np.isnan(sine), variance, largest)
+    return np.degrees(angle), np.degrees(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def transform_planes(
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike,
+    transform: npt.ArrayLike,
+    transform_covariance: npt.ArrayLike | None = None,
+) -> tuple[Float, Float]:
+    """Take planes and their covariances to another frame.
+
+    Parameters
+    ----------
+    planes : (..., 4) array_like
+    plane_covariance : (..., 4, 4) array_like
+    transform : (..., 4, 4) array_like
+        Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it.
+    transform_covariance : (..., 6, 6) array_like, optional
+        Of (ω, τ), radians and metres, where the true motion is exp([ω]×)·R and t + τ: rotation vector and
+        translation in the new frame's axes.
+
+    Returns
+    -------
+    planes : (..., 4) float64
+        n still points to the side of the camera that saw the plane, so d may be negative.
+    plane_covariance : (..., 4, 4) float64
+    """
+    plane = _array("planes", planes, (4,))
+    covariance = _array("plane_covariance", plane_covariance, (4, 4))
+    motion = _array("transform", transform, (4, 4))
+    rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
+    if not (
+        np.allclose(rotation @ np.swapaxes(rotation, -1, -2), np.eye(3), atol=1e-6)
+        and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
+        and (np.linalg.det(rotation) > 0.0).all()
+    ):
+        raise ValueError(f"expected transform as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}")
+    # n' = R·n and d' = d - n'·t, linear in (n, d).
+    linear = np.zeros(motion.shape)
+    linear[..., :3, :3] = rotation
+    linear[..., 3, :3] = -np.sum(translation[..., :, None] * rotation, axis=-2)
+    linear[..., 3, 3] = 1.0
+    moved = np.sum(linear * plane[..., None, :], axis=-1)
+    moved_covariance = linear @ covariance @ np.swapaxes(linear, -1, -2)
+    if transform_covariance is not None:
+        pose = _array("transform_covariance", transform_covariance, (6, 6))
+        normal = moved[..., :3]
+        shape = np.broadcast_shapes(moved.shape[:-1], translation.shape[:-1])
+        slope = np.zeros((*shape, 4, 6))
+        # dn' = ω × n', dd' = -dn'·t - n'·τ
+        x, y, z = np.moveaxis(normal, -1, 0)
+        slope[..., 0, 1], slope[..., 0, 2] = z, -y
+        slope[..., 1, 0], slope[..., 1, 2] = -z, x
+        slope[..., 2, 0], slope[..., 2, 1] = y, -x
+        slope[..., 3, :3] = -np.sum(slope[..., :3, :3] * translation[..., :, None], axis=-2)
+        slope[..., 3, 3:] = -normal
+        moved_covariance = moved_covariance + slope @ pose @ np.swapaxes(slope, -1, -2)
+    return moved, moved_covariance
+
+
+def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Float:
+    array = np.asarray(values, np.float64)
+    if array.shape[-len(entries) :] != entries:
+        expected = ", ".join(("...", *map(str, entries)))
+        raise ValueError(f"expected {name} of shape ({expected}), got {array.shape}")
+    return array
+
+
+def _form(vector: Float, matrix: Float) -> Float:
+    """vᵀMv."""
+    return np.asarray(np.einsum("...i,...ij,...j->...", vector, matrix, vector))
