@@ -1,0 +1,327 @@
+"""Planes in the window around every pixel, at a cost that hardly depends on the window's size.
+
+Least squares of q on m = (tanθx, tanθy, 1) needs, for each window, Σq, Σq·x, Σq·y of the inverse depth and,
+because pixels are missing and the frame ends, Σ1, Σx, Σy, Σxx, Σxy, Σyy over the pixels that are there. x and y
+count from the window's centre.
+
+Along a row a window of w columns is put together from two of k and one of 1 or 3 between them, w = k + c + k, and
+those of k in the same way: a few steps for any w. Down the columns the sums move with the window, one row in
+and one out. Without lens distortion x and y are whole pixels, and the sums over the valid pixels whole numbers:
+exact. Those of the inverse depth are made anew from the window's rows at every BAND-th row of the frame, and
+when a row with a wild value leaves the window, so that rounding stays at a few ulp of what the window holds; and
+bands are what threads share, so that every window's sums are added in the same order for any number of them.
+
+The frame is handled in strips of columns. The channels of a strip's row (q, q·x, ...) lie one after the other at a
+fixed PITCH, so that the compiler sees their distance and vectorises every loop. Rows and columns that a window
+reaches beyond the frame are missing pixels, zero in every channel.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+
+# Columns of a strip with the margins of its windows: the sums of its rows stay in the nearest caches.
+PITCH = 352
+# Rows between which sums are made anew.
+BAND = 64
+# Inverse depths (1/m) above this, nearer than a millimetre, would leave rounding errors behind when they leave a sum.
+WILD = 1000.0
+
+
+@kernel()
+def strip_width(width, window):
+    """Number of columns of a strip: as many as can be, and about equally many in each."""
+    widest = PITCH - (window - 1)
+    strips = -(-width // widest)
+    return -(-width // strips)
+
+
+@kernel(reduction=True)
+def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, valid):
+    """Write the inverse depth and the validity (1 or 0) of a row's pixels from ``column`` on, 0 beyond the frame.
+
+    Returns
+    -------
+    missing : int
+        Number of missing pixels; beyond the frame's first and last row all are.
+    wild : int
+        Number of wild pixels.
+    """
+    height, width = raw.shape
+    first = max(column, 0)
+    last = min(column + PITCH, width)
+    if row < 0 or row >= height:
+        q[:] = 0.0
+        valid[:] = np.float32(0.0)
+        return last - first, 0
+    q[: first - column] = 0.0
+    valid[: first - column] = np.float32(0.0)
+    q[last - column :] = 0.0
+    valid[last - column :] = np.float32(0.0)
+    values = raw[row, first:last]
+    q_inside = q[first - column : last - column]
+    valid_inside = valid[first - column : last - column]
+    missing = 0
+    wild = 0
+    for i in range(values.shape[0]):
+        is_valid = (values[i] >= lowest) & (values[i] <= highest)
+        if is_disparity:
+            inverse_depth = scale * values[i] + offset
+        else:
+            inverse_depth = scale / values[i]
+        inverse_depth = inverse_depth if is_valid else 0.0
+        q_inside[i] = inverse_depth
+        valid_inside[i] = np.float32(1.0) if is_valid else np.float32(0.0)
+        missing += 0 if is_valid else 1
+        wild += 1 if inverse_depth > WILD else 0
+    return missing, wild
+
+
+@kernel()
+def plan_steps(window, sizes, between):
+    """Write how a window is put together, w = k + c + k with k odd and c 1 or 3; return the number of steps.
+
+    Step i makes it of ``between[i]`` = c columns between two times ``sizes[i]`` = k; the first step has k = 1.
+    """
+    steps = 0
+    size = window
+    while size > 1:
+        c = 1 if size == 3 or (size - 1) // 2 % 2 == 1 else 3
+        size = (size - c) // 2
+        sizes[steps] = size
+        between[steps] = c
+        steps += 1
+    sizes[:steps] = sizes[:steps][::-1].copy()
+    between[:steps] = between[:steps][::-1].copy()
+    return steps
+
+
+@kernel(reduction=True)
+def join_depth_sums(k, c, part, middle, sums):
+    """Sums of q and q·x over k + c + k columns around each, from those over k columns and over c."""
+    s = (k + c) // 2
+    shift = float(s)
+    edge = (k + c + k) // 2
+    left, middle, right, sums = part[edge - s :], middle[edge:], part[edge + s :], sums[edge:]
+    for i in range(PITCH - 2 * edge):
+        x = left[PITCH + i] + middle[PITCH + i] + right[PITCH + i]
+        sums[PITCH + i] = x + shift * (right[i] - left[i])
+        sums[i] = left[i] + middle[i] + right[i]
+
+
+@kernel(reduction=True)
+def join_valid_sums(k, c, part, middle, sums):
+    """Sums of 1, x, xx over the valid pixels of k + c + k columns around each."""
+    s = (k + c) // 2
+    shift = np.float32(s)
+    square = shift * shift
+    twice = shift + shift
+    edge = (k + c + k) // 2
+    left, middle, right, sums = part[edge - s :], middle[edge:], part[edge + s :], sums[edge:]
+    for i in range(PITCH - 2 * edge):
+        x = left[PITCH + i] + middle[PITCH + i] + right[PITCH + i]
+        xx = left[2 * PITCH + i] + middle[2 * PITCH + i] + right[2 * PITCH + i]
+        apart = right[PITCH + i] - left[PITCH + i]
+        sums[2 * PITCH + i] = xx + twice * apart + square * (left[i] + right[i])
+        sums[PITCH + i] = x + shift * (right[i] - left[i])
+        sums[i] = left[i] + middle[i] + right[i]
+
+
+@kernel()
+def depth_sums_along_row(steps, sizes, between, single, work, sums):
+    """Sums of q and q·x over the window's columns around each column of a row.
+
+    ``single`` is (2 * PITCH,): q, and zeros, which are Σq·x over one column.
+    """
+    three = work[0]
+    part = single
+    for step in range(steps):
+        last = step == steps - 1
+        if sizes[step] == 1:
+            join_depth_sums(1, 1, single, single, sums if steps == 1 else three)
+            if between[step] == 1:
+                part = three
+                continue
+        target = sums if last else work[1 + step % 2]
+        join_depth_sums(sizes[step], between[step], part, single if between[step] == 1 else three, target)
+        part = target
+
+
+@kernel()
+def valid_sums_along_row(steps, sizes, between, single, work, sums):
+    """Sums of 1, x, xx over the valid pixels of the window's columns around each column of a row.
+
+    ``single`` is (3 * PITCH,): 1 where valid, and zeros.
+    """
+    three = work[0]
+    part = single
+    for step in range(steps):
+        last = step == steps - 1
+        if sizes[step] == 1:
+            join_valid_sums(1, 1, single, single, sums if steps == 1 else three)
+            if between[step] == 1:
+                part = three
+                continue
+        target = sums if last else work[1 + step % 2]
+        join_valid_sums(sizes[step], between[step], part, single if between[step] == 1 else three, target)
+        part = target
+
+
+@kernel(reduction=True)
+def add_depth_row(y, row, sums):
+    """Add a row at y to the window's sums of q, q·x, q·y."""
+    weight = float(y)
+    for i in range(PITCH):
+        sums[i] += row[i]
+        sums[PITCH + i] += row[PITCH + i]
+        sums[2 * PITCH + i] += weight * row[i]
+
+
+@kernel(reduction=True)
+def add_valid_row(y, row, sums):
+    """Add a row at y to the window's sums of 1, x, xx, y, xy, yy over valid pixels."""
+    weight = np.float32(y)
+    square = weight * weight
+    for i in range(PITCH):
+        sums[i] += row[i]
+        sums[PITCH + i] += row[PITCH + i]
+        sums[2 * PITCH + i] += row[2 * PITCH + i]
+        sums[3 * PITCH + i] += weight * row[i]
+        sums[4 * PITCH + i] += weight * row[PITCH + i]
+        sums[5 * PITCH + i] += square * row[i]
+
+
+@kernel(reduction=True)
+def move_depth_sums(half, old, new, sums):
+    """Move the window's sums one row down: without the old row at y = -half, with the new one at y = half."""
+    weight = float(half)
+    for i in range(PITCH):
+        rest = sums[i] - old[i]
+        sums[i] = rest + new[i]
+        sums[PITCH + i] = sums[PITCH + i] - old[PITCH + i] + new[PITCH + i]
+        sums[2 * PITCH + i] = sums[2 * PITCH + i] - rest + weight * (old[i] + new[i])
+
+
+@kernel(reduction=True)
+def move_valid_sums(half, old, new, sums):
+    """Move the window's sums over valid pixels one row down, as `move_depth_sums`; exact."""
+    weight = np.float32(half)
+    square = weight * weight
+    for i in range(PITCH):
+        rest = sums[i] - old[i]
+        rest_x = sums[PITCH + i] - old[PITCH + i]
+        # y and yy of the rest, still from the old centre; then from the new one.
+        rest_y = sums[3 * PITCH + i] + weight * old[i]
+        rest_yy = sums[5 * PITCH + i] - square * old[i]
+        sums[i] = rest + new[i]
+        sums[PITCH + i] = rest_x + new[PITCH + i]
+        sums[2 * PITCH + i] = sums[2 * PITCH + i] - old[2 * PITCH + i] + new[2 * PITCH + i]
+        sums[3 * PITCH + i] = rest_y - rest + weight * new[i]
+        sums[4 * PITCH + i] = sums[4 * PITCH + i] - rest_x + weight * (old[PITCH + i] + new[PITCH + i])
+        sums[5 * PITCH + i] = rest_yy - (rest_y + rest_y) + rest + square * new[i]
+
+
+@kernel(reduction=True)
+def normals_separable_row(
+    sums, valid_sums, valid, pixels, max_missing, fx, fy, tan_x, tan_y, normals
+):  # fmt: skip
+    """Normals of a row of windows from their sums, for a camera without lens distortion.
+
+    Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one
+    division and one square root a pixel.
+    """
+    for i in range(pixels.shape[0]):
+        n = float(valid_sums[i])
+        x = float(valid_sums[PITCH + i])
+        y = float(valid_sums[3 * PITCH + i])
+        c_xx = n * valid_sums[2 * PITCH + i] - x * x
+        c_xy = n * valid_sums[4 * PITCH + i] - x * y
+        c_yy = n * valid_sums[5 * PITCH + i] - y * y
+        q = sums[i]
+        c_xq = n * sums[PITCH + i] - x * q
+        c_yq = n * sums[2 * PITCH + i] - y * q
+        determinant = c_xx * c_yy - c_xy * c_xy
+        slope_x = c_yy * c_xq - c_xy * c_yq
+        slope_y = c_xx * c_yq - c_xy * c_xq
+        centre = determinant * q - slope_x * x - slope_y * y
+        a = fx * (n * slope_x)
+        b = fy * (n * slope_y)
+        c = centre - a * tan_x[i] - b * tan_y
+        enough = (n >= 3.0) & (pixels[i] - n <= max_missing * pixels[i] + 1e-9)
+        there = enough & (determinant > 0.0) & (centre > 0.0) & (valid[i] > 0)
+        inverse_norm = -1.0 / math.sqrt(a * a + b * b + c * c)
+        inverse_norm = inverse_norm if there else math.nan
+        normals[3 * i] = a * inverse_norm
+        normals[3 * i + 1] = b * inverse_norm
+        normals[3 * i + 2] = c * inverse_norm
+
+
+@kernel()
+def normals_separable(
+    raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, max_missing,
+    band_start, band_stop, normals,
+):  # fmt: skip
+    """Normals of the rows in some bands, for a camera without lens distortion.
+
+    Parameters
+    ----------
+    normals : (H * W * 3,) float32, written
+    """
+    height, width = raw.shape
+    half = (window - 1) // 2
+    strip = strip_width(width, window)
+    slots = window + 1  # of the window's rows and one more
+    rows = np.zeros((slots, 2 * PITCH))
+    valid_rows = np.zeros((slots, 3 * PITCH), np.float32)
+    valid = np.zeros((slots, 3 * PITCH), np.float32)
+    missing = np.zeros(slots, np.int64)
+    wild = np.zeros(slots, np.int64)
+    single = np.zeros(2 * PITCH)
+    work = np.zeros((3, 2 * PITCH))
+    valid_work = np.zeros((3, 3 * PITCH), np.float32)
+    sums = np.zeros(3 * PITCH)
+    valid_sums = np.zeros(6 * PITCH, np.float32)
+    pixels = np.empty(strip)
+    sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
+    steps = plan_steps(window, sizes, between)
+    row_start = band_start * BAND
+    row_stop = min(band_stop * BAND, height)
+
+    for left in range(0, width, strip):
+        columns = min(strip, width - left)
+        total_missing = 0
+        for row in range(row_start - half, row_stop + half):
+            # A row enters the window around row - half.
+            slot = (row + half) % slots
+            old = (row + half + 1) % slots
+            missing[slot], wild[slot] = read_row(
+                raw, row, left - half, lowest, highest, scale, offset, is_disparity, single[:PITCH], valid[slot, :PITCH]
+            )
+            depth_sums_along_row(steps, sizes, between, single, work, rows[slot])
+            valid_sums_along_row(steps, sizes, between, valid[slot], valid_work, valid_rows[slot])
+            centre = row - half
+            if centre < row_start:
+                continue
+            if centre == row_start:
+                valid_sums[:] = np.float32(0.0)
+                for y in range(-half, half + 1):
+                    add_valid_row(y, valid_rows[(centre + y + half) % slots], valid_sums)
+            else:
+                move_valid_sums(half, valid_rows[old], valid_rows[slot], valid_sums)
+            if centre % BAND == 0 or wild[old] > 0:
+                sums[:] = 0.0
+                for y in range(-half, half + 1):
+                    add_depth_row(y, rows[(centre + y + half) % slots], sums)
+            else:
+                move_depth_sums(half, rows[old], rows[slot], sums)
+            inside = min(row, height - 1) - max(centre - half, 0) + 1
+            for i in range(columns):
+                column = left + i
+                pixels[i] = inside * (min(column + half, width - 1) - max(column - half, 0) + 1)
+            normals_separable_row(
+                sums[half:], valid_sums[half:], valid[(centre + half) % slots, half:], pixels[:columns], max_missing,
+                fx, fy, tan_x[left:], tan_y[centre], normals[3 * (centre * width + left) :],
+            )  # fmt: skip
+
