@@ -51,15 +51,15 @@ def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, 
     """
     height, width = raw.shape
     first = max(column, 0)
-    last = min(column + PITCH, width)
+    last = min(column + q.shape[0], width)
     if row < 0 or row >= height:
         q[:] = 0.0
-        valid[:] = np.float32(0.0)
+        valid[:] = 0
         return last - first, 0
     q[: first - column] = 0.0
-    valid[: first - column] = np.float32(0.0)
+    valid[: first - column] = 0
     q[last - column :] = 0.0
-    valid[last - column :] = np.float32(0.0)
+    valid[last - column :] = 0
     values = raw[row, first:last]
     q_inside = q[first - column : last - column]
     valid_inside = valid[first - column : last - column]
@@ -73,7 +73,7 @@ def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, 
             inverse_depth = scale / values[i]
         inverse_depth = inverse_depth if is_valid else 0.0
         q_inside[i] = inverse_depth
-        valid_inside[i] = np.float32(1.0) if is_valid else np.float32(0.0)
+        valid_inside[i] = 1 if is_valid else 0
         missing += 0 if is_valid else 1
         wild += 1 if inverse_depth > WILD else 0
     return missing, wild
@@ -99,105 +99,160 @@ def plan_steps(window, sizes, between):
 
 
 @kernel(reduction=True)
-def join_depth_sums(k, c, part, middle, sums):
-    """Sums of q and q·x over k + c + k columns around each, from those over k columns and over c."""
-    s = (k + c) // 2
-    shift = float(s)
-    edge = (k + c + k) // 2
-    left, middle, right, sums = part[edge - s :], middle[edge:], part[edge + s :], sums[edge:]
-    for i in range(PITCH - 2 * edge):
-        x = left[PITCH + i] + middle[PITCH + i] + right[PITCH + i]
-        sums[PITCH + i] = x + shift * (right[i] - left[i])
-        sums[i] = left[i] + middle[i] + right[i]
+def three_depth_columns(q, count, sums):
+    """Sums of q and q·x over 3 columns, of which the first is i."""
+    for i in range(count - 2):
+        sums[PITCH + i] = q[i + 2] - q[i]
+        sums[i] = q[i] + q[i + 1] + q[i + 2]
 
 
 @kernel(reduction=True)
-def join_valid_sums(k, c, part, middle, sums):
-    """Sums of 1, x, xx over the valid pixels of k + c + k columns around each."""
-    s = (k + c) // 2
-    shift = np.float32(s)
+def join_depth_columns(shift, left, q, right, count, sums):
+    """Sums of q and q·x over k + 1 + k columns, from those over k columns whose centres are ``shift`` away."""
+    x = float(shift)
+    for i in range(count):
+        sums[PITCH + i] = left[PITCH + i] + right[PITCH + i] + x * (right[i] - left[i])
+        sums[i] = left[i] + q[i] + right[i]
+
+
+@kernel(reduction=True)
+def join_depth_columns_by_three(shift, left, three, right, count, sums):
+    """Sums of q and q·x over k + 3 + k columns, from those over k columns whose centres are ``shift`` away."""
+    x = float(shift)
+    for i in range(count):
+        sums[PITCH + i] = left[PITCH + i] + three[PITCH + i] + right[PITCH + i] + x * (right[i] - left[i])
+        sums[i] = left[i] + three[i] + right[i]
+
+
+@kernel()
+def depth_sums_along_row(steps, sizes, between, q, count, work, sums):
+    """Sums of q and q·x over the window's columns, of which the first is i.
+
+    Parameters
+    ----------
+    steps, sizes, between
+        From `plan_steps`.
+    q : (2 * PITCH,) float64
+        q of ``count`` columns, and zeros, which are Σq·x over one column.
+    work : (3, 2 * PITCH) float64
+    sums : (2 * PITCH,) float64, written
+    """
+    three = sums if steps == 1 and between[0] == 1 else work[2]
+    three_depth_columns(q, count, three)
+    part = q
+    size = 1
+    for step in range(steps):
+        c = between[step]
+        target = sums if step == steps - 1 else work[step % 2]
+        if size == 1 and c == 1:
+            part = three
+            size = 3
+            continue
+        shift = (size + c) // 2
+        new_size = 2 * size + c
+        if c == 1:
+            join_depth_columns(shift, part, q[size:], part[size + 1 :], count - new_size + 1, target)
+        else:
+            join_depth_columns_by_three(shift, part, three[size:], part[size + 3 :], count - new_size + 1, target)
+        part = target
+        size = new_size
+
+
+@kernel(reduction=True)
+def three_valid_columns(valid, count, sums):
+    """Sums of 1, x, xx over the valid pixels of 3 columns, of which the first is i."""
+    for i in range(count - 2):
+        sums[2 * PITCH + i] = valid[i + 2] + valid[i]
+        sums[PITCH + i] = valid[i + 2] - valid[i]
+        sums[i] = valid[i] + valid[i + 1] + valid[i + 2]
+
+
+@kernel(reduction=True)
+def join_valid_columns(shift, left, valid, right, count, sums):
+    """Sums of 1, x, xx over the valid pixels of k + 1 + k columns, as `join_depth_columns`."""
     square = shift * shift
-    twice = shift + shift
-    edge = (k + c + k) // 2
-    left, middle, right, sums = part[edge - s :], middle[edge:], part[edge + s :], sums[edge:]
-    for i in range(PITCH - 2 * edge):
-        x = left[PITCH + i] + middle[PITCH + i] + right[PITCH + i]
-        xx = left[2 * PITCH + i] + middle[2 * PITCH + i] + right[2 * PITCH + i]
+    for i in range(count):
         apart = right[PITCH + i] - left[PITCH + i]
-        sums[2 * PITCH + i] = xx + twice * apart + square * (left[i] + right[i])
-        sums[PITCH + i] = x + shift * (right[i] - left[i])
-        sums[i] = left[i] + middle[i] + right[i]
-
-
-@kernel()
-def depth_sums_along_row(steps, sizes, between, single, work, sums):
-    """Sums of q and q·x over the window's columns around each column of a row.
-
-    ``single`` is (2 * PITCH,): q, and zeros, which are Σq·x over one column.
-    """
-    three = work[0]
-    part = single
-    for step in range(steps):
-        last = step == steps - 1
-        if sizes[step] == 1:
-            join_depth_sums(1, 1, single, single, sums if steps == 1 else three)
-            if between[step] == 1:
-                part = three
-                continue
-        target = sums if last else work[1 + step % 2]
-        join_depth_sums(sizes[step], between[step], part, single if between[step] == 1 else three, target)
-        part = target
-
-
-@kernel()
-def valid_sums_along_row(steps, sizes, between, single, work, sums):
-    """Sums of 1, x, xx over the valid pixels of the window's columns around each column of a row.
-
-    ``single`` is (3 * PITCH,): 1 where valid, and zeros.
-    """
-    three = work[0]
-    part = single
-    for step in range(steps):
-        last = step == steps - 1
-        if sizes[step] == 1:
-            join_valid_sums(1, 1, single, single, sums if steps == 1 else three)
-            if between[step] == 1:
-                part = three
-                continue
-        target = sums if last else work[1 + step % 2]
-        join_valid_sums(sizes[step], between[step], part, single if between[step] == 1 else three, target)
-        part = target
+        xx = left[2 * PITCH + i] + right[2 * PITCH + i]
+        sums[2 * PITCH + i] = xx + shift * (apart + apart) + square * (left[i] + right[i])
+        sums[PITCH + i] = left[PITCH + i] + right[PITCH + i] + shift * (right[i] - left[i])
+        sums[i] = left[i] + valid[i] + right[i]
 
 
 @kernel(reduction=True)
-def add_depth_row(y, row, sums):
+def join_valid_columns_by_three(shift, left, three, right, count, sums):
+    """Sums of 1, x, xx over the valid pixels of k + 3 + k columns, as `join_depth_columns_by_three`."""
+    square = shift * shift
+    for i in range(count):
+        apart = right[PITCH + i] - left[PITCH + i]
+        xx = left[2 * PITCH + i] + three[2 * PITCH + i] + right[2 * PITCH + i]
+        sums[2 * PITCH + i] = xx + shift * (apart + apart) + square * (left[i] + right[i])
+        sums[PITCH + i] = left[PITCH + i] + three[PITCH + i] + right[PITCH + i] + shift * (right[i] - left[i])
+        sums[i] = left[i] + three[i] + right[i]
+
+
+@kernel()
+def valid_sums_along_row(steps, sizes, between, valid, count, work, sums):
+    """Sums of 1, x, xx over the valid pixels of the window's columns, of which the first is i.
+
+    Parameters
+    ----------
+    steps, sizes, between
+        From `plan_steps`.
+    valid : (3 * PITCH,) int32
+        1 or 0 for ``count`` columns, and zeros, which are Σx and Σxx over one column.
+    work : (3, 3 * PITCH) int32
+    sums : (3 * PITCH,) int32, written
+    """
+    three = sums if steps == 1 and between[0] == 1 else work[2]
+    three_valid_columns(valid, count, three)
+    part = valid
+    size = 1
+    for step in range(steps):
+        c = between[step]
+        target = sums if step == steps - 1 else work[step % 2]
+        if size == 1 and c == 1:
+            part = three
+            size = 3
+            continue
+        shift = np.int32((size + c) // 2)
+        new_size = 2 * size + c
+        if c == 1:
+            join_valid_columns(shift, part, valid[size:], part[size + 1 :], count - new_size + 1, target)
+        else:
+            join_valid_columns_by_three(shift, part, three[size:], part[size + 3 :], count - new_size + 1, target)
+        part = target
+        size = new_size
+
+
+@kernel(reduction=True)
+def add_depth_row(y, row, count, sums):
     """Add a row at y to the window's sums of q, q·x, q·y."""
     weight = float(y)
-    for i in range(PITCH):
+    for i in range(count):
         sums[i] += row[i]
         sums[PITCH + i] += row[PITCH + i]
         sums[2 * PITCH + i] += weight * row[i]
 
 
 @kernel(reduction=True)
-def add_valid_row(y, row, sums):
+def add_valid_row(y, row, count, sums):
     """Add a row at y to the window's sums of 1, x, xx, y, xy, yy over valid pixels."""
-    weight = np.float32(y)
-    square = weight * weight
-    for i in range(PITCH):
+    weight = np.int32(y)
+    for i in range(count):
         sums[i] += row[i]
         sums[PITCH + i] += row[PITCH + i]
         sums[2 * PITCH + i] += row[2 * PITCH + i]
         sums[3 * PITCH + i] += weight * row[i]
         sums[4 * PITCH + i] += weight * row[PITCH + i]
-        sums[5 * PITCH + i] += square * row[i]
+        sums[5 * PITCH + i] += weight * weight * row[i]
 
 
 @kernel(reduction=True)
-def move_depth_sums(half, old, new, sums):
+def move_depth_sums(half, old, new, count, sums):
     """Move the window's sums one row down: without the old row at y = -half, with the new one at y = half."""
     weight = float(half)
-    for i in range(PITCH):
+    for i in range(count):
         rest = sums[i] - old[i]
         sums[i] = rest + new[i]
         sums[PITCH + i] = sums[PITCH + i] - old[PITCH + i] + new[PITCH + i]
@@ -205,11 +260,11 @@ def move_depth_sums(half, old, new, sums):
 
 
 @kernel(reduction=True)
-def move_valid_sums(half, old, new, sums):
+def move_valid_sums(half, old, new, count, sums):
     """Move the window's sums over valid pixels one row down, as `move_depth_sums`; exact."""
-    weight = np.float32(half)
-    square = weight * weight
-    for i in range(PITCH):
+    weight = np.int32(half)
+    square = np.int32(half * half)
+    for i in range(count):
         rest = sums[i] - old[i]
         rest_x = sums[PITCH + i] - old[PITCH + i]
         # y and yy of the rest, still from the old centre; then from the new one.
@@ -233,12 +288,13 @@ def normals_separable_row(
     division and one square root a pixel.
     """
     for i in range(pixels.shape[0]):
-        n = float(valid_sums[i])
-        x = float(valid_sums[PITCH + i])
-        y = float(valid_sums[3 * PITCH + i])
-        c_xx = n * valid_sums[2 * PITCH + i] - x * x
-        c_xy = n * valid_sums[4 * PITCH + i] - x * y
-        c_yy = n * valid_sums[5 * PITCH + i] - y * y
+        n_whole, x_whole, y_whole = valid_sums[i], valid_sums[PITCH + i], valid_sums[3 * PITCH + i]
+        c_xx = float(np.int32(n_whole * valid_sums[2 * PITCH + i] - x_whole * x_whole))
+        c_xy = float(np.int32(n_whole * valid_sums[4 * PITCH + i] - x_whole * y_whole))
+        c_yy = float(np.int32(n_whole * valid_sums[5 * PITCH + i] - y_whole * y_whole))
+        n = float(n_whole)
+        x = float(x_whole)
+        y = float(y_whole)
         q = sums[i]
         c_xq = n * sums[PITCH + i] - x * q
         c_yq = n * sums[2 * PITCH + i] - y * q
@@ -272,17 +328,17 @@ def normals_separable(
     height, width = raw.shape
     half = (window - 1) // 2
     strip = strip_width(width, window)
-    slots = window + 1  # of the window's rows and one more
+    slots = window + 1  # of the window's rows and the one that leaves
     rows = np.zeros((slots, 2 * PITCH))
-    valid_rows = np.zeros((slots, 3 * PITCH), np.float32)
-    valid = np.zeros((slots, 3 * PITCH), np.float32)
+    valid_rows = np.zeros((slots, 3 * PITCH), np.int32)
+    valid = np.zeros((slots, 3 * PITCH), np.int32)
     missing = np.zeros(slots, np.int64)
     wild = np.zeros(slots, np.int64)
-    single = np.zeros(2 * PITCH)
+    q = np.zeros(2 * PITCH)
     work = np.zeros((3, 2 * PITCH))
-    valid_work = np.zeros((3, 3 * PITCH), np.float32)
+    valid_work = np.zeros((3, 3 * PITCH), np.int32)
     sums = np.zeros(3 * PITCH)
-    valid_sums = np.zeros(6 * PITCH, np.float32)
+    valid_sums = np.zeros(6 * PITCH, np.int32)
     pixels = np.empty(strip)
     sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
     steps = plan_steps(window, sizes, between)
@@ -291,37 +347,47 @@ def normals_separable(
 
     for left in range(0, width, strip):
         columns = min(strip, width - left)
+        count = columns + 2 * half
+        missing[:] = count  # a slot without missing pixels holds the sums of such a row
         total_missing = 0
+        inside = 0
         for row in range(row_start - half, row_stop + half):
-            # A row enters the window around row - half.
+            # A row enters the window, and one leaves.
             slot = (row + half) % slots
             old = (row + half + 1) % slots
+            was_missing = missing[slot]
             missing[slot], wild[slot] = read_row(
-                raw, row, left - half, lowest, highest, scale, offset, is_disparity, single[:PITCH], valid[slot, :PITCH]
-            )
-            depth_sums_along_row(steps, sizes, between, single, work, rows[slot])
-            valid_sums_along_row(steps, sizes, between, valid[slot], valid_work, valid_rows[slot])
+                raw, row, left - half, lowest, highest, scale, offset, is_disparity,
+                q[:count], valid[slot, :count],
+            )  # fmt: skip
+            depth_sums_along_row(steps, sizes, between, q, count, work, rows[slot])
+            if missing[slot] > 0 or was_missing > 0:
+                valid_sums_along_row(steps, sizes, between, valid[slot], count, valid_work, valid_rows[slot])
+            total_missing += missing[slot]
             centre = row - half
             if centre < row_start:
                 continue
             if centre == row_start:
-                valid_sums[:] = np.float32(0.0)
+                valid_sums[:] = 0
                 for y in range(-half, half + 1):
-                    add_valid_row(y, valid_rows[(centre + y + half) % slots], valid_sums)
+                    add_valid_row(y, valid_rows[(centre + y + half) % slots], columns, valid_sums)
             else:
-                move_valid_sums(half, valid_rows[old], valid_rows[slot], valid_sums)
+                if total_missing > 0:
+                    move_valid_sums(half, valid_rows[old], valid_rows[slot], columns, valid_sums)
+                total_missing -= missing[old]
             if centre % BAND == 0 or wild[old] > 0:
                 sums[:] = 0.0
                 for y in range(-half, half + 1):
-                    add_depth_row(y, rows[(centre + y + half) % slots], sums)
+                    add_depth_row(y, rows[(centre + y + half) % slots], columns, sums)
             else:
-                move_depth_sums(half, rows[old], rows[slot], sums)
-            inside = min(row, height - 1) - max(centre - half, 0) + 1
-            for i in range(columns):
-                column = left + i
-                pixels[i] = inside * (min(column + half, width - 1) - max(column - half, 0) + 1)
+                move_depth_sums(half, rows[old], rows[slot], columns, sums)
+            now_inside = min(row, height - 1) - max(centre - half, 0) + 1
+            if now_inside != inside:
+                inside = now_inside
+                for i in range(columns):
+                    column = left + i
+                    pixels[i] = inside * (min(column + half, width - 1) - max(column - half, 0) + 1)
             normals_separable_row(
-                sums[half:], valid_sums[half:], valid[(centre + half) % slots, half:], pixels[:columns], max_missing,
+                sums, valid_sums, valid[(centre + half) % slots, half:], pixels[:columns], max_missing,
                 fx, fy, tan_x[left:], tan_y[centre], normals[3 * (centre * width + left) :],
             )  # fmt: skip
-
