@@ -23,7 +23,7 @@ import numpy as np
 from ._jit import kernel
 
 # Columns of a strip with the margins of its windows: the sums of its rows stay in the nearest caches.
-PITCH = 352
+PITCH = 704
 # Rows between which sums are made anew.
 BAND = 64
 # Inverse depths (1/m) above this, nearer than a millimetre, would leave rounding errors behind when they leave a sum.
@@ -280,14 +280,14 @@ def move_valid_sums(half, old, new, count, sums):
 
 @kernel(reduction=True)
 def normals_separable_row(
-    sums, valid_sums, valid, pixels, max_missing, fx, fy, tan_x, tan_y, normals
+    sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals
 ):  # fmt: skip
     """Normals of a row of windows from their sums, for a camera without lens distortion.
 
     Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one
     division and one square root a pixel.
     """
-    for i in range(pixels.shape[0]):
+    for i in range(needed.shape[0]):
         n_whole, x_whole, y_whole = valid_sums[i], valid_sums[PITCH + i], valid_sums[3 * PITCH + i]
         c_xx = float(np.int32(n_whole * valid_sums[2 * PITCH + i] - x_whole * x_whole))
         c_xy = float(np.int32(n_whole * valid_sums[4 * PITCH + i] - x_whole * y_whole))
@@ -305,8 +305,8 @@ def normals_separable_row(
         a = fx * (n * slope_x)
         b = fy * (n * slope_y)
         c = centre - a * tan_x[i] - b * tan_y
-        enough = (n >= 3.0) & (pixels[i] - n <= max_missing * pixels[i] + 1e-9)
-        there = enough & (determinant > 0.0) & (centre > 0.0) & (valid[i] > 0)
+        enough = (n_whole >= needed[i]) & (valid[i] > 0)
+        there = enough & (determinant > 0.0) & (centre > 0.0)
         inverse_norm = -1.0 / math.sqrt(a * a + b * b + c * c)
         inverse_norm = inverse_norm if there else math.nan
         normals[3 * i] = a * inverse_norm
@@ -339,7 +339,7 @@ def normals_separable(
     valid_work = np.zeros((3, 3 * PITCH), np.int32)
     sums = np.zeros(3 * PITCH)
     valid_sums = np.zeros(6 * PITCH, np.int32)
-    pixels = np.empty(strip)
+    needed = np.empty(strip, np.int32)
     sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
     steps = plan_steps(window, sizes, between)
     row_start = band_start * BAND
@@ -386,8 +386,8 @@ def normals_separable(
                 inside = now_inside
                 for i in range(columns):
                     column = left + i
-                    pixels[i] = inside * (min(column + half, width - 1) - max(column - half, 0) + 1)
+                    pixels = inside * (min(column + half, width - 1) - max(column - half, 0) + 1)
+                    needed[i] = max(3, pixels - math.floor(pixels * max_missing + 1e-9))
             normals_separable_row(
-                sums, valid_sums, valid[(centre + half) % slots, half:], pixels[:columns], max_missing,
-                fx, fy, tan_x[left:], tan_y[centre], normals[3 * (centre * width + left) :],
+                sums, valid_sums, valid[(centre + half) % slots, half:], needed[:columns], fx, fy, tan_x[left:], tan_y[centre], normals[3 * (centre * width + left) :],
             )  # fmt: skip
