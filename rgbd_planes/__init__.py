@@ -22,8 +22,10 @@ _NAMES = {
     "TilePlanes": "tiles",
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
+    "curvature": "surfaces",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "normals": "surfaces",
 }
 _MODULES = ("presets", "scenes")
 
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
     from rgbd_planes.camera import Camera as Camera
+    from rgbd_planes.surfaces import curvature as curvature
+    from rgbd_planes.surfaces import normals as normals
     from rgbd_planes.plane_fits import TileStatus as TileStatus
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
