@@ -22,9 +22,11 @@ _NAMES = {
     "TilePlanes": "tiles",
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
+    "curvature": "surfaces",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
     "merge": "merging",
+    "normals": "surfaces",
 }
 _MODULES = ("noise", "presets", "scenes", "uncertainty")
 
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.surfaces import curvature as curvature
+    from rgbd_planes.surfaces import normals as normals
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles

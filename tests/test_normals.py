@@ -1,0 +1,380 @@
+"""Normals and surface variation against the plain fit of every pixel's window."""
+
+import threading
+
+import numpy as np
+import oracle
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
+from test_tiles import DISTORTIONS, as_dtype, make_camera, make_depth
+
+import rgbd_planes as rp
+from rgbd_planes import scenes
+
+HOLES = ("none", "some", "most", "patches", "lines", "almost all")
+
+
+def make_holes(depth, kind, rng):
+    depth = depth.copy()
+    if kind == "patches":
+        depth[: depth.shape[0] // 3, : depth.shape[1] // 3] = 0
+        depth[-5:, 7:] = 0
+        depth[:, 17:20] = 0
+    elif kind == "lines":  # pixels that determine a line and no plane, and planes by a hair
+        depth[::3] = 0
+        depth[:, 8:14] = 0
+        depth[20:30] = 0
+        depth[25] = 2.0
+        depth[23, 16] = 2.1
+    else:
+        share = {"none": 0.0, "some": 0.05, "most": 0.6, "almost all": 0.93}[kind]
+        depth[rng.random(depth.shape) < share] = 0
+    return depth
+
+
+def windows_around(pixels, camera, window):
+    """The clipped window (row, column, height, width) around each (row, column)."""
+    half = window // 2
+    for row, column in pixels:
+        top, left = max(row - half, 0), max(column - half, 0)
+        bottom, right = min(row + half, camera.height - 1), min(column + half, camera.width - 1)
+        yield top, left, bottom - top + 1, right - left + 1
+
+
+def expected_surfaces(depth, camera, window, max_missing, pixels):
+    """Normal, residual variance, surface variation and well-posedness around each pixel; NaN for none.
+
+    A pixel need not be valid itself. A problem is well posed if it is for the oracle and its plane is clearly in front
+    or behind where the pixel's ray meets it.
+    """
+    q = oracle.inverse_depth(depth, camera)
+    windows = list(windows_around(pixels, camera, window))
+    fits = oracle.fit_windows(depth, camera, windows, method="range_explicit", max_missing=max_missing)
+    normals = np.full((len(pixels), 3), np.nan)
+    variance, variation = np.full(len(pixels), np.nan), np.full(len(pixels), np.nan)
+    well_posed = np.ones(len(pixels), bool)
+    for i, (pixel, (row, column, height, width), fit) in enumerate(zip(pixels, windows, fits, strict=True)):
+        if fit.status == oracle.DEGENERATE:
+            part = np.s_[row : row + height, column : column + width]
+            rays = (camera.tan_x[part], camera.tan_y[part], q[part])
+            # It is the plane that all but passes through the camera, not the pixels, that the oracle dislikes.
+            well_posed[i] = not oracle.determined("range_explicit", *(a[np.isfinite(q[part])] for a in rays))
+        if fit.status != oracle.OK:
+            continue
+        plane = oracle.orient(fit.plane)
+        alpha = -plane[:3] / plane[3]
+        ray = np.array([camera.tan_x[pixel], camera.tan_y[pixel], 1.0])
+        part = np.s_[row : row + height, column : column + width]
+        valid = np.isfinite(q[part])
+        rays = np.stack([camera.tan_x[part], camera.tan_y[part], np.ones((height, width))], axis=-1)[valid]
+        well_posed[i] = fit.well_posed and abs(alpha @ ray) > 1e-6 * np.abs(alpha).max()
+        if alpha @ ray <= 0.0:
+            continue
+        normals[i] = plane[:3]
+        squares = (q[part][valid] - rays @ alpha) ** 2
+        variance[i] = squares.sum() / (len(squares) - 3) if len(squares) > 3 else np.nan
+        if camera.is_distorted:  # rays are no whole pixels: rounding tells where they lie all but on one line
+            sides = np.linalg.svd(rays - rays.mean(axis=0), compute_uv=False)
+            well_posed[i] &= sides[1] > 1e-3 * sides[0]
+        mean_ray, mean_q = rays.mean(axis=0), q[part][valid].mean()
+        jacobian = (np.eye(3) - np.outer(mean_ray, alpha) / mean_q) / mean_q
+        spread = np.trace(jacobian @ np.cov(rays.T, bias=True) @ jacobian.T)
+        across = plane[3] ** 2 * squares.mean() / mean_q**2
+        variation[i] = across / (across + spread)
+    return normals, variance, variation, well_posed
+
+
+def compare(depth, camera, window, pixels=None, *, max_missing=0.5, num_threads=1):
+    """Normals and surface variation must equal the oracle's at the given pixels, or at all."""
+    if pixels is None:
+        pixels = list(np.ndindex(camera.height, camera.width))
+    options = {"max_missing": max_missing, "num_threads": num_threads}
+    normals = rp.normals(depth, camera, window, **options)
+    variation = rp.curvature(depth, camera, window, **options)
+    assert normals.shape == (camera.height, camera.width, 3)
+    assert variation.shape == (camera.height, camera.width)
+    assert normals.dtype == variation.dtype == np.float32
+    wanted, _, wanted_variation, well_posed = expected_surfaces(depth, camera, window, max_missing, pixels)
+    chosen = tuple(np.array(pixels).T)
+    missing = np.isnan(oracle.inverse_depth(depth, camera)[chosen])
+    wanted[missing] = np.nan
+    wanted_variation[missing] = np.nan
+    normals, variation = normals[chosen], variation[chosen]
+    np.testing.assert_array_equal(np.isnan(normals[well_posed, 0]), np.isnan(wanted[well_posed, 0]))
+    compared = well_posed & np.isfinite(wanted[:, 0])
+    if compared.any():
+        assert oracle.angle(normals[compared], wanted[compared]).max() < 1e-7
+    np.testing.assert_allclose(variation[compared], wanted_variation[compared], rtol=1e-4, atol=1e-8)
+    return int(compared.sum())
+
+
+@pytest.mark.parametrize("distortion", DISTORTIONS)
+@pytest.mark.parametrize("holes", HOLES)
+@pytest.mark.parametrize("window", [3, 5, 7, 13, 31])
+def test_equal_the_plain_fit_at_every_pixel(window, holes, distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion], width=34, height=36)
+    depth = as_dtype(make_holes(make_depth(camera, rng), holes, rng), "uint16")
+    few = holes in ("most", "lines", "almost all")
+    assert compare(depth, camera, window, max_missing=1.0 if few else 0.5) > (0 if few else 300)
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "float32", "float64"])
+@pytest.mark.parametrize("max_missing", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_equal_the_plain_fit_for_any_dtype_and_share(dtype, max_missing, distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion], width=29, height=23)
+    depth = as_dtype(make_holes(make_depth(camera, rng), "some", rng), dtype)
+    depth[3:9, 3:20][rng.random((6, 17)) < 0.8] = 0
+    assert compare(depth, camera, 5, max_missing=max_missing) > 50
+
+
+@pytest.mark.parametrize("window", range(3, 32, 2))
+def test_every_window_size(window, rng):
+    camera = make_camera(width=43, height=47)
+    depth = make_holes(make_depth(camera, rng), "some", rng)
+    pixels = [tuple(pixel) for pixel in rng.integers((47, 43), size=(150, 2))]
+    assert compare(depth, camera, window, pixels) > 100
+
+
+@pytest.mark.parametrize("holes", ["none", "patches", "some"])
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+@pytest.mark.parametrize("shape", [(150, 24), (9, 1500)], ids=["tall", "wide"])
+def test_frames_larger_than_a_band_and_a_strip(shape, distortion, holes, rng):
+    height, width = shape
+    coefficients = tuple(0.1 * k for k in DISTORTIONS[distortion])
+    camera = rp.Camera(width, height, 800.0, 790.0, 0.45 * width, 0.55 * height, coefficients)
+    depth = make_holes(make_depth(camera, rng), holes, rng)
+    pixels = [tuple(pixel) for pixel in rng.integers(shape, size=(400, 2))]
+    # Where bands and strips meet.
+    pixels += [(row, column) for row in (62, 63, 64, 65, 127, 128) for column in (0, 11, 23) if row < height]
+    pixels += [(row, c) for row in (0, 4, 8) for c in (498, 499, 500, 501, 749, 750, 751, 999) if c < width]
+    for window in (5, 7):
+        assert compare(depth, camera, window, pixels) > 100
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 2), (3, 5), (7, 4)])
+def test_frames_smaller_than_the_window(shape, rng):
+    camera = make_camera(width=shape[1], height=shape[0])
+    depth = make_depth(camera, rng)
+    for window in (3, 7, 31):
+        compare(depth, camera, window)
+    assert np.isfinite(rp.normals(depth, camera)).all() == (min(shape) > 1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    height=st.integers(1, 20),
+    width=st.integers(1, 20),
+    window=st.sampled_from([3, 5, 9, 17]),
+    missing=st.floats(0, 1),
+    max_missing=st.floats(0, 1),
+    dtype=st.sampled_from(["uint16", "float32", "float64"]),
+    distorted=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_equal_the_plain_fit_on_any_frame(
+    height, width, window, missing, max_missing, dtype, distorted, seed
+):
+    rng = np.random.default_rng(seed)
+    camera = make_camera(DISTORTIONS["eight"] if distorted else (), width=width, height=height)
+    depth = as_dtype(rng.uniform(0.3, 9.0, (height, width)), dtype)
+    depth[rng.random(depth.shape) < missing] = rng.choice(
+        [0, 65535] if dtype == "uint16" else [0, np.nan, -1]
+    )
+    compare(depth, camera, window, max_missing=max_missing)
+
+
+@pytest.mark.parametrize("disparity", [(2e-4, 0.05), (-3e-4, 0.9)])
+def test_disparity(disparity, rng):
+    camera = make_camera(width=30, height=25, depth_scale=None, disparity=disparity, invalid_values=(7,))
+    raw = np.round((1.0 / make_depth(camera, rng) - disparity[1]) / disparity[0])
+    raw = np.clip(raw, 0, 65535).astype(np.uint16)
+    raw[rng.random(raw.shape) < 0.2] = 7
+    assert compare(raw, camera, 5) > 100
+
+
+def test_real_frames(real_frame, rng):
+    depth, camera = real_frame
+    pixels = [tuple(pixel) for pixel in rng.integers(depth.shape, size=(150, 2))]
+    for window in (5, 9):
+        compare(depth, camera, window, pixels)
+
+
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_a_plane_has_its_normal_everywhere_towards_the_camera(distortion):
+    camera = make_camera(DISTORTIONS[distortion])
+    normal = np.array([0.3, -0.5, -0.7])
+    rendering = scenes.plane(normal, 1.4).render(camera)
+    normals = rp.normals(rendering.depth, camera, 9)
+    assert oracle.angle(normals, normal / np.linalg.norm(normal)).max() < 2e-7
+    assert rp.curvature(rendering.depth, camera, 9).max() < 1e-9
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    assert ((normals * rays).sum(axis=-1) < 0).all()
+
+
+def test_unit_length_and_towards_the_camera_on_rough_data(rng):
+    camera = make_camera()
+    depth = rng.uniform(0.2, 9.0, camera.shape)
+    depth[rng.random(depth.shape) < 0.5] = 0
+    normals = rp.normals(depth, camera, 3, max_missing=1.0)
+    there = np.isfinite(normals[..., 0])
+    assert 0.3 < there.mean() < 0.6
+    np.testing.assert_allclose(np.linalg.norm(normals[there], axis=-1), 1.0, atol=2e-7)
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    assert ((normals * rays).sum(axis=-1)[there] < 0).all()
+
+
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+@pytest.mark.parametrize("wild", [1e-3, 1e-9, 1e-25])
+def test_a_wild_value_spoils_only_its_own_windows(distortion, wild, rng):
+    camera = make_camera(DISTORTIONS[distortion], width=40, height=140)
+    depth = make_depth(camera, rng)
+    depth[30, 12] = depth[75, 30] = np.nan
+    clean = rp.normals(depth, camera, 5)
+    depth[30, 12] = depth[75, 30] = wild
+    spoilt = rp.normals(depth, camera, 5)
+    own = np.zeros(camera.shape, bool)
+    own[28:33, 10:15] = own[73:78, 28:33] = True
+    assert oracle.angle(clean, spoilt)[~own].max() < 1e-6
+    assert (clean != spoilt)[own].any()
+
+
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+@pytest.mark.parametrize("avoid_edges", [False, True])
+def test_the_same_bits_for_any_number_of_threads(distortion, avoid_edges, rng):
+    camera = make_camera(DISTORTIONS[distortion], width=90, height=300)
+    depth = as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16")
+    for compute in (rp.normals, rp.curvature):
+        results = [
+            compute(depth, camera, 9, avoid_edges=avoid_edges, num_threads=n).tobytes()
+            for n in (1, 2, 3, 5, 64, None)
+        ]
+        assert len(set(results)) == 1
+
+
+def test_eight_threads_at_once(rng):
+    camera = make_camera(width=90, height=200)
+    depth = make_depth(camera, rng)
+    wanted = rp.normals(depth, camera).tobytes()
+    results = []
+    threads = [
+        threading.Thread(target=lambda: results.append(rp.normals(depth, camera, num_threads=2).tobytes()))
+        for _ in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == [wanted] * 8
+
+
+def test_the_frame_is_left_as_it_was(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    before = depth.copy()
+    rp.normals(depth, camera, avoid_edges=True)
+    np.testing.assert_array_equal(depth, before)
+
+
+def test_surface_variation_is_the_share_of_the_smallest_eigenvalue(rng):
+    """To first order, so on a window that is small for its distance."""
+    camera = rp.Camera(40, 40, 525.0, 525.0, 20.0, 200.0)
+    depth = 1.0 / (0.5 + 0.2 * camera.tan_x - 0.4 * camera.tan_y + 2e-4 * rng.standard_normal(camera.shape))
+    window = 9
+    variation = rp.curvature(depth, camera, window)
+    points = sliding_window_view(camera.points(depth), (window, window), axis=(0, 1)).reshape(32, 32, 3, -1)
+    points = points - points.mean(axis=-1, keepdims=True)
+    eigenvalues = np.linalg.eigvalsh(points @ points.swapaxes(-1, -2))
+    usual = eigenvalues[..., 0] / eigenvalues.sum(axis=-1)
+    np.testing.assert_allclose(variation[4:-4, 4:-4], usual, rtol=0.03)
+
+
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+@pytest.mark.parametrize("holes", ["none", "some", "most"])
+def test_avoiding_edges_takes_the_calmest_window_beside(distortion, holes, rng):
+    camera = make_camera(DISTORTIONS[distortion], width=34, height=30)
+    metres = make_depth(camera, rng, noise=1e-3)
+    metres[8:20, 9:25] *= 0.6  # a step in depth, beside the creases
+    depth = make_holes(metres, holes, rng)
+    window, half = 7, 3
+    shape = camera.shape
+    normals, variance, variation, _ = (
+        array.reshape(*shape, *array.shape[1:])
+        for array in expected_surfaces(depth, camera, window, 0.5, list(np.ndindex(shape)))
+    )
+    ratio = np.exp(2 * 3.09 / np.sqrt(window**2 - 3))
+    wanted, wanted_variation = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
+    clear = np.zeros(shape, bool)  # of ties that rounding decides
+    moved = 0
+    for row, column in np.argwhere(np.isfinite(oracle.inverse_depth(depth, camera))):
+        own = variance[row, column]
+        rows = np.clip([row - half, row, row + half], 0, shape[0] - 1)
+        columns = np.clip([column - half, column, column + half], 0, shape[1] - 1)
+        others = {(r, c): variance[r, c] for r in rows for c in columns if np.isfinite(variance[r, c])}
+        best = min(others, key=others.get, default=None)
+        if best is None or not (np.isnan(own) or own > ratio * others[best]):
+            best = row, column
+        runners_up = [v for place, v in others.items() if place != best]
+        clear[row, column] = all(abs(v / variance[best] - 1) > 1e-4 for v in runners_up)
+        clear[row, column] &= np.isnan(own) or all(abs(own / ratio / v - 1) > 1e-4 for v in others.values())
+        ray = camera.tan_x[row, column], camera.tan_y[row, column], 1.0
+        if normals[best] @ ray < 0:
+            wanted[row, column], wanted_variation[row, column] = normals[best], variation[best]
+            moved += best != (row, column)
+    result = rp.normals(depth, camera, window, avoid_edges=True)
+    assert clear.sum() > 0.3 * clear.size
+    assert moved > 50
+    np.testing.assert_array_equal(np.isnan(result[clear, 0]), np.isnan(wanted[clear, 0]))
+    compared = clear & np.isfinite(wanted[..., 0])
+    assert oracle.angle(result[compared], wanted[compared]).max() < 1e-7
+    np.testing.assert_allclose(
+        rp.curvature(depth, camera, window, avoid_edges=True)[compared], wanted_variation[compared], rtol=1e-4
+    )
+
+
+def test_avoiding_edges_helps_at_edges_and_leaves_planes_alone():
+    camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
+    rendering = scenes.room().render(camera)
+    depth = rendering.measure(noise=3e-4, seed=3)
+    truth = rendering.planes[rendering.labels - 1, :3]
+    blocks = sliding_window_view(np.pad(rendering.labels, 3, mode="edge"), (7, 7))
+    near_edge = (blocks != rendering.labels[..., None, None]).any(axis=(2, 3))
+    plain, clear = (
+        oracle.angle(rp.normals(depth, camera, 7, avoid_edges=choice), truth) for choice in (False, True)
+    )
+    assert np.median(clear[near_edge]) < 0.3 * np.median(plain[near_edge])
+    assert np.median(clear[~near_edge]) < 1.05 * np.median(plain[~near_edge])
+
+
+@pytest.mark.parametrize(
+    ("window", "error", "message"),
+    [
+        (4, ValueError, "window must be odd, from 3 to 31 pixels, got 4"),
+        (1, ValueError, "got 1"),
+        (33, ValueError, "got 33"),
+        (7.0, TypeError, "window must be a whole number of pixels, got 7.0"),
+        (True, TypeError, "got True"),
+        ((7, 7), TypeError, "whole number"),
+    ],
+)
+def test_bad_windows(window, error, message):
+    camera = make_camera()
+    with pytest.raises(error, match=message.replace("(", r"\(")):
+        rp.normals(np.ones(camera.shape), camera, window)
+
+
+def test_bad_arguments():
+    camera = make_camera()
+    depth = np.ones(camera.shape)
+    with pytest.raises(TypeError, match="expected a Camera, got dict"):
+        rp.normals(depth, {})
+    with pytest.raises(ValueError, match="max_missing must be a share|max_missing must be between"):
+        rp.curvature(depth, camera, max_missing=1.5)
+    with pytest.raises(ValueError, match="num_threads must be at least 1"):
+        rp.normals(depth, camera, num_threads=0)
+    with pytest.raises(ValueError, match="expected a depth frame of shape"):
+        rp.normals(depth[1:], camera)
+    with pytest.raises(ValueError, match="depth_scale"):
+        rp.normals(depth.astype(np.uint16), make_camera(depth_scale=None))
