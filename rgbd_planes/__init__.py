@@ -24,6 +24,7 @@ _NAMES = {
     "WindowPlanes": "windows",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "segment_quadtree": "quadtree",
 }
 _MODULES = ("presets", "scenes")
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from rgbd_planes import scenes as scenes
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
