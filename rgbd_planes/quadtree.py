@@ -140,6 +140,7 @@ class QuadtreeFitter:
             self._finest = TileFitter(camera, finest, method, num_threads=1)
         else:
             self._tables = WindowMoments(camera, method, "integral")
+            self._full = [self._full_level(size) for size in self._sizes]
 
     def fit(self, depth: npt.ArrayLike) -> QuadtreePlanes:
         """Fit the elements of a frame, splitting where the residual is too large."""
@@ -171,6 +172,14 @@ class QuadtreeFitter:
             },
         )
 
+    def _full_level(self, size: int) -> npt.NDArray[np.float64]:
+        """(6, R, C) camera terms of all squares of a grid."""
+        grid = self._grid(size)
+        row, column = (index.ravel() for index in np.indices(grid))
+        full = np.empty((6, row.size))
+        self._tables.camera_moments(self._windows(size, row, column), 0, row.size, full)
+        return full.reshape(6, *grid)
+
     def _grid(self, size: int) -> tuple[int, int]:
         """Rows and columns of the grid of squares of so many pixels."""
         return -(-self.camera.height // size), -(-self.camera.width // size)
@@ -195,7 +204,7 @@ class QuadtreeFitter:
         source = self._tables.prepare(as_depth_frame(depth, self.camera))
 
         def moments_of(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
-            source(windows, 0, len(windows), arrays["_moments"])
+            source(windows, self._full[level][:, row, column], 0, len(windows), arrays["_moments"])
 
         return moments_of
 
