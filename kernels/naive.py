@@ -24,11 +24,11 @@ def write_moments(n, u, v, w, uu, uv, uw, vv, vw, ww, i, moments):
 
 @kernel()
 def range_window_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, windows, start, stop, moments
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, windows, full, start, stop, moments
 ):
     """Range-space moments, about the origin, of windows ``start`` to ``stop``.
 
-    The sums of eq. tan_theta_scattermatrix.
+    The sums of eq. tan_theta_scattermatrix. ``full`` is not used: this version knows nothing beforehand.
     """
     for i in range(start, stop):
         n = s_x = s_y = s_q = s_xx = s_xy = s_xq = s_yy = s_yq = s_qq = 0.0
@@ -54,11 +54,11 @@ def range_window_moments(
 
 @kernel()
 def standard_window_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, windows, start, stop, moments
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, windows, full, start, stop, moments
 ):
     """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``.
 
-    The sums of eq. XYZ_scattermatrix.
+    The sums of eq. XYZ_scattermatrix. ``full`` is not used.
     """
     for i in range(start, stop):
         n = s_x = s_y = s_z = s_xx = s_xy = s_xz = s_yy = s_yz = s_zz = 0.0

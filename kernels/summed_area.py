@@ -5,6 +5,8 @@ look-ups without special cases. The channels of a pixel lie side by side: one pa
 look-up touches one place in memory.
 """
 
+import math
+
 from ._jit import kernel
 from .depth import depth, inverse_depth
 
@@ -41,7 +43,8 @@ def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y
                 sum_q += q
                 sum_qx += q * tan_x[row, column]
                 sum_qy += q * tan_y[row, column]
-                sum_qq += q * q
+                if squares:
+                    sum_qq += q * q
             below[column + 1, 0] = above[column + 1, 0] + sum_q
             below[column + 1, 1] = above[column + 1, 1] + sum_qx
             below[column + 1, 2] = above[column + 1, 2] + sum_qy
@@ -77,7 +80,8 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
                 sum_xz += x * z
                 sum_yy += y * y
                 sum_yz += y * z
-                sum_zz += z * z
+                if squares:
+                    sum_zz += z * z
             below[column + 1, 0] = above[column + 1, 0] + sum_x
             below[column + 1, 1] = above[column + 1, 1] + sum_y
             below[column + 1, 2] = above[column + 1, 2] + sum_z
@@ -161,24 +165,38 @@ def window_sum(tables, window, channel):
 
 
 @kernel()
-def range_window_moments(tables, camera, missing, windows, start, stop, moments):
-    """Range-space moments, about the origin, of windows ``start`` to ``stop``.
+def camera_window_moments(camera, windows, start, stop, full):
+    """Camera terms of windows ``start`` to ``stop``, as if no pixel were missing: the same for every frame.
 
-    ``missing`` is empty, (0, 0, 6), for a frame without holes: only the 4 sums that depend on the frame
-    are then looked up beside the camera's.
+    ``full`` is (6, K): 1, tanθx, tanθy, tanθx², tanθx·tanθy, tanθy².
     """
     for i in range(start, stop):
         window = windows[i]
-        moments[0, i] = window_sum(camera, window, 0)
-        moments[1, i] = window_sum(camera, window, 1)
-        moments[2, i] = window_sum(camera, window, 2)
+        for channel in range(6):
+            full[channel, i] = window_sum(camera, window, channel)
+
+
+@kernel()
+def range_window_moments(tables, missing, windows, full, start, stop, moments):
+    """Range-space moments, about the origin, of windows ``start`` to ``stop``.
+
+    ``full`` is what `camera_window_moments` gives, so only the 4 sums that depend on the frame are looked up.
+    ``missing`` is empty, (0, 0, 6), for a frame without holes. Where ``tables`` have no q², Σqq is NaN: no
+    residual is known then.
+    """
+    squares = tables.shape[2] == 4
+    for i in range(start, stop):
+        window = windows[i]
+        moments[0, i] = full[0, i]
+        moments[1, i] = full[1, i]
+        moments[2, i] = full[2, i]
         moments[3, i] = window_sum(tables, window, 0)
-        moments[4, i] = window_sum(camera, window, 3)
-        moments[5, i] = window_sum(camera, window, 4)
+        moments[4, i] = full[3, i]
+        moments[5, i] = full[4, i]
         moments[6, i] = window_sum(tables, window, 1)
-        moments[7, i] = window_sum(camera, window, 5)
+        moments[7, i] = full[5, i]
         moments[8, i] = window_sum(tables, window, 2)
-        moments[9, i] = window_sum(tables, window, 3)
+        moments[9, i] = window_sum(tables, window, 3) if squares else math.nan
         if missing.shape[0] > 0:
             moments[0, i] -= window_sum(missing, window, 0)
             moments[1, i] -= window_sum(missing, window, 1)
@@ -189,12 +207,16 @@ def range_window_moments(tables, camera, missing, windows, start, stop, moments)
 
 
 @kernel()
-def standard_window_moments(tables, missing, windows, start, stop, moments):
-    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; ``missing`` as above."""
+def standard_window_moments(tables, missing, windows, full, start, stop, moments):
+    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; the arguments as above.
+
+    All but the number of pixels depends on the frame: nothing of ``full`` is of use.
+    """
+    moments[9, start:stop] = math.nan
     for i in range(start, stop):
         window = windows[i]
         moments[0, i] = window[2] * window[3]
         if missing.shape[0] > 0:
             moments[0, i] -= window_sum(missing, window, 0)
-        for channel in range(9):
+        for channel in range(tables.shape[2]):
             moments[channel + 1, i] = window_sum(tables, window, channel)

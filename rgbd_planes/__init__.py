@@ -27,6 +27,7 @@ _NAMES = {
     "fit_windows": "windows",
     "merge": "merging",
     "normals": "surfaces",
+    "segment_quadtree": "quadtree",
 }
 _MODULES = ("noise", "presets", "scenes", "uncertainty")
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.surfaces import curvature as curvature
     from rgbd_planes.surfaces import normals as normals
     from rgbd_planes.tiles import TileFitter as TileFitter

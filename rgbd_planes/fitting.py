@@ -94,6 +94,16 @@ class WindowMoments:
             self._camera_tables = np.empty((*self._table_shape, 6))
             summed_area.camera_tables(camera.tan_x, camera.tan_y, self._camera_tables)
 
+    def camera_moments(
+        self, windows: npt.NDArray[np.int64], start: int, stop: int, full: npt.NDArray[np.float64]
+    ) -> None:
+        """Write the camera terms of windows ``start`` to ``stop``, whatever the frame, into (6, K) ``full``.
+
+        Nothing is written for a method or an implementation that has no use for it.
+        """
+        if len(self._camera_tables):
+            summed_area.camera_window_moments(self._camera_tables, windows, start, stop, full)
+
     def prepare(self, frame: DepthFrame) -> "Source":
         """Build the tables of a frame, if any, once for all its windows."""
         tan_x, tan_y = self._camera.tan_x, self._camera.tan_y
@@ -108,7 +118,7 @@ class WindowMoments:
         tables = np.empty((*self._table_shape, 4 if self._range else 9))
         if self._range:
             summed_area.range_tables(*values, tan_x, tan_y, tables)
-            return Source(summed_area.range_window_moments, (tables, self._camera_tables, missing))
+            return Source(summed_area.range_window_moments, (tables, missing))
         summed_area.standard_tables(*values, tan_x, tan_y, tables)
         return Source(summed_area.standard_window_moments, (tables, missing))
 
@@ -121,7 +131,15 @@ class Source:
         self._arguments = arguments
 
     def __call__(
-        self, windows: npt.NDArray[np.int64], start: int, stop: int, moments: npt.NDArray[np.float64]
+        self,
+        windows: npt.NDArray[np.int64],
+        full: npt.NDArray[np.float64],
+        start: int,
+        stop: int,
+        moments: npt.NDArray[np.float64],
     ) -> None:
-        """Write the moments, about the origin, of windows ``start`` to ``stop`` into (10, T) ``moments``."""
-        self._kernel(*self._arguments, windows, start, stop, moments)
+        """Write the moments, about the origin, of windows ``start`` to ``stop`` into (10, K) ``moments``.
+
+        ``full`` is what `WindowMoments.camera_moments` wrote for these windows.
+        """
+        self._kernel(*self._arguments, windows, full, start, stop, moments)

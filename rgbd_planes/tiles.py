@@ -230,6 +230,8 @@ class TileFitter:
         else:
             self._windows = _windows(camera, self.tile)
             self._window_moments = WindowMoments(camera, method, implementation)
+            self._full_windows = np.empty((6, len(self._windows)))
+            self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)
 
     def fit(self, depth: npt.ArrayLike, out: TilePlanes | None = None) -> TilePlanes:
         """Fit the tiles of a frame.
@@ -344,7 +346,7 @@ class TileFitter:
         columns = self._grid[1]
 
         def work(start: int, stop: int) -> None:
-            source(self._windows, start * columns, stop * columns, flat["_moments"])
+            source(self._windows, self._full_windows, start * columns, stop * columns, flat["_moments"])
 
         return work
 

@@ -82,10 +82,13 @@ def fit_windows(
     needed = valid_needed(rectangles[:, 2] * rectangles[:, 3], max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
-        source = WindowMoments(camera, method, implementation).prepare(frame)
+        window_moments = WindowMoments(camera, method, implementation)
+        source = window_moments.prepare(frame)
+        full = np.empty((6, len(rectangles)))
 
         def fit_some(start: int, stop: int) -> None:
-            source(rectangles, start, stop, arrays["_moments"])
+            window_moments.camera_moments(rectangles, start, stop, full)
+            source(rectangles, full, start, stop, arrays["_moments"])
             solve_planes(method, arrays, needed, error, start, stop)
             rough_test.mark(method, arrays, start, stop)
 

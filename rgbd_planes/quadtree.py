@@ -1,0 +1,337 @@
+"""The paper's planar segmentation: a grid of squares, split in four where they are not flat, then k-means."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.compilation import announced
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.fitting import (
+    METHODS,
+    Arrays,
+    WindowMoments,
+    check_choice,
+    check_error,
+    check_share,
+    solve_planes,
+    valid_needed,
+)
+from rgbd_planes.kernels import quadtree
+from rgbd_planes.plane_fits import TileStatus, allocate
+from rgbd_planes.tiles import TileFitter
+from rgbd_planes.windows import WindowPlanes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Indices = npt.NDArray[np.int64]
+# Writes the moments of the elements of one level, at some rows and columns of its grid, into arrays.
+Source = Callable[[int, Indices, Indices, Indices, Arrays], None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadtreePlanes(WindowPlanes):
+    """The elements of a quadtree and their planes: arrays of shape (K, ...), one row an element.
+
+    Elements that were split are not among them. An element is OK (its plane fits), TOO_FEW (too many missing
+    pixels), DEGENERATE, or ROUGH: its residual is too large, and it could not be split any further.
+
+    Attributes
+    ----------
+    level : (K,) int64
+        How many times the grid was split to get the element.
+    """
+
+    level: Indices
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadtreeSegmentation:
+    """A frame segmented as in the paper.
+
+    Attributes
+    ----------
+    elements : QuadtreePlanes
+    element_labels : (K,) int32
+        The cluster of each element: 0 none, 1..N.
+    planes : (N, 4) float64
+        nx, ny, nz, d of the plane through all pixels of a cluster, |n| = 1, d > 0; row i is label i + 1.
+        Cluster 1 has the most pixels.
+    """
+
+    elements: QuadtreePlanes
+    element_labels: npt.NDArray[np.int32]
+    planes: npt.NDArray[np.float64]
+
+    @property
+    def labels(self) -> npt.NDArray[np.int32]:
+        """(H, W) int32: the cluster of each pixel's element, 0 none."""
+        labels = np.zeros(self.elements.camera.shape, np.int32)
+        for (row, column, height, width), label in zip(
+            self.elements.windows, self.element_labels, strict=True
+        ):
+            labels[row : row + height, column : column + width] = label
+        return labels
+
+    def __repr__(self) -> str:
+        return f"<QuadtreeSegmentation: {len(self.planes)} planes of {self.elements!r}>"
+
+    def plot(self, depth: npt.ArrayLike, figure: "Figure | None" = None) -> "Figure":
+        """Draw the depth and the elements as the paper does; see `quadtree_figure.plot_quadtree`.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like
+            The frame that was segmented.
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
+        from rgbd_planes.quadtree_figure import plot_quadtree
+
+        return plot_quadtree(self, as_depth_frame(depth, self.elements.camera).metres, figure)
+
+
+class QuadtreeFitter:
+    """Fits quadtrees to one camera's frames; what depends on the camera alone is computed once, here.
+
+    Parameters
+    ----------
+    camera, method, tile, max_subdivisions, max_error, max_missing
+        As in `segment_quadtree`.
+    implementation : {"direct", "integral"}
+        Where an element's moments come from: those of the finest tiles, added up, or summed-area tables.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        method: str = "range_explicit",
+        tile: int = 32,
+        max_subdivisions: int = 2,
+        max_error: float = 0.02,
+        max_missing: float = 0.5,
+        *,
+        implementation: str = "direct",
+    ) -> None:
+        if not isinstance(camera, Camera):
+            raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+        check_choice("method", method, METHODS)
+        check_choice("implementation", implementation, ("direct", "integral"))
+        check_share("max_missing", max_missing)
+        if max_subdivisions < 0:
+            raise ValueError(f"max_subdivisions must be 0 or more, got {max_subdivisions}")
+        finest = tile // 2**max_subdivisions
+        if finest < 2 or finest * 2**max_subdivisions != tile:
+            raise ValueError(
+                f"tile must be 2**max_subdivisions times a whole number of at least 2 pixels, got {tile} "
+                f"for max_subdivisions {max_subdivisions}"
+            )
+        self.camera = camera
+        self.method = method
+        self.implementation = implementation
+        self._sizes = [tile >> level for level in range(max_subdivisions + 1)]
+        self._max_error = check_error(max_error)
+        self._max_missing = max_missing
+        if implementation == "direct":
+            self._finest = TileFitter(camera, finest, method, num_threads=1)
+        else:
+            self._tables = WindowMoments(camera, method, "integral")
+            self._full = [self._full_level(size) for size in self._sizes]
+
+    def fit(self, depth: npt.ArrayLike) -> QuadtreePlanes:
+        """Fit the elements of a frame, splitting where the residual is too large."""
+        with announced(("quadtree", self.method, self.implementation)):
+            source = self._direct(depth) if self.implementation == "direct" else self._integral(depth)
+            row, column = (index.ravel() for index in np.indices(self._grid(self._sizes[0])))
+            leaves: list[dict[str, npt.NDArray[np.generic]]] = []
+            for level, size in enumerate(self._sizes):
+                windows = self._windows(size, row, column)
+                arrays = allocate((), (len(windows),))
+                source(level, row, column, windows, arrays)
+                needed = valid_needed(windows[:, 2] * windows[:, 3], self._max_missing)
+                solve_planes(self.method, arrays, needed, self._max_error, 0, len(windows))
+                split = (arrays["status"] == TileStatus.ROUGH) & (level + 1 < len(self._sizes))
+                arrays |= {"windows": windows, "level": np.full(len(windows), level)}
+                leaves.append(
+                    {
+                        name: np.compress(~split, array, axis=1 if name.startswith("_") else 0)
+                        for name, array in arrays.items()
+                    }
+                )
+                row, column = self._children(level, row[split], column[split])
+        return QuadtreePlanes(
+            camera=self.camera,
+            method=self.method,
+            **{
+                name: np.concatenate([part[name] for part in leaves], axis=1 if name.startswith("_") else 0)
+                for name in leaves[0]
+            },
+        )
+
+    def _full_level(self, size: int) -> npt.NDArray[np.float64]:
+        """(6, R, C) camera terms of all squares of a grid."""
+        grid = self._grid(size)
+        row, column = (index.ravel() for index in np.indices(grid))
+        full = np.empty((6, row.size))
+        self._tables.camera_moments(self._windows(size, row, column), 0, row.size, full)
+        return full.reshape(6, *grid)
+
+    def _grid(self, size: int) -> tuple[int, int]:
+        """Rows and columns of the grid of squares of so many pixels."""
+        return -(-self.camera.height // size), -(-self.camera.width // size)
+
+    def _windows(self, size: int, row: Indices, column: Indices) -> Indices:
+        """Row, column, height, width in pixels of squares of a grid, cut at the frame's border."""
+        top, left = row * size, column * size
+        height, width = self.camera.shape
+        return np.stack([top, left, np.minimum(size, height - top), np.minimum(size, width - left)], axis=1)
+
+    def _children(self, level: int, row: Indices, column: Indices) -> tuple[Indices, Indices]:
+        """The four squares that each square of a level splits into, where the frame has them."""
+        if level + 1 == len(self._sizes):
+            return row, column
+        row = (2 * row[:, None] + np.array([0, 0, 1, 1])).ravel()
+        column = (2 * column[:, None] + np.array([0, 1, 0, 1])).ravel()
+        rows, columns = self._grid(self._sizes[level + 1])
+        inside = (row < rows) & (column < columns)
+        return row[inside], column[inside]
+
+    def _integral(self, depth: npt.ArrayLike) -> Source:
+        source = self._tables.prepare(as_depth_frame(depth, self.camera))
+
+        def moments_of(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
+            source(windows, self._full[level][:, row, column], 0, len(windows), arrays["_moments"])
+
+        return moments_of
+
+    def _direct(self, depth: npt.ArrayLike) -> Source:
+        finest = self._finest.fit(depth)
+        levels = [(finest._moments, finest._reference)]
+        for size in self._sizes[-2::-1]:
+            wider = np.empty((10, *self._grid(size))), np.empty((3, *self._grid(size)))
+            quadtree.merge_by_four(*levels[-1], *wider)
+            levels.append(wider)
+        levels.reverse()
+
+        def moments_of(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
+            moments, reference = levels[level]
+            arrays["_moments"][:] = moments[:, row, column]
+            arrays["_reference"][:] = reference[:, row, column]
+
+        return moments_of
+
+
+def segment_quadtree(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    method: str = "range_explicit",
+    tile: int = 32,
+    max_subdivisions: int = 2,
+    max_error: float = 0.02,
+    max_missing: float = 0.5,
+    clusters: int = 8,
+    seed: int = 0,
+) -> QuadtreeSegmentation:
+    """Segment a frame as the paper does: a grid of squares, split where not flat, then k-means.
+
+    Each square is fitted. Where the residual is too large the square is split into four, whose moments are
+    sums of finer tiles': no pixel is read twice. Squares with too many missing pixels are dropped. K-means on
+    the plane coefficients then labels similar planes.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
+    camera : Camera
+    method : str
+        As in `TileFitter`.
+    tile : int
+        Width and height of the grid's squares in pixels.
+    max_subdivisions : int
+        How often a square may be split; ``tile`` must be 2**max_subdivisions times a whole number of at least
+        2 pixels.
+    max_error : float
+        Residual in metres along the normal (``rmse_metric``) above which a square is split.
+    max_missing : float
+        Share of missing pixels above which a square is dropped.
+    clusters : int
+        Number of clusters of k-means. Fewer come back where the frame has fewer different planes.
+    seed : int
+        Of k-means' starting points. The same seed gives the same segmentation.
+
+    Returns
+    -------
+    QuadtreeSegmentation
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that cannot be used, saying what was expected and what came.
+
+    Notes
+    -----
+    The distance of k-means is that of (nx, ny, nz, d / D) with D the median depth of the fitted squares: a
+    plane that turns by a small angle, and one that moves by that angle times the typical depth, are equally
+    far apart. Each square counts by its area.
+
+    Papadakis and Willis 2017, section "Planar Segmentation Application".
+    """
+    if clusters < 1:
+        raise ValueError(f"clusters must be at least 1, got {clusters}")
+    elements = QuadtreeFitter(camera, method, tile, max_subdivisions, max_error, max_missing).fit(depth)
+    element_labels = _cluster(elements, clusters, seed)
+    return QuadtreeSegmentation(elements, element_labels, _cluster_planes(elements, element_labels))
+
+
+def _cluster(elements: QuadtreePlanes, clusters: int, seed: int) -> npt.NDArray[np.int32]:
+    """Return the label of each element, from 1 for the cluster of the most pixels; 0 where none."""
+    from scipy.cluster.vq import kmeans, vq
+
+    labels = np.zeros(len(elements.status), np.int32)
+    fitted = elements.status == TileStatus.OK
+    if not fitted.any():
+        return labels
+    planes = elements.planes[fitted]
+    pixels = np.prod(elements.windows[fitted, 2:], axis=1)
+    typical_depth = np.median(_centre_depth(elements)[fitted])
+    coefficients = planes / [1.0, 1.0, 1.0, typical_depth]
+    different = len(np.unique(coefficients, axis=0))
+    # K-means takes no weights: each element stands for as many of the smallest ones as it is large.
+    repeats = 4 ** (elements.level.max() - elements.level[fitted])
+    centres, _ = kmeans(
+        coefficients.repeat(repeats, axis=0), min(clusters, different), seed=np.random.default_rng(seed)
+    )
+    cluster, _ = vq(coefficients, centres)
+    sizes = np.bincount(cluster, pixels, len(centres))
+    rank = np.empty(len(centres), np.int32)
+    rank[np.argsort(-sizes, kind="stable")] = np.arange(1, len(centres) + 1)
+    labels[fitted] = rank[cluster]
+    return labels
+
+
+def _centre_depth(elements: QuadtreePlanes) -> npt.NDArray[np.float64]:
+    """(K,) depth in metres of each element's plane at the element's middle."""
+    row, column, height, width = elements.windows.T
+    middle = row + height // 2, column + width // 2
+    rays = np.stack([elements.camera.tan_x[middle], elements.camera.tan_y[middle], np.ones(len(row))])
+    return np.asarray(1.0 / np.einsum("ki,ik->k", elements.alpha, rays))
+
+
+def _cluster_planes(elements: QuadtreePlanes, labels: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+    """(N, 4) planes through all pixels of each cluster, from the elements' moments."""
+    count = int(labels.max(initial=0))
+    arrays = allocate((), (count,))
+    # Any element's reference will do as its cluster's.
+    _, first = np.unique(labels, return_index=True)
+    arrays["_reference"][:] = elements._reference[:, first[len(first) - count :]]
+    arrays["_moments"][:] = 0.0
+    quadtree.merge_by_label(
+        elements._moments[:, None], elements._reference[:, None], labels,
+        arrays["_moments"][:, None], arrays["_reference"][:, None],
+    )  # fmt: skip
+    solve_planes(elements.method, arrays, np.full(count, 3.0), np.inf, 0, count)
+    return np.asarray(arrays["planes"])

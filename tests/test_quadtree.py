@@ -1,0 +1,168 @@
+"""The paper's segmentation: the tree against the oracle, the clusters against what they are made of."""
+
+import numpy as np
+import oracle
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes import scenes
+from rgbd_planes.quadtree import QuadtreeFitter
+
+METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+OPTIONS = {"tile": 32, "max_subdivisions": 2, "max_error": 0.02, "max_missing": 0.4}
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return rp.Camera(width=150, height=110, fx=120.0, fy=121.0, cx=74.0, cy=55.0, depth_scale=1000.0)
+
+
+@pytest.fixture(scope="module")
+def frame(camera):
+    """A room with patches of missing pixels; 150 x 110 is no multiple of 32."""
+    return scenes.room().render(camera).measure(holes=0.02, patches=0.15, seed=3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("implementation", ["direct", "integral"])
+def test_elements_equal_oracle(method, implementation, camera, frame):
+    elements = QuadtreeFitter(camera, method, **OPTIONS, implementation=implementation).fit(frame)
+    expected = oracle.fit_windows(frame, camera, elements.windows, method, max_missing=0.4, max_error=0.02)
+    assert {0, 1, 3} <= set(elements.status.tolist())
+    for i, plane in enumerate(expected):
+        assert elements.valid_count[i] == plane.count
+        if plane.well_posed and abs(plane.rmse_metric - 0.02) > 1e-9:
+            assert elements.status[i] == plane.status
+            np.testing.assert_allclose(elements.planes[i], oracle.orient(plane.plane), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("max_subdivisions", [0, 1, 2, 3])
+def test_elements_cover_the_frame_once(max_subdivisions, camera, frame):
+    elements = QuadtreeFitter(camera, tile=32, max_subdivisions=max_subdivisions).fit(frame)
+    covered = np.zeros(camera.shape, int)
+    for row, column, height, width in elements.windows:
+        covered[row : row + height, column : column + width] += 1
+    assert (covered == 1).all()
+    assert set(elements.level) == set(range(max_subdivisions + 1))
+
+
+@pytest.mark.parametrize("implementation", ["direct", "integral"])
+def test_split_is_where_the_parent_is_rough_and_only_there(implementation, camera, frame):
+    elements = QuadtreeFitter(camera, **OPTIONS, implementation=implementation).fit(frame)
+    sizes = 32 >> elements.level
+    assert (elements.level[elements.status == rp.TileStatus.ROUGH] == 2).all()
+    # A parent of any element is a square of the next coarser grid.
+    split = elements.level > 0
+    size = 2 * sizes[split]
+    corner = elements.windows[split, :2] // size[:, None] * size[:, None]
+    beyond = np.minimum(corner + size[:, None], camera.shape)
+    parents = np.unique(np.column_stack([corner, beyond - corner]), axis=0)
+    assert len(parents) > 10
+    fits = rp.fit_windows(frame, camera, parents, max_error=0.02, max_missing=0.4)
+    assert (fits.status == rp.TileStatus.ROUGH).all()
+
+
+def test_too_many_missing_are_dropped_not_split(camera, frame):
+    segmentation = rp.segment_quadtree(frame, camera, **OPTIONS)
+    elements = segmentation.elements
+    pixels = np.prod(elements.windows[:, 2:], axis=1)
+    dropped = elements.status == rp.TileStatus.TOO_FEW
+    assert (elements.valid_count[dropped] < 0.6 * pixels[dropped]).all()
+    assert (elements.level[dropped] == 0).any()
+    assert (segmentation.element_labels[elements.status != rp.TileStatus.OK] == 0).all()
+    assert (segmentation.element_labels[elements.status == rp.TileStatus.OK] > 0).all()
+
+
+def test_clusters_are_the_surfaces_of_a_corner(camera):
+    """Three planes that no k-means could confuse come out as three clusters with the true coefficients."""
+    shell = scenes.room(target=(-1.8, -1.2, 3.7))
+    room = scenes.Scene(tuple(s for s in shell.surfaces if "wall" in s.name or s.name == "floor"),
+                        shell.camera_to_scene)  # fmt: skip
+    rendering = room.render(camera)
+    assert set(rendering.names) == {"floor", "back wall", "left wall"}
+    segmentation = rp.segment_quadtree(rendering.measure(noise=2e-4), camera, clusters=3, max_error=0.004)
+    for label, plane in enumerate(segmentation.planes, start=1):
+        errors = np.linalg.norm(rendering.planes - plane, axis=1)
+        truth = int(np.argmin(errors)) + 1
+        assert errors.min() < 0.02
+        agreed = rendering.labels[segmentation.labels == label] == truth
+        assert agreed.mean() > 0.98
+
+
+def test_cluster_plane_is_the_fit_to_all_its_pixels(camera, frame):
+    segmentation = rp.segment_quadtree(frame, camera, clusters=4)
+    q = oracle.inverse_depth(frame, camera)
+    sizes = []
+    for label, plane in enumerate(segmentation.planes, start=1):
+        mask = segmentation.labels == label
+        sizes.append(mask.sum())
+        expected = oracle.fit("range_explicit", camera.tan_x[mask], camera.tan_y[mask], q[mask])
+        np.testing.assert_allclose(plane, oracle.orient(expected.plane), rtol=0, atol=1e-9)
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_same_seed_same_segmentation(camera, frame):
+    first, second = (rp.segment_quadtree(frame, camera, seed=5) for _ in range(2))
+    assert np.array_equal(first.labels, second.labels)
+    assert np.array_equal(first.planes, second.planes)
+
+
+def test_few_planes_need_few_clusters():
+    camera = rp.Camera(width=64, height=64, fx=60.0, fy=60.0, cx=32.0, cy=32.0)
+    flat = rp.segment_quadtree(np.full(camera.shape, 2.0), camera, tile=64, max_subdivisions=0)
+    assert flat.labels.dtype == np.int32
+    assert (flat.labels == 1).all()
+    np.testing.assert_allclose(flat.planes, [[0.0, 0.0, -1.0, 2.0]], atol=1e-9)
+
+
+def test_nothing_valid_is_no_error(camera):
+    segmentation = rp.segment_quadtree(np.zeros(camera.shape, np.uint16), camera)
+    assert (segmentation.labels == 0).all()
+    assert segmentation.planes.shape == (0, 4)
+    assert "0 planes" in repr(segmentation)
+    segmentation.plot(np.zeros(camera.shape, np.uint16))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tile": 30}, "tile must be 2\\*\\*max_subdivisions times .* got 30 for max_subdivisions 2"),
+        ({"tile": 4}, "at least 2 pixels, got 4"),
+        ({"max_subdivisions": -1}, "max_subdivisions must be 0 or more, got -1"),
+        ({"clusters": 0}, "clusters must be at least 1, got 0"),
+        ({"method": "ransac"}, "method must be one of .* got 'ransac'"),
+        ({"max_missing": 1.5}, "max_missing must be between 0 and 1, got 1.5"),
+        ({"max_error": 0.0}, "max_error must be a positive length"),
+    ],
+)
+def test_bad_arguments(options, message, camera, frame):
+    with pytest.raises(ValueError, match=message):
+        rp.segment_quadtree(frame, camera, **options)
+
+
+def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
+    from matplotlib.collections import PatchCollection
+    from matplotlib.colors import to_rgba
+
+    from rgbd_planes.quadtree_figure import OUTLINES
+
+    segmentation = rp.segment_quadtree(frame, camera)
+    figure = segmentation.plot(frame)
+    outlines = [c for c in figure.axes[2].collections if isinstance(c, PatchCollection)]
+    drawn = {tuple(c.get_edgecolor()[0]): len(c.get_paths()) for c in outlines if len(c.get_paths())}
+    status = segmentation.elements.status
+    assert drawn == {
+        to_rgba(OUTLINES[s][0]): np.count_nonzero(status == s) for s in OUTLINES if (status == s).any()
+    }
+
+
+def test_real_frame_equals_oracle(real_frame):
+    depth, camera = real_frame
+    elements = rp.segment_quadtree(depth, camera).elements
+    chosen = np.linspace(0, len(elements.status) - 1, 60).astype(int)
+    expected = oracle.fit_windows(depth, camera, elements.windows[chosen], "range_explicit", max_error=0.02)
+    for i, plane in zip(chosen, expected, strict=True):
+        assert elements.valid_count[i] == plane.count
+        if plane.well_posed:
+            assert elements.status[i] == plane.status
+            np.testing.assert_allclose(elements.planes[i], oracle.orient(plane.plane), rtol=0, atol=1e-7)
