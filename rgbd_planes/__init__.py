@@ -24,16 +24,19 @@ _NAMES = {
     "WindowPlanes": "windows",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "open_sequence": "sequences",
 }
-_MODULES = ("presets", "scenes")
+_MODULES = ("presets", "scenes", "sequences")
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
+    from rgbd_planes import sequences as sequences
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
