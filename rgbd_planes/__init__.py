@@ -18,10 +18,12 @@ __version__ = "0.1.0"
 # Where each public name comes from.
 _NAMES = {
     "Camera": "camera",
+    "FitSettings": "batch_parts",
     "TileFitter": "tiles",
     "TilePlanes": "tiles",
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
+    "fit_sequence": "batch",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
     "open_sequence": "sequences",
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
     from rgbd_planes import sequences as sequences
+    from rgbd_planes.batch import fit_sequence as fit_sequence
+    from rgbd_planes.batch_parts import FitSettings as FitSettings
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.plane_fits import TileStatus as TileStatus
     from rgbd_planes.sequences import open_sequence as open_sequence
