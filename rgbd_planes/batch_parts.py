@@ -233,5 +233,11 @@ def _write(
     about = json.dumps({"status": status, "problems": problems})
     table = pa.table(arrays).replace_schema_metadata({_KEY: about})
     stream = io.BytesIO()
-    pq.write_table(table, stream, compression="snappy", use_dictionary=[n for n in _REPEATED if n in arrays])
+    pq.write_table(
+        table,
+        stream,
+        compression="snappy",
+        use_dictionary=[name for name in _REPEATED if name in arrays],
+        write_statistics=["frame", "timestamp"],  # what one selects by
+    )
     return stream.getvalue(), status

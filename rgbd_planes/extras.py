@@ -5,11 +5,10 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def needs(library: str, extra: str) -> Iterator[None]:
-    """Say how to install the library whose import in the block fails."""
+def needs(library: str, extra: str | None) -> Iterator[None]:
+    """Say how to install the library whose import in the block fails, by itself if there is no extra."""
     try:
         yield
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f'this needs {library}: pip install "rgbd-planes[{extra}]" ({error})', name=error.name
-        ) from None
+        what = library if extra is None else f'"rgbd-planes[{extra}]"'
+        raise ModuleNotFoundError(f"this needs {library}: pip install {what} ({error})", name=error.name) from None
