@@ -1,10 +1,11 @@
-"""The command line: ``rgbd-planes demo``, ``rgbd-planes fit``.
+"""The command line: ``rgbd-planes demo``, ``rgbd-planes fit``, ``rgbd-planes batch``.
 
 A command is one function, listed in ``COMMANDS``: it declares its arguments on the parser it is given and
 returns what runs them. Its docstring is its help.
 """
 
 import argparse
+import inspect
 import os
 import sys
 import time
@@ -19,7 +20,7 @@ if TYPE_CHECKING:  # a command imports what it needs when it runs, so that --hel
     from rgbd_planes.scenes import Rendering
     from rgbd_planes.tiles import TilePlanes
 
-Run = Callable[[argparse.Namespace], None]
+Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
 
 
 class CommandError(Exception):
@@ -80,19 +81,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     """
     parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
     parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
-    parser.add_argument("--tile", type=_tile, default=(16, 16), metavar="N or HxW", help="tile size (16)")
-    parser.add_argument(
-        "--method",
-        default="range_explicit",
-        metavar="NAME",
-        help="range_explicit (default), range_implicit, standard_explicit, standard_implicit, standard_pca",
-    )
-    parser.add_argument(
-        "--max-missing", type=float, default=0.5, metavar="SHARE", help="fit no tile that misses more (0.5)"
-    )
-    parser.add_argument(
-        "--max-error", type=float, metavar="METRES", help="call a tile with a larger residual rough"
-    )
+    _add_fit_options(parser)
     parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
     parser.add_argument(
         "--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them"
@@ -127,7 +116,85 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     return run
 
 
-COMMANDS = (demo, fit)
+def batch(parser: argparse.ArgumentParser) -> Run:
+    """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
+
+    example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet --tile 16
+
+    After an interruption the same command does the rest. A frame that cannot be read or fitted is reported
+    and skipped, and makes the exit status 1.
+    """
+    from rgbd_planes.sequences.formats import FORMATS
+
+    parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the table, many files")
+    parser.add_argument("--camera", type=Path, metavar="JSON", help="instead of the sequence's own camera")
+    parser.add_argument("--format", choices=sorted(FORMATS), help="if it is not recognised")
+    parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")
+    parser.add_argument("--segments", action="store_true", help="one row a segment instead of one a tile")
+    _add_fit_options(parser)
+    parser.add_argument("--threads", type=int, metavar="N", help="one for each core, if not given")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:port")
+
+    def run(arguments: argparse.Namespace) -> int:
+        from rgbd_planes import Camera, FitSettings, fit_sequence, open_sequence, sequences
+        from rgbd_planes.batch import Progress
+        from rgbd_planes.extras import needs
+
+        with needs("tqdm", "batch"):
+            from tqdm import tqdm
+        camera = None if arguments.camera is None else Camera.load(arguments.camera)
+        if arguments.topic is None:
+            sequence = open_sequence(arguments.sequence, camera, arguments.format)
+        else:
+            sequence = sequences.rosbag(arguments.sequence, camera, arguments.topic)
+        settings = FitSettings(
+            segments=arguments.segments,
+            tile=arguments.tile,
+            method=arguments.method,
+            max_missing=arguments.max_missing,
+            max_error=arguments.max_error,
+        )
+        bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: not where nobody looks
+
+        def progress(done: Progress) -> None:
+            for problem in done.problems:
+                line = f"rgbd-planes batch: skipped frame {problem.frame}, {problem.name}: {problem.reason}"
+                bar.write(line, file=sys.stderr)
+            bar.update(done.frames)
+
+        try:
+            with bar:
+                report = fit_sequence(
+                    sequence,
+                    arguments.out,
+                    settings,
+                    num_threads=arguments.threads,
+                    scheduler=arguments.scheduler,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            print("rgbd-planes batch: stopped; the same command does the rest", file=sys.stderr)
+            raise
+        rows = ", ".join(f"{count} {status}" for status, count in report.status.items())
+        print(
+            f"{report.frames - len(report.problems)} of {report.frames} frames, {report.rows} rows: {rows}."
+        )
+        if report.resumed:
+            print(f"{report.resumed} frames had been done before.")
+        total = sum(report.seconds.values())
+        if total > 0.0:
+            shares = ", ".join(f"{work} {seconds / total:.0%}" for work, seconds in report.seconds.items())
+            print(f"Of the work: {shares}.")
+        print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
+        if report.problems:
+            print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
+        return 1 if report.problems else 0
+
+    return run
+
+
+COMMANDS = (demo, fit, batch)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -136,7 +203,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 2 after an error.
+        0; 1 if frames of a batch were skipped; 2 after an error.
     """
     parser = _Parser(
         prog="rgbd-planes",
@@ -146,7 +213,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=__version__)
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for command in COMMANDS:
-        summary, _, example = (command.__doc__ or "").strip().partition("\n")
+        summary, _, example = inspect.cleandoc(command.__doc__ or "").partition("\n")
         subparser = subparsers.add_parser(
             command.__name__,
             help=summary,
@@ -160,16 +227,17 @@ def main(argv: list[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
             warnings.showwarning = _show_warning
-            arguments.run(arguments)
+            status: int | None = arguments.run(arguments)
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
+        status = 0
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (CommandError, OSError, TypeError, ValueError) as error:
+    except (CommandError, ModuleNotFoundError, OSError, TypeError, ValueError) as error:
         print(f"rgbd-planes {arguments.command}: {_one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
-    return 0
+    return status or 0
 
 
 class _Parser(argparse.ArgumentParser):
@@ -177,6 +245,22 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def _add_fit_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--tile", type=_tile, default=(16, 16), metavar="N or HxW", help="tile size (16)")
+    parser.add_argument(
+        "--method",
+        default="range_explicit",
+        metavar="NAME",
+        help="range_explicit (default), range_implicit, standard_explicit, standard_implicit, standard_pca",
+    )
+    parser.add_argument(
+        "--max-missing", type=float, default=0.5, metavar="SHARE", help="fit no tile that misses more (0.5)"
+    )
+    parser.add_argument(
+        "--max-error", type=float, metavar="METRES", help="call a tile with a larger residual rough"
+    )
 
 
 def _tile(text: str) -> tuple[int, int]:

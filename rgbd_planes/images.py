@@ -164,3 +164,6 @@ _READERS: dict[str, Callable[[Path], Frame]] = {
     ".npy": _read_npy,
     ".npz": _read_npz,
 }
+
+DEPTH_SUFFIXES = tuple(_READERS)
+"""Suffixes of the files that `read_depth` reads."""

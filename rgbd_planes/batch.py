@@ -1,0 +1,274 @@
+"""Fit every frame of a sequence into a table of planes on disk.
+
+The table is a folder of Parquet files, one for each few frames, and each appears whole or not at all: what is
+there after an interruption is done, and the same call does the rest. Threads share the frames, since reading
+an image, fitting it and writing a table all let go of Python's lock; a Dask cluster does where one machine is
+not enough. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
+"""
+
+import hashlib
+import json
+import os
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
+from rgbd_planes.extras import needs
+from rgbd_planes.files import write_beside
+from rgbd_planes.sequences.frames import FrameSequence
+
+MOST_FRAMES = 64  # of a part: what is lost by an interruption, and what is held in memory, once a thread
+CONNECT_SECONDS = 30.0
+_ABOUT = "_about.json"
+
+Task = tuple[int, int, int]  # number of the part, first frame, one after the last
+
+
+@dataclass
+class BatchReport:
+    """What a batch has come to.
+
+    Attributes
+    ----------
+    out : Path
+        The folder of the table.
+    frames, resumed : int
+        Frames of the sequence, and those among them that an earlier call had done.
+    rows : int
+        Rows of the table.
+    status : Counter of str
+        Rows by status.
+    problems : list of Problem
+        Frames that could not be read or fitted; the table has no row of them.
+    seconds : Counter of str
+        Time spent on "read", "fit" and "write", all threads together, by this call.
+    """
+
+    out: Path
+    frames: int
+    resumed: int = 0
+    rows: int = 0
+    status: Counter[str] = field(default_factory=Counter)
+    problems: list[Problem] = field(default_factory=list)
+    seconds: Counter[str] = field(default_factory=Counter)
+
+    def add(self, part: Part) -> None:
+        """Count a part."""
+        self.rows += sum(part.status.values())
+        self.status.update(part.status)
+        self.problems.extend(part.problems)
+        self.seconds.update(part.seconds)
+
+
+class Progress(NamedTuple):
+    """Some frames are done: how many, and which of them were bad."""
+
+    frames: int
+    problems: tuple[Problem, ...]
+
+
+def fit_sequence(
+    sequence: FrameSequence,
+    out: str | os.PathLike[str],
+    settings: FitSettings | None = None,
+    *,
+    num_threads: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[Progress], object] | None = None,
+) -> BatchReport:
+    """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile or a segment.
+
+    Where `out` holds a part of this very table, from a call that was interrupted, the rest is done. A frame
+    that cannot be read or fitted is skipped and reported. Memory does not grow with the sequence.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    out : folder
+        Made if need be; `pandas.read_parquet` and others read the folder as one table. Columns: frame, name,
+        timestamp; of a tile its row and column, of a segment its label; top, left, height, width in pixels;
+        status, valid_count; nx, ny, nz, d; the covariance of these four, 10 columns; rmse, rmse_metric.
+    settings : FitSettings, optional
+        Tiles or segments, and the arguments of `fit_tiles`.
+    num_threads : int, optional
+        All cores, if not given. The table is the same for any number.
+    scheduler : str, optional
+        Address of a Dask scheduler, tcp://host:port, instead of threads here. Its workers must see the
+        sequence's files at the same paths; `out` is written here.
+    progress : callable, optional
+        Called with a `Progress` from the calling thread.
+
+    Returns
+    -------
+    BatchReport
+
+    Raises
+    ------
+    ModuleNotFoundError
+        pyarrow, or distributed with a scheduler, is not installed.
+    ValueError
+        `out` holds another table, or something else; or an argument cannot be used.
+    """
+    with needs("pyarrow", "batch"):
+        import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
+    if len(sequence) == 0:
+        raise ValueError("expected a sequence with frames, got none")
+    if num_threads is not None and num_threads < 1:
+        raise ValueError(f"num_threads must be at least 1, or None, got {num_threads}")
+    settings = settings or FitSettings()
+    settings.check(sequence.camera)
+    folder = Path(out)
+    with _workers(scheduler, num_threads) as workers:
+        size = _open_table(folder, sequence, settings, workers.slots)
+        tasks: list[Task] = [
+            (i, start, min(start + size, len(sequence)))
+            for i, start in enumerate(range(0, len(sequence), size))
+        ]
+        report = BatchReport(folder, len(sequence))
+        missing = []
+        for task in tasks:
+            done = Part.of_file(_file(folder, task))
+            if done is None:
+                missing.append(task)
+                continue
+            report.add(done)
+            report.resumed += task[2] - task[1]
+        report.seconds.clear()
+        if progress is not None and report.resumed:
+            progress(Progress(report.resumed, tuple(report.problems)))
+        for task, part in workers.run(sequence, settings, missing):
+            with write_beside(_file(folder, task)) as beside:
+                beside.write_bytes(part.content)
+            report.add(part)
+            if progress is not None:
+                progress(Progress(task[2] - task[1], part.problems))
+    report.problems.sort(key=lambda problem: problem.frame)
+    return report
+
+
+def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
+    """Make or check the table's folder; the number of frames of a part."""
+    digest = hashlib.sha256()
+    for entry in sequence.entries:
+        digest.update(f"{entry.name}\n{entry.timestamp}\n".encode())
+    for camera in dict.fromkeys(entry.camera for entry in sequence.entries):
+        digest.update(json.dumps(camera.to_dict()).encode() + repr(camera.noise).encode())
+    about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": asdict(settings)}
+    about = json.loads(json.dumps(about))
+    file = folder / _ABOUT
+    if file.is_file():
+        try:
+            found = json.loads(file.read_text(encoding="utf-8"))
+            size = int(found.pop("frames_per_part"))
+        except (ValueError, KeyError, AttributeError):
+            raise ValueError(f"{file}: damaged; remove {folder} to begin again") from None
+        if found != about:
+            different = [name for name in about if found.get(name) != about[name]]
+            raise ValueError(
+                f"{folder} holds the table of another sequence, camera or settings ({', '.join(different)} "
+                f"differ): remove it, or choose another folder"
+            )
+        for leftover in folder.glob(".part-*"):  # of a process that was killed while it wrote
+            leftover.unlink(missing_ok=True)
+        return size
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
+    # A few parts for each thread, so that all have work to the end.
+    size = max(1, min(MOST_FRAMES, len(sequence) // (4 * slots)))
+    with write_beside(file) as beside:
+        beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")
+    return size
+
+
+def _file(folder: Path, task: Task) -> Path:
+    return folder / f"part-{task[0]:06d}.parquet"
+
+
+class _Threads:
+    """Parts by threads of this process."""
+
+    def __init__(self, num_threads: int | None) -> None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self.slots = num_threads or cores
+
+    def run(
+        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task]
+    ) -> Iterator[tuple[Task, Part]]:
+        stopped = threading.Event()
+        waiting = iter(tasks)
+        executor = ThreadPoolExecutor(self.slots, thread_name_prefix="rgbd_planes_batch")
+
+        def submit(task: Task) -> None:
+            frames = sequence[task[1] : task[2]]
+            running[executor.submit(fit_part, frames, task[1], settings, stopped.is_set)] = task
+
+        running: dict[Any, Task] = {}
+        try:
+            # Parts that wait to be written take memory: no more than two for each thread.
+            for task in islice(waiting, 2 * self.slots):
+                submit(task)
+            while running:
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(future), future.result()
+                    for task in islice(waiting, 1):
+                        submit(task)
+        finally:
+            stopped.set()
+            executor.shutdown(cancel_futures=True)
+
+
+class _Cluster:
+    """Parts by the workers of a Dask cluster."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        client.wait_for_workers(1, timeout=60)
+        self.slots = max(1, sum(client.ncores().values()))
+
+    def run(
+        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task]
+    ) -> Iterator[tuple[Task, Part]]:
+        from distributed import as_completed
+
+        waiting = iter(tasks)
+        running: dict[Any, Task] = {}
+
+        def submit(task: Task) -> Any:
+            # Dask runs it again elsewhere when a worker dies. Not pure: another call is another task.
+            future = self._client.submit(
+                fit_part, sequence[task[1] : task[2]], task[1], settings, pure=False, retries=2
+            )
+            running[future] = task
+            return future
+
+        first = [submit(task) for task in islice(waiting, 2 * self.slots)]
+        completed = as_completed(first, loop=self._client.loop)
+        for future in completed:
+            part = future.result()
+            yield running.pop(future), part
+            future.release()
+            for task in islice(waiting, 1):
+                completed.add(submit(task))
+
+
+@contextmanager
+def _workers(scheduler: str | None, num_threads: int | None) -> Iterator[_Threads | _Cluster]:
+    if scheduler is None:
+        yield _Threads(num_threads)
+        return
+    with needs("distributed", "dask"):
+        from distributed import Client
+    try:
+        client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise OSError(f"no Dask scheduler answers at {scheduler} ({error})") from None
+    with client:
+        yield _Cluster(client)

@@ -1,0 +1,305 @@
+"""Planes and points for other tools: Open3D, PLY, ROS, JSON. `rgbd_planes.recording` is for rerun.
+
+All in the camera's frame (x right, y down, z forward) and in metres, which is also ROS's optical frame and
+Open3D's.
+"""
+
+import json
+import math
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.extras import needs
+from rgbd_planes.files import write_beside
+from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.plotting import normal_colours
+from rgbd_planes.tiles import TilePlanes
+
+if TYPE_CHECKING:
+    import open3d
+
+Floats = NDArray[np.float64]
+
+
+def tile_polygons(tiles: TilePlanes) -> Floats:
+    """Return the corners of each fitted tile on its plane.
+
+    Parameters
+    ----------
+    tiles : TilePlanes
+        Of one frame.
+
+    Returns
+    -------
+    (N, 4, 3) float64
+        X, Y, Z in metres where the rays of the tile's corner pixels meet its plane, in the order top left,
+        top right, bottom right, bottom left. One for each tile that is fitted and that these rays all meet,
+        row by row; see `exported`.
+    """
+    return _corners(tiles)[exported(tiles)]
+
+
+def exported(tiles: TilePlanes) -> NDArray[np.bool_]:
+    """(R, C) bool: which tiles `tile_polygons` has: fitted, and met by the rays of their corner pixels."""
+    return np.asarray(np.isfinite(_corners(tiles)).all(axis=(2, 3)))
+
+
+def _corners(tiles: TilePlanes) -> Floats:
+    """(R, C, 4, 3); NaN where there is no plane or the ray does not meet it."""
+    _check_one_frame(tiles)
+    top = np.concatenate([[0], np.cumsum(tiles.tile_heights)])
+    left = np.concatenate([[0], np.cumsum(tiles.tile_widths)])
+    rows = np.stack([top[:-1], top[:-1], top[1:] - 1, top[1:] - 1], axis=1)[:, None]
+    columns = np.stack([left[:-1], left[1:] - 1, left[1:] - 1, left[:-1]], axis=1)[None]
+    rays = np.stack([tiles.camera.tan_x[rows, columns], tiles.camera.tan_y[rows, columns]], axis=-1)
+    rays = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
+    alpha = np.where(tiles.fitted[..., None], tiles.alpha, np.nan)
+    inverse_depth = np.einsum("rci,rcki->rck", alpha, rays)
+    depth = 1.0 / np.where(inverse_depth > 0.0, inverse_depth, np.nan)
+    return np.asarray(rays * depth[..., None])
+
+
+def to_dict(tiles: TilePlanes) -> dict[str, Any]:
+    """Return a frame's planes as what JSON can hold.
+
+    Parameters
+    ----------
+    tiles : TilePlanes
+        Of one frame.
+
+    Returns
+    -------
+    dict
+        camera (`Camera.to_dict`), method, tile [height, width], and planes: of each tile that has one its row,
+        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points.
+    """
+    _check_one_frame(tiles)
+    corners = _corners(tiles)
+    planes = []
+    for row, column in np.argwhere(tiles.fitted).tolist():
+        at = (row, column)
+        polygon = corners[at]
+        planes.append(
+            {
+                "row": row,
+                "column": column,
+                "status": TileStatus(tiles.status[at]).name,
+                "plane": tiles.planes[at].tolist(),
+                "rmse": _number(tiles.rmse[at]),
+                "rmse_metric": _number(tiles.rmse_metric[at]),
+                "valid_count": int(tiles.valid_count[at]),
+                "polygon": polygon.tolist() if np.isfinite(polygon).all() else None,
+            }
+        )
+    return {
+        "camera": tiles.camera.to_dict(),
+        "method": tiles.method,
+        "tile": list(tiles.tile),
+        "planes": planes,
+    }
+
+
+def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
+    """Write `to_dict` of a frame's planes as JSON; whole or not at all."""
+    with write_beside(path) as beside:
+        beside.write_text(json.dumps(to_dict(tiles), allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_ply(
+    path: str | os.PathLike[str],
+    points: ArrayLike,
+    *,
+    normals: ArrayLike | None = None,
+    colours: ArrayLike | None = None,
+    faces: ArrayLike | None = None,
+) -> None:
+    """Write points, or a mesh, as a binary PLY file; whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    points : (..., 3) array_like
+        Metres. Points that are not finite are left out, if there are no faces.
+    normals : (..., 3) array_like, optional
+    colours : (..., 3) array_like, optional
+        RGB in 0..1.
+    faces : (F, K) array_like of int, optional
+        Polygons of K points each, by the number of the point.
+    """
+    xyz = np.asarray(points, np.float64).reshape(-1, 3)
+    columns = [("xyz"[i], "<f4", xyz[:, i]) for i in range(3)]
+    if normals is not None:
+        n = np.asarray(normals, np.float64).reshape(len(xyz), 3)
+        columns += [("n" + "xyz"[i], "<f4", n[:, i]) for i in range(3)]
+    if colours is not None:
+        rgb = np.clip(np.rint(255.0 * np.asarray(colours, np.float64).reshape(len(xyz), 3)), 0, 255)
+        columns += [(("red", "green", "blue")[i], "u1", rgb[:, i]) for i in range(3)]
+    vertices = np.empty(len(xyz), [(name, dtype) for name, dtype, _ in columns])
+    for name, _, values in columns:
+        vertices[name] = values
+    if faces is None:
+        vertices = vertices[np.isfinite(xyz).all(axis=1)]
+    names = {"<f4": "float", "u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", "comment metres, x right, y down, z forward"]
+    header.append(f"element vertex {len(vertices)}")
+    header += [f"property {names[dtype]} {name}" for name, dtype, _ in columns]
+    body = vertices.tobytes()
+    if faces is not None:
+        corners = np.asarray(faces)
+        if corners.ndim != 2 or corners.shape[1] < 3 or (corners.size and corners.max() >= len(xyz)):
+            raise ValueError(f"faces must be (F, K) numbers of {len(xyz)} points, got {corners.shape}")
+        polygons = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", corners.shape[1])])
+        polygons["count"], polygons["corners"] = corners.shape[1], corners
+        header += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
+        body += polygons.tobytes()
+    with write_beside(path) as beside:
+        beside.write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + body)
+
+
+def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
+    """Write the fitted tiles of a frame as a PLY mesh of quadrilaterals, coloured by their normals."""
+    points, normals, colours = _tile_mesh(tiles)
+    faces = np.arange(len(points)).reshape(-1, 4)
+    write_ply(path, points, normals=normals, colours=colours, faces=faces)
+
+
+def to_open3d(tiles: TilePlanes) -> "open3d.geometry.TriangleMesh":
+    """Return the fitted tiles of a frame as an Open3D mesh, two triangles a tile, coloured by their normals.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        open3d is not installed.
+    """
+    with needs("open3d", None):
+        import open3d
+    points, normals, colours = _tile_mesh(tiles)
+    quads = np.arange(len(points)).reshape(-1, 4)
+    triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    vector = open3d.utility.Vector3dVector
+    mesh = open3d.geometry.TriangleMesh(
+        vector(points), open3d.utility.Vector3iVector(triangles.astype(np.int32))
+    )
+    mesh.vertex_normals, mesh.vertex_colors = vector(normals), vector(colours)
+    return mesh
+
+
+def points_to_open3d(depth: ArrayLike, camera: Camera) -> "open3d.geometry.PointCloud":
+    """Return the measured points of a depth frame as an Open3D point cloud, missing ones left out.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        open3d is not installed.
+    """
+    with needs("open3d", None):
+        import open3d
+    points = camera.points(depth).reshape(-1, 3)
+    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[np.isfinite(points[:, 2])]))
+
+
+def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+    """Return a frame's planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray.
+
+    Parameters
+    ----------
+    tiles : TilePlanes
+        Of one frame.
+    frame_id : str
+        Of the camera's optical frame.
+    stamp : float
+        Seconds.
+
+    Returns
+    -------
+    dict
+        header and coefficients, of each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d].
+        The fields of ROS 1 and 2, but for the ``seq`` of ROS 1's header.
+    """
+    header = _ros_header(frame_id, stamp)
+    planes = tiles.planes[exported(tiles)].tolist()
+    return {"header": header, "coefficients": [{"header": header, "values": plane} for plane in planes]}
+
+
+def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+    """Return the fitted tiles of a frame in the shape of jsk_recognition_msgs/PolygonArray.
+
+    Parameters
+    ----------
+    tiles, frame_id, stamp
+        As in `to_ros_planes`.
+
+    Returns
+    -------
+    dict
+        header; polygons, each a geometry_msgs/PolygonStamped; labels, 1..N; likelihood, empty.
+    """
+    header = _ros_header(frame_id, stamp)
+    polygons = [
+        {"header": header, "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in polygon]}}
+        for polygon in tile_polygons(tiles).tolist()
+    ]
+    labels = list(range(1, len(polygons) + 1))
+    return {"header": header, "polygons": polygons, "labels": labels, "likelihood": []}
+
+
+def to_ros_points(
+    depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: float = 0.0
+) -> dict[str, Any]:
+    """Return the points of a depth frame in the shape of sensor_msgs/PointCloud2, organised as the frame.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+    camera : Camera
+    frame_id, stamp
+        As in `to_ros_planes`.
+
+    Returns
+    -------
+    dict
+        Fields x, y, z of float32; NaN where the depth is missing.
+    """
+    points = camera.points(depth).astype("<f4")
+    height, width, _ = points.shape
+    return {
+        "header": _ros_header(frame_id, stamp),
+        "height": height,
+        "width": width,
+        "fields": [{"name": "xyz"[i], "offset": 4 * i, "datatype": 7, "count": 1} for i in range(3)],
+        "is_bigendian": False,
+        "point_step": 12,
+        "row_step": 12 * width,
+        "data": points.tobytes(),
+        "is_dense": bool(np.isfinite(points).all()),
+    }
+
+
+def _ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
+    nanoseconds = round(stamp * 1e9) if math.isfinite(stamp) else 0
+    time = {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
+    return {"stamp": time, "frame_id": frame_id}
+
+
+def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:
+    """Four points for each polygon, with their normals and colours."""
+    normals = tiles.planes[exported(tiles)][:, :3]
+    colours = normal_colours(normals * np.sign([tiles.camera.fx, tiles.camera.fy, 1.0]))
+    return tile_polygons(tiles).reshape(-1, 3), normals.repeat(4, axis=0), colours.repeat(4, axis=0)
+
+
+def _check_one_frame(tiles: TilePlanes) -> None:
+    if not isinstance(tiles, TilePlanes):
+        raise TypeError(f"expected TilePlanes, got {type(tiles).__name__}")
+    if len(tiles.shape) != 2:
+        raise ValueError(
+            f"expected the tiles of one frame, got a batch of shape {tiles.shape}: take tiles[i]"
+        )
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,14 @@
+"""Libraries that only some need."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def needs(library: str, extra: str | None) -> Iterator[None]:
+    """Say how to install the library whose import in the block fails, by itself if there is no extra."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        what = library if extra is None else f'"rgbd-planes[{extra}]"'
+        raise ModuleNotFoundError(f"this needs {library}: pip install {what} ({error})", name=error.name) from None

@@ -1,0 +1,34 @@
+"""Depth frames of data sets and recordings, one after another, each with its camera and time.
+
+    sequence = rgbd_planes.open_sequence("rgbd_dataset_freiburg1_xyz")
+    for frame in sequence:
+        tiles = rgbd_planes.fit_tiles(frame.depth, frame.camera)
+
+`open_sequence` recognises what it is given; each format also has a function of its own here, which takes what
+a file leaves open. A frame is read when it is asked for, and as it is stored.
+"""
+
+from rgbd_planes.sequences.arkitscenes import arkitscenes
+from rgbd_planes.sequences.bag import rosbag
+from rgbd_planes.sequences.folder import folder
+from rgbd_planes.sequences.formats import FORMATS, open_sequence
+from rgbd_planes.sequences.frames import Frame, FrameEntry, FrameSequence
+from rgbd_planes.sequences.scannet import scannet, scannet_sens
+from rgbd_planes.sequences.seven_scenes import seven_scenes
+from rgbd_planes.sequences.tum import icl_nuim, tum
+
+__all__ = [
+    "FORMATS",
+    "Frame",
+    "FrameEntry",
+    "FrameSequence",
+    "arkitscenes",
+    "folder",
+    "icl_nuim",
+    "open_sequence",
+    "rosbag",
+    "scannet",
+    "scannet_sens",
+    "seven_scenes",
+    "tum",
+]

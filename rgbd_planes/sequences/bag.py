@@ -1,0 +1,237 @@
+"""ROS 1 and ROS 2 bags, read by rosbags: no ROS needed. RealSense recordings are ROS 1 bags."""
+
+import io
+import math
+import os
+import re
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.extras import needs
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
+
+_IMAGES = "sensor_msgs/msg/Image"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_INFOS = "sensor_msgs/msg/CameraInfo"
+_ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+
+
+def rosbag(
+    path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None
+) -> FrameSequence:
+    """Open the depth images of a ROS 1 bag, a ROS 2 bag or a RealSense recording.
+
+    Parameters
+    ----------
+    path : .bag, .mcap or .db3 file, or folder of a ROS 2 bag
+    camera : Camera, optional
+        If not given, that of the topic's CameraInfo: the P of a topic named as rectified (``image_rect...``),
+        the K and D of any other. ROS has 16-bit depth in millimetres (REP 118); where a RealSense recording
+        states its unit, that.
+    topic : str, optional
+        Of sensor_msgs/Image (16UC1, mono16, 32FC1) or of CompressedImage (compressedDepth, PNG). Needed
+        where a bag has more than one with depth.
+
+    Returns
+    -------
+    FrameSequence
+        Seconds of the messages' stamps, or of their recording where they have none.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        rosbags is not installed.
+    ValueError
+        It is no bag, or damaged; it has no depth, or several topics of depth; it has no CameraInfo for them.
+    """
+    source = Path(path)
+    bag = _OpenBag(source)
+    try:
+        topics = bag.depth_topics()
+        if topic is None and len(topics) == 1:
+            topic = topics[0]
+        if topic not in topics:
+            asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
+            raise ValueError(f"{path}: {asked}; depth is in {', '.join(topics) or 'none'}")
+        camera = camera or bag.camera(topic)
+        entries = [
+            FrameEntry(f"{i:06d}", seconds, camera, _Location(source, topic, recorded, nth))
+            for i, (seconds, recorded, nth) in enumerate(bag.times(topic))
+        ]
+    finally:
+        bag.close()
+    return FrameSequence(entries, _read_message)
+
+
+class _Location(NamedTuple):
+    """Where a message is: the `nth` that was recorded at a time, in nanoseconds."""
+
+    path: Path
+    topic: str
+    recorded: int
+    nth: int
+
+
+class _OpenBag:
+    """A bag that is open for reading."""
+
+    def __init__(self, path: Path) -> None:
+        with needs("rosbags", "ros"):
+            from rosbags.highlevel import AnyReader, AnyReaderError
+            from rosbags.typesys import Stores, get_typestore
+
+        self.path = path
+        # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
+        try:
+            self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self._reader.open()
+        except AnyReaderError as error:
+            raise ValueError(f"{path}: not a ROS bag, or damaged ({error})") from None
+        self._errors = (AnyReaderError, struct.error, KeyError, IndexError)
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def __del__(self) -> None:
+        with suppress(Exception):  # closed already, or never opened
+            self._reader.close()
+
+    def messages(self, topic: str, **times: int) -> Iterator[tuple[int, bytes, str]]:
+        """Time in nanoseconds, content and type of the messages of a topic."""
+        connections = [c for c in self._reader.connections if c.topic == topic]
+        if connections:
+            for connection, time, content in self._reader.messages(connections, **times):
+                yield time, content, connection.msgtype
+
+    def first(self, topic: str) -> Any:
+        """The first message of a topic; None where there is none."""
+        for _, content, kind in self.messages(topic):
+            return self.message(content, kind)
+        return None
+
+    def message(self, content: bytes, kind: str) -> Any:
+        try:
+            return self._reader.deserialize(content, kind)
+        except self._errors as error:
+            raise ValueError(f"{self.path}: damaged message ({error})") from None
+
+    def depth_topics(self) -> list[str]:
+        """Topics whose first message is a depth image."""
+        found = []
+        for topic, about in sorted(self._reader.topics.items()):
+            if about.msgtype == _IMAGES:
+                message = self.first(topic)
+                encoding = "" if message is None else message.encoding
+                # Infrared images have 16 bits too.
+                if encoding in ("16UC1", "32FC1") or (encoding == "mono16" and "depth" in topic.lower()):
+                    found.append(topic)
+            elif about.msgtype == _COMPRESSED:
+                message = self.first(topic)
+                if message is not None and "compressedDepth" in message.format:
+                    found.append(topic)
+        return found
+
+    def camera(self, topic: str) -> Camera:
+        """The camera of the CameraInfo that is nearest to a topic in the tree of names."""
+        infos = {name for name, about in self._reader.topics.items() if about.msgtype == _INFOS}
+        parents = [topic.rsplit("/", i)[0] for i in range(1, topic.count("/") + 1)]
+        nearest = [f"{p}{info}" for p in parents for info in ("/camera_info", "/info/camera_info")]
+        info = next((self.first(name) for name in nearest if name in infos), None)
+        if info is None:
+            raise ValueError(
+                f"{self.path}: expected a CameraInfo beside {topic}, or a camera; "
+                f"there is {', '.join(sorted(infos)) or 'none'}"
+            )
+        rectified = re.search(r"(^|[_/])rect", topic) is not None
+        return Camera.from_ros(info, rectified=rectified, depth_scale=self._depth_scale(topic))
+
+    def _depth_scale(self, topic: str) -> float:
+        sensor = re.match(r"(/device_\d+/sensor_\d+)/", topic)
+        if sensor is not None:
+            for name in self._reader.topics:
+                if re.fullmatch(re.escape(sensor[1]) + r"/option/Depth[_ ]Units/value", name):
+                    return 1.0 / float(str(np.float32(self.first(name).data)))  # 0.001, not 0.0010000000475
+        return 1000.0
+
+    def times(self, topic: str) -> Iterator[tuple[float, int, int]]:
+        """(seconds, nanoseconds of recording, which of those recorded then) of every message, in order."""
+        previous, nth = None, 0
+        for recorded, content, _ in self.messages(topic):
+            nth = nth + 1 if recorded == previous else 0
+            previous = recorded
+            stamp = self._stamp(content)
+            yield stamp or recorded * 1e-9, recorded, nth
+
+    def _stamp(self, content: bytes) -> float:
+        """Seconds of the header that both kinds of message begin with; 0 where it is not set."""
+        # ROS 1: the header's number, then its time. CDR: how it is encoded, then the header's time.
+        order = "<" if not self._reader.is2 or content[1] & 1 else ">"
+        seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
+        return float(seconds + nanoseconds * 1e-9)
+
+
+_open = threading.local()
+
+
+def _read_message(location: _Location) -> NDArray[Any]:
+    # A bag stays open in its thread: opening it reads its index.
+    bag: _OpenBag | None = getattr(_open, "bag", None)
+    if bag is None or bag.path != location.path:
+        bag = _open.bag = _OpenBag(location.path)
+    times = {"start": location.recorded, "stop": location.recorded + 1}
+    for nth, (_, content, kind) in enumerate(bag.messages(location.topic, **times)):
+        if nth == location.nth:
+            message = bag.message(content, kind)
+            try:
+                return _decode_compressed(message) if kind == _COMPRESSED else _decode(message)
+            except ValueError as error:
+                raise ValueError(f"{location.path}: {location.topic}: {error}") from None
+    raise ValueError(f"{location.path}: the message of {location.recorded * 1e-9:.6f} s is gone")
+
+
+def _decode(image: Any) -> NDArray[Any]:
+    """The depth in a sensor_msgs/Image, whose rows may be padded."""
+    if image.encoding not in _ENCODINGS:
+        raise ValueError(f"expected the encoding {', '.join(_ENCODINGS)}, got {image.encoding!r}")
+    dtype = np.dtype(_ENCODINGS[image.encoding]).newbyteorder(">" if image.is_bigendian else "<")
+    height, width, step = int(image.height), int(image.width), int(image.step)
+    if step < width * dtype.itemsize or len(image.data) < height * step:
+        raise ValueError(
+            f"truncated image: {len(image.data)} bytes for {height} rows of {step} bytes, {width} pixels"
+        )
+    rows = np.asarray(image.data, np.uint8)[: height * step].reshape(height, step)
+    return rows[:, : width * dtype.itemsize].copy().view(dtype).astype(dtype.newbyteorder("="))
+
+
+def _decode_compressed(image: Any) -> NDArray[Any]:
+    """The depth in a sensor_msgs/CompressedImage of compressed_depth_image_transport.
+
+    Before the PNG there are twelve bytes: a number and the A and B with which floats were quantised, as
+    A / Z + B.
+    """
+    from PIL import Image
+
+    encoding = image.format.split(";")[0].strip()
+    if encoding not in ("16UC1", "32FC1") or "rvl" in image.format.lower():
+        raise ValueError(f"expected depth compressed as PNG, 16UC1 or 32FC1, got {image.format!r}")
+    content = bytes(image.data)
+    try:
+        _, a, b = struct.unpack_from("<iff", content)
+        with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
+            pixels = np.array(png)
+    except (OSError, SyntaxError, ValueError, EOFError, struct.error) as error:
+        raise ValueError(f"damaged compressed image ({error})") from None
+    if pixels.ndim != 2:
+        raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
+    if encoding == "16UC1":
+        return pixels.astype(np.uint16)
+    with np.errstate(divide="ignore"):
+        return np.where(pixels == 0, math.nan, a / (pixels.astype(np.float32) - b)).astype(np.float32)

@@ -1,0 +1,40 @@
+"""A plain folder of depth images with a camera file."""
+
+import os
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.images import DEPTH_SUFFIXES
+from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
+from rgbd_planes.sequences.tum import read_index
+
+
+def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open a folder of depth images.
+
+    Parameters
+    ----------
+    path : folder
+        With the images in it or in ``depth/``, in the order of the numbers in their names, or as the lines
+        "seconds file" of a ``depth.txt`` say.
+    camera : Camera, optional
+        Read from ``camera.json`` in the folder, if not given.
+
+    Returns
+    -------
+    FrameSequence
+    """
+    root = existing_folder(path)
+    if camera is None:
+        if not (root / "camera.json").is_file():
+            raise ValueError(
+                f"{root}: expected a camera, or its file camera.json in the folder (Camera.save writes one)"
+            )
+        camera = Camera.load(root / "camera.json")
+    index = root / "depth.txt"
+    if index.is_file():
+        times, files = read_index(index)
+        return image_sequence(files, camera, root, times)
+    place = root / "depth" if (root / "depth").is_dir() else root
+    files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and file.is_file()]
+    some(files, f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
+    return image_sequence(numbered(files), camera, root)

@@ -1,0 +1,137 @@
+"""What every format comes to: a list of what the frames are, and one function that reads one of them."""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.images import read_depth
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A depth frame with what is needed to fit it.
+
+    Attributes
+    ----------
+    depth : (H, W) array
+        As stored: integers in the camera's units, or floats in metres.
+    camera : Camera
+    timestamp : float
+        Seconds on the recording's own clock; NaN where it states none.
+    name : str
+        The frame's name in its data set.
+    """
+
+    depth: NDArray[Any]
+    camera: Camera
+    timestamp: float
+    name: str
+
+
+@dataclass(frozen=True)
+class FrameEntry:
+    """A frame that has not been read yet: a `Frame` with a location instead of its depth."""
+
+    name: str
+    timestamp: float
+    camera: Camera
+    location: Any
+
+
+class FrameSequence(Sequence[Frame]):
+    """The depth frames of a recording: ``len``, an index, a slice, a loop.
+
+    An index reads one frame; a slice reads none and is a sequence again. It can be pickled: what it holds is
+    where the frames are.
+
+    Parameters
+    ----------
+    entries : iterable of FrameEntry
+    read : callable
+        Takes an entry's location, returns its (H, W) depth as stored; a function of a module.
+    """
+
+    def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
+        self.entries = tuple(entries)
+        self._read = read
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> "FrameSequence": ...
+    def __getitem__(self, index: int | slice) -> "Frame | FrameSequence":
+        if isinstance(index, slice):
+            return FrameSequence(self.entries[index], self._read)
+        entry = self.entries[index]
+        return Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the frames."""
+        return tuple(entry.name for entry in self.entries)
+
+    @property
+    def timestamps(self) -> NDArray[np.float64]:
+        """(F,) float64, s: times of the frames, NaN where the recording states none."""
+        return np.array([entry.timestamp for entry in self.entries], np.float64)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first frame; in most data sets that of all."""
+        return self.entries[0].camera
+
+    def __repr__(self) -> str:
+        if not self.entries:
+            return "<FrameSequence: no frames>"
+        cameras = len({entry.camera for entry in self.entries})
+        of = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
+        return f"<FrameSequence: {len(self)} frames, {of}, {self.entries[0].name} to {self.entries[-1].name}>"
+
+
+def image_sequence(
+    files: Iterable[Path], camera: Camera, root: Path, timestamps: Iterable[float] | None = None
+) -> FrameSequence:
+    """A sequence of image files of one camera, named by their paths below `root`."""
+    paths = list(files)
+    times = [float("nan")] * len(paths) if timestamps is None else timestamps
+    return FrameSequence(
+        (
+            FrameEntry(path.relative_to(root).as_posix(), time, camera, path)
+            for path, time in zip(paths, times, strict=True)
+        ),
+        read_depth,
+    )
+
+
+def numbered(paths: Iterable[Path]) -> list[Path]:
+    """Paths in the order of the numbers in their names: 9.png before 10.png."""
+    return sorted(
+        paths,
+        key=lambda path: [
+            (1, int(part), part) if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", path.name)
+        ],
+    )
+
+
+def existing_folder(path: Any) -> Path:
+    """The path, if it is a folder."""
+    folder = Path(path)
+    if not folder.is_dir():
+        raise NotADirectoryError(f"{path}: expected a folder")
+    return folder
+
+
+def some(paths: list[Path], expected: str, root: Path) -> list[Path]:
+    """The paths, if there are any."""
+    if not paths:
+        raise ValueError(f"{root}: expected {expected}, found none")
+    return paths

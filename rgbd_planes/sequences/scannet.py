@@ -1,0 +1,186 @@
+"""ScanNet: frames as its tools export them, and its .sens recordings."""
+
+import math
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.sequences.frames import (
+    FrameEntry,
+    FrameSequence,
+    existing_folder,
+    image_sequence,
+    numbered,
+    some,
+)
+
+_COMPRESSIONS = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
+
+
+def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open the exported frames of a ScanNet scene (Dai et al. 2017).
+
+    Parameters
+    ----------
+    path : folder
+        With ``depth/N.png`` (or .pgm) and ``intrinsic/intrinsic_depth.txt``, as its Python exporter writes
+        them, or ``frame-NNNNNN.depth.pgm`` (or .png) and ``_info.txt``, as its C++ one does.
+    camera : Camera, optional
+        Instead of the one in these files.
+
+    Returns
+    -------
+    FrameSequence
+        Without times: the exporters leave them out; `scannet_sens` has them.
+    """
+    root = existing_folder(path)
+    files = [file for file in root.glob("frame-*.depth.*") if file.suffix in (".pgm", ".png")]
+    if files:
+        return image_sequence(numbered(files), camera or _camera_of_info(root / "_info.txt"), root)
+    files = [file for file in (root / "depth").glob("*") if file.suffix in (".pgm", ".png")]
+    files = numbered(some(files, "depth/N.png or frame-NNNNNN.depth.pgm", root))
+    return image_sequence(files, camera or _camera_of_matrix(root, files[0]), root)
+
+
+def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open a ScanNet recording, a .sens file of version 4, without unpacking it.
+
+    Parameters
+    ----------
+    path : .sens file
+        With depth that is raw or compressed by zlib, as ScanNet's is.
+    camera : Camera, optional
+        Instead of the depth camera of the file.
+
+    Returns
+    -------
+    FrameSequence
+        Seconds on the sensor's clock; a frame that was not stamped has NaN.
+    """
+    file = Path(path)
+    with file.open("rb") as stream:
+        try:
+            header = _read_header(stream)
+            entries = list(_entries(stream, file, header, camera or header.camera))
+        except (struct.error, EOFError):
+            raise ValueError(f"{path}: damaged or truncated .sens file") from None
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+    if not entries:
+        raise ValueError(f"{path}: expected depth frames, found none")
+    return FrameSequence(entries, read_sens_frame)
+
+
+class SensLocation(NamedTuple):
+    """Where a depth frame is in a .sens file."""
+
+    file: Path
+    offset: int
+    size: int
+    compression: str
+    shape: tuple[int, int]
+
+
+def read_sens_frame(location: SensLocation) -> NDArray[np.uint16]:
+    """Read one depth frame of a .sens file, (H, W) uint16."""
+    file, offset, size, compression, (height, width) = location
+    with file.open("rb") as stream:
+        stream.seek(offset)
+        content = stream.read(size)
+    expected = 2 * height * width
+    if compression == "zlib_ushort":
+        try:  # more than a frame's worth need not be unpacked to know that it is wrong
+            content = zlib.decompressobj().decompress(content, expected + 1)
+        except zlib.error as error:
+            raise ValueError(f"{file}: damaged depth frame at byte {offset} ({error})") from None
+    if len(content) != expected:
+        raise ValueError(
+            f"{file}: damaged depth frame at byte {offset}: expected {expected} bytes of {height} x {width} "
+            f"pixels, got {'more' if len(content) > expected else len(content)}"
+        )
+    return np.frombuffer(content, "<u2").astype(np.uint16).reshape(height, width)
+
+
+class _Header(NamedTuple):
+    camera: Camera
+    compression: str
+    frames: int
+
+
+def _read_header(stream: BinaryIO) -> _Header:
+    version, name_length = _unpack(stream, "<IQ")
+    if version != 4:
+        raise ValueError(f"expected a .sens file of version 4, got {version}")
+    if name_length > 10_000:
+        raise ValueError(f"not a .sens file: a sensor's name of {name_length} bytes")
+    _unpack(stream, f"<{name_length}s")
+    matrices = np.array(_unpack(stream, "<64f")).reshape(4, 4, 4)  # colour, its pose, depth, its pose
+    _, compression = _unpack(stream, "<ii")
+    _, _, width, height = _unpack(stream, "<IIII")
+    depth_scale, count = _unpack(stream, "<fQ")
+    name = _COMPRESSIONS.get(compression, str(compression))
+    if name not in ("raw_ushort", "zlib_ushort"):
+        raise ValueError(f"expected depth compressed as raw_ushort or zlib_ushort, got {name}")
+    return _Header(_camera(matrices[2], (width, height), depth_scale), name, count)
+
+
+def _entries(stream: BinaryIO, file: Path, header: _Header, camera: Camera) -> Any:
+    end = file.stat().st_size
+    for i in range(header.frames):
+        *_, microseconds, colour_size, depth_size = _unpack(stream, "<16fQQQQ")
+        start = stream.tell() + colour_size
+        if start + depth_size > end:
+            raise EOFError
+        stream.seek(start + depth_size)
+        location = SensLocation(file, start, depth_size, header.compression, header.camera.shape)
+        time = microseconds * 1e-6 if microseconds else math.nan
+        yield FrameEntry(f"{i:06d}", time, camera, location)
+
+
+def _unpack(stream: BinaryIO, layout: str) -> tuple[Any, ...]:
+    return struct.unpack(layout, stream.read(struct.calcsize(layout)))
+
+
+def _camera_of_matrix(root: Path, first: Path) -> Camera:
+    from PIL import Image
+
+    file = root / "intrinsic" / "intrinsic_depth.txt"
+    if not file.is_file():
+        raise ValueError(f"{root}: expected intrinsic/intrinsic_depth.txt, or a camera")
+    try:
+        matrix = np.array(file.read_text(encoding="utf-8").split(), np.float64).reshape(4, 4)
+    except ValueError:
+        raise ValueError(f"{file}: expected a 4 x 4 matrix") from None
+    try:
+        with Image.open(first) as image:
+            size = image.size
+    except OSError:
+        raise ValueError(f"{first}: damaged, and the first image gives the size of the frames") from None
+    return _camera(matrix, size, 1000.0)
+
+
+def _camera_of_info(file: Path) -> Camera:
+    if not file.is_file():
+        raise ValueError(f"{file.parent}: expected _info.txt, or a camera")
+    pairs = (line.partition("=") for line in file.read_text(encoding="utf-8").splitlines())
+    values = {name.strip(): value.split() for name, _, value in pairs}
+    try:
+        matrix = np.array(values["m_calibrationDepthIntrinsic"], np.float64).reshape(4, 4)
+        width, height = int(values["m_depthWidth"][0]), int(values["m_depthHeight"][0])
+        scale = float(values["m_depthShift"][0])
+    except (KeyError, IndexError, ValueError) as error:
+        raise ValueError(
+            f"{file}: expected m_depthWidth, m_depthHeight, m_depthShift and m_calibrationDepthIntrinsic "
+            f"(16 numbers), failed at {error}"
+        ) from None
+    return _camera(matrix, (width, height), scale)
+
+
+def _camera(matrix: NDArray[np.float64], size: tuple[int, int], depth_scale: float) -> Camera:
+    return Camera.from_opencv(matrix[:3, :3], None, size, depth_scale=depth_scale)

@@ -1,0 +1,79 @@
+"""The TUM RGB-D benchmark, and ICL-NUIM in its form."""
+
+import math
+import os
+import re
+from pathlib import Path
+
+from rgbd_planes import presets
+from rgbd_planes.camera import Camera
+from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
+
+_CAMERAS = {"1": presets.tum_freiburg1, "2": presets.tum_freiburg2, "3": presets.tum_freiburg3}
+
+
+def tum(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open a sequence of the TUM RGB-D benchmark (Sturm et al. 2012).
+
+    Parameters
+    ----------
+    path : folder
+        With ``depth.txt``: lines "seconds file", and comments.
+    camera : Camera, optional
+        If not given, that of freiburg1, 2 or 3 (`presets`), whichever is in the folder's name.
+
+    Returns
+    -------
+    FrameSequence
+        Seconds since 1970.
+    """
+    root = existing_folder(path)
+    if camera is None:
+        found = re.findall(r"freiburg([123])|(?:^|[^a-z])fr([123])(?![0-9])", root.resolve().name)
+        if not found:
+            raise ValueError(
+                f"{root}: expected freiburg1, freiburg2 or freiburg3 in the folder's name, by which the "
+                "calibration is known; or give the camera"
+            )
+        camera = _CAMERAS[found[-1][0] or found[-1][1]]()
+    times, files = read_index(root / "depth.txt")
+    return image_sequence(files, camera, root, times)
+
+
+def icl_nuim(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open a trajectory of ICL-NUIM (Handa et al. 2014) in its "TUM RGB-D compatible PNGs" form.
+
+    Parameters
+    ----------
+    path : folder
+        With ``depth/0.png``, ``depth/1.png``, ...
+    camera : Camera, optional
+        `presets.icl_nuim`, whose fy is negative, if not given.
+
+    Returns
+    -------
+    FrameSequence
+        Without times: the data set numbers its frames.
+    """
+    root = existing_folder(path)
+    files = some(numbered((root / "depth").glob("*.png")), "depth/*.png", root)
+    return image_sequence(files, camera or presets.icl_nuim(), root)
+
+
+def read_index(path: Path) -> tuple[list[float], list[Path]]:
+    """Times and files of the lines "seconds file" of an index; # begins a comment."""
+    times, files = [], []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        words = line.partition("#")[0].split(maxsplit=1)
+        if not words:
+            continue
+        try:
+            time, name = float(words[0]), words[1].strip()
+        except (IndexError, ValueError):
+            time, name = math.nan, ""
+        if not math.isfinite(time):
+            raise ValueError(f'{path}, line {number}: expected "seconds file", got {line.strip()!r}')
+        times.append(time)
+        files.append(path.parent / name)
+    some(files, 'lines "seconds file"', path)
+    return times, files

@@ -1,0 +1,407 @@
+"""Batches: the table is what fit_tiles gives, whatever is bad, interrupted, killed or shared."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes import batch, cli, images, presets, scenes
+from rgbd_planes.batch_parts import FitSettings
+from rgbd_planes.sequences import FrameEntry, FrameSequence
+
+parquet = pytest.importorskip("pyarrow.parquet")
+
+CAMERA = rp.Camera(width=80, height=60, fx=65.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=1000.0)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A folder of 30 frames with times."""
+    root = tmp_path / "recording"
+    (root / "depth").mkdir(parents=True)
+    CAMERA.save(root / "camera.json")
+    rendering = scenes.room().render(CAMERA)
+    lines = []
+    for i in range(30):
+        images.write_png(root / "depth" / f"{i}.png", rendering.measure(holes=0.2, patches=0.2, seed=i))
+        lines.append(f"{100 + i / 30:.6f} depth/{i}.png")
+    (root / "depth.txt").write_text("\n".join(lines))
+    return root
+
+
+def rows_of(out):
+    """The table in the order of frames and tiles."""
+    table = parquet.read_table(out)
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    order = np.lexsort((columns["column"], columns["row"], columns["frame"]))
+    return {name: values[order] for name, values in columns.items()}
+
+
+def check_rows(out, sequence, bad=(), **options):
+    """Whether the table has each row that fit_tiles gives, once."""
+    rows = rows_of(out)
+    expected = [rp.fit_tiles(sequence[i].depth, sequence[i].camera, **options) for i in good(sequence, bad)]
+    tables = [tiles.to_table() for tiles in expected]
+    for name in tables[0]:
+        column = np.concatenate([table[name] for table in tables])
+        assert np.array_equal(rows[name], column, equal_nan=column.dtype.kind == "f"), name
+    count = len(tables[0]["row"])
+    assert np.array_equal(rows["frame"], np.repeat(good(sequence, bad), count))
+    assert list(rows["name"]) == list(np.repeat([sequence.names[i] for i in good(sequence, bad)], count))
+    times = np.repeat(sequence.timestamps[good(sequence, bad)], count)
+    assert np.array_equal(rows["timestamp"], times, equal_nan=True)
+
+
+def good(sequence, bad):
+    return [i for i in range(len(sequence)) if i not in bad]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_table_is_what_fit_tiles_gives(recording, tmp_path, threads):
+    sequence = rp.open_sequence(recording)
+    options = {"tile": (12, 16), "method": "standard_pca", "max_missing": 0.3, "max_error": 0.02}
+    seen = []
+    report = rp.fit_sequence(
+        sequence, tmp_path / "out", FitSettings(**options), num_threads=threads, progress=seen.append
+    )
+    check_rows(tmp_path / "out", sequence, **options)
+    statuses, counts = np.unique(rows_of(tmp_path / "out")["status"].astype(str), return_counts=True)
+    assert dict(report.status) == dict(zip(statuses, counts, strict=True))
+    assert len(statuses) == 3
+    assert (report.frames, report.resumed, report.rows, report.problems) == (30, 0, 30 * 25, [])
+    assert sum(done.frames for done in seen) == 30
+    assert all(report.seconds[work] > 0 for work in ("read", "fit", "write"))
+
+
+def test_pandas_reads_the_table(recording, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out")
+    frame = pandas.read_parquet(tmp_path / "out")
+    assert len(frame) == 30 * 20
+    assert frame.query("status == 'OK'").nx.notna().all()
+    assert frame.query("status == 'TOO_FEW'").nx.isna().all()
+
+
+def test_a_time_that_is_not_known_is_null(recording, tmp_path):
+    (recording / "depth.txt").unlink()
+    rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out")
+    times = parquet.read_table(tmp_path / "out")["timestamp"]
+    assert times.null_count == len(times) > 0
+
+
+def test_each_frame_may_have_its_own_camera(recording, tmp_path):
+    other = rp.Camera(width=80, height=60, fx=60.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=900.0)
+    sequence = rp.open_sequence(recording)
+    entries = [
+        FrameEntry(e.name, e.timestamp, [CAMERA, other][i % 2], e.location)
+        for i, e in enumerate(sequence.entries)
+    ]
+    mixed = FrameSequence(entries, images.read_depth)
+    rp.fit_sequence(mixed, tmp_path / "out")
+    check_rows(tmp_path / "out", mixed)
+
+
+def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
+    (recording / "depth" / "0.png").unlink()
+    (recording / "depth" / "7.png").write_bytes((recording / "depth" / "7.png").read_bytes()[:200])
+    images.write_png(recording / "depth" / "29.png", np.ones((60, 81), np.uint16))
+    sequence = rp.open_sequence(recording)
+    report = rp.fit_sequence(sequence, tmp_path / "out")
+    assert [(p.frame, p.name) for p in report.problems] == [
+        (0, "depth/0.png"), (7, "depth/7.png"), (29, "depth/29.png"),
+    ]  # fmt: skip
+    for problem, words in zip(report.problems, ("no such file", "truncated PNG", "(60, 80)"), strict=True):
+        assert words in problem.reason
+    check_rows(tmp_path / "out", sequence, bad=(0, 7, 29))
+    # An interrupted table has them, too.
+    again = rp.fit_sequence(sequence, tmp_path / "out")
+    assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
+
+
+def test_a_table_of_bad_frames_alone_has_its_columns(recording, tmp_path):
+    sequence = rp.open_sequence(recording)
+    rp.fit_sequence(sequence, tmp_path / "good")
+    for file in (recording / "depth").iterdir():
+        file.write_bytes(b"")
+    report = rp.fit_sequence(sequence, tmp_path / "bad")
+    assert len(report.problems) == 30
+    good_table, bad_table = (parquet.read_table(tmp_path / name) for name in ("good", "bad"))
+    assert bad_table.num_rows == 0
+    assert bad_table.schema.equals(good_table.schema)
+
+
+def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
+    sequence, out = rp.open_sequence(recording), tmp_path / "out"
+    rp.fit_sequence(sequence, out, num_threads=1)
+    parts = sorted(out.glob("part-*.parquet"))
+    assert len(parts) == 5  # of 7 frames each, the last of 2
+    contents = [part.read_bytes() for part in parts]
+    kept = {part: part.stat().st_mtime_ns for part in parts[2:4]}
+    parts[0].unlink()
+    parts[1].write_bytes(contents[1][:-100])  # a machine that lost power
+    parts[4].write_bytes(b"")
+    (out / ".part-000000.123-456.parquet").write_bytes(b"half")
+    # With another number of threads the parts stay what they were.
+    report = rp.fit_sequence(sequence, out, num_threads=3)
+    assert report.resumed == 14
+    assert [part.read_bytes() for part in parts] == contents
+    assert {part: part.stat().st_mtime_ns for part in kept} == kept
+    assert sorted(path.name for path in out.iterdir()) == ["_about.json", *(part.name for part in parts)]
+
+
+def test_another_table_is_not_mixed_in(recording, tmp_path):
+    sequence, out = rp.open_sequence(recording), tmp_path / "out"
+    rp.fit_sequence(sequence, out)
+    camera = rp.Camera(**{**CAMERA.to_dict(), "depth_scale": 999.0})
+    for other, settings, word in (
+        (sequence, FitSettings(tile=20), "settings"),
+        (sequence[:29], None, "frames, sequence"),
+        (sequence[::-1], None, "sequence"),
+        (rp.open_sequence(recording, camera), None, "sequence"),
+    ):
+        with pytest.raises(ValueError, match=rf"another sequence, camera or settings \({word} differ\)"):
+            rp.fit_sequence(other, out, settings)
+    check_rows(out, sequence)
+    (out / "_about.json").write_text("{}")
+    with pytest.raises(ValueError, match="damaged; remove"):
+        rp.fit_sequence(sequence, out)
+    (out / "_about.json").unlink()
+    with pytest.raises(ValueError, match="expected an empty folder"):
+        rp.fit_sequence(sequence, out)
+
+
+def test_arguments_that_cannot_be_used(recording, tmp_path):
+    sequence, out = rp.open_sequence(recording), tmp_path / "out"
+    for settings, message in (
+        (FitSettings(tile=1), "tile must be"),
+        (FitSettings(method="magic"), "method must be"),
+        (FitSettings(max_missing=2.0), "max_missing"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rp.fit_sequence(sequence, out, settings)
+    with pytest.raises(ValueError, match="num_threads must be at least 1"):
+        rp.fit_sequence(sequence, out, num_threads=0)
+    with pytest.raises(ValueError, match="expected a sequence with frames"):
+        rp.fit_sequence(sequence[:0], out)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["pyarrow", "pyarrow.parquet"])
+def test_without_pyarrow(recording, tmp_path, monkeypatch, name):
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[batch\]"'):
+        rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out")
+
+
+def many(path):
+    """A frame that exists without a file."""
+    return np.full((60, 80), 1000 + path % 7, np.uint16)
+
+
+def test_memory_does_not_grow_with_the_sequence(tmp_path):
+    def peak(frames):
+        sequence = FrameSequence((FrameEntry(str(i), i, CAMERA, i) for i in range(frames)), many)
+        tracemalloc.start()
+        rp.fit_sequence(sequence, tmp_path / str(frames), FitSettings(tile=4), num_threads=2)
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    peak(600)  # what is made once
+    assert peak(2400) < 1.5 * peak(1200)  # 600 frames' rows would be 30 MB
+
+
+SLOW = """
+import sys, time
+from rgbd_planes import batch_parts, cli
+fit_part = batch_parts.fit_part
+def slowly(*arguments):
+    time.sleep(0.2)
+    return fit_part(*arguments)
+import rgbd_planes.batch
+rgbd_planes.batch.fit_part = slowly
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGINT])
+def test_a_process_that_is_stopped_is_resumed(recording, tmp_path, kind, capsys):
+    out = tmp_path / "out"
+    arguments = ["batch", str(recording), "--out", str(out), "--threads", "1"]
+    process = subprocess.Popen([sys.executable, "-c", SLOW, *arguments], stderr=subprocess.PIPE, text=True)
+    until(lambda: len(list(out.glob("part-*.parquet"))) >= 2)
+    process.send_signal(kind)
+    _, err = process.communicate(timeout=60)
+    done = len(list(out.glob("part-*.parquet")))
+    assert 2 <= done < 5
+    if kind == signal.SIGINT:
+        assert process.returncode == 130
+        assert err.endswith("rgbd-planes batch: stopped; the same command does the rest\n")
+        assert "Traceback" not in err
+    assert cli.main(arguments) == 0
+    assert f"{7 * done} frames had been done before." in capsys.readouterr().out
+    check_rows(out, rp.open_sequence(recording))
+
+
+def until(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.01)
+
+
+def test_command_line(recording, tmp_path, capsys):
+    out = tmp_path / "planes.parquet"
+    arguments = ["batch", str(recording), "--out", str(out), "--tile", "12x16", "--max-error", "0.02"]
+    assert cli.main(arguments) == 0
+    written, err = capsys.readouterr()
+    assert written.startswith("30 of 30 frames, 750 rows: ")
+    assert "Of the work: read " in written
+    assert err == ""
+    check_rows(out, rp.open_sequence(recording), tile=(12, 16), max_error=0.02)
+    (recording / "depth" / "3.png").write_bytes(b"")
+    for part in out.glob("part-*.parquet"):
+        part.unlink()
+    assert cli.main(arguments) == 1
+    written, err = capsys.readouterr()
+    assert written.startswith("29 of 30 frames, 725 rows: ")
+    first, last = err.splitlines()
+    assert first.startswith("rgbd-planes batch: skipped frame 3, depth/3.png: ")
+    assert last == "Skipped 1 of 30 frames."
+    assert cli.main([*arguments, "--tile", "20"]) == 2
+    assert "another sequence, camera or settings" in capsys.readouterr().err
+    assert cli.main(["batch", str(tmp_path / "gone"), "--out", str(out)]) == 2
+    assert "no such file or folder" in capsys.readouterr().err
+    CAMERA.save(tmp_path / "c.json")
+    with_camera = ["--camera", str(tmp_path / "c.json"), "--format", "tum"]
+    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "t"), *with_camera]) == 1
+    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "u"), "--topic", "/depth"]) == 2
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A scheduler and three workers, each a process of its own."""
+    pytest.importorskip("distributed")
+    environment = os.environ | {
+        "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "1h",
+        "PYTHONPATH": os.pathsep.join([*sys.path, os.path.dirname(__file__)]),
+    }
+    started = []
+
+    def start(*arguments):
+        command = [sys.executable, "-m", "distributed.cli." + arguments[0], *arguments[1:]]
+        process = subprocess.Popen(
+            command, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        started.append(process)
+        return process
+
+    about = tmp_path / "scheduler.json"
+    start(
+        "dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        str(about),
+    )
+    until(lambda: about.exists() and about.read_text().endswith("}"))
+    address = json.loads(about.read_text())["address"]
+    workers = [
+        start(
+            "dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny", "--host", "127.0.0.1",
+            "--local-directory", str(tmp_path),
+        )
+        for _ in range(3)
+    ]  # fmt: skip
+    yield address, workers
+    for process in started:
+        process.kill()
+    for process in started:
+        process.wait()
+
+
+def slow_frame(location):
+    """Read a frame so slowly that a worker can be killed meanwhile; note which process did."""
+    path, notes = location
+    (notes / f"{path.stem}-{os.getpid()}-{time.monotonic_ns()}").touch()
+    time.sleep(0.05)
+    return images.read_depth(path)
+
+
+def test_a_cluster_loses_a_worker_and_no_row(recording, tmp_path, cluster):
+    address, workers = cluster
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    (recording / "depth" / "5.png").unlink()
+    plain = rp.open_sequence(recording)
+    sequence = FrameSequence(
+        (FrameEntry(e.name, e.timestamp, e.camera, (e.location, notes)) for e in plain.entries), slow_frame
+    )
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(3, timeout=60)
+    seen = []
+
+    def kill_one_at_work(done):
+        if not seen:  # the first part has come back: others are under way
+            victims = {worker.pid for worker in workers}
+            latest = max(notes.iterdir(), key=lambda note: int(note.name.split("-")[2]))
+            pid = int(latest.name.split("-")[1])
+            assert pid in victims
+            os.kill(pid, signal.SIGKILL)
+        seen.append(done)
+
+    report = rp.fit_sequence(sequence, tmp_path / "out", scheduler=address, progress=kill_one_at_work)
+    assert sum(worker.poll() is not None for worker in workers) == 1
+    # Some frames were read twice, by the worker that died and by another; their rows are there once.
+    read = [note.name.split("-")[0] for note in notes.iterdir()]
+    assert len(read) > len(set(read)) == 30
+    assert len({note.name.split("-")[1] for note in notes.iterdir()}) == 3
+    assert [problem.frame for problem in report.problems] == [5]
+    assert sum(done.frames for done in seen) == 30
+    check_rows(tmp_path / "out", plain, bad=(5,))
+    # What threads here write is the same to the byte.
+    batch.fit_sequence(plain, tmp_path / "threads", num_threads=3)
+    for part in sorted((tmp_path / "out").glob("part-*")):
+        assert part.read_bytes() == (tmp_path / "threads" / part.name).read_bytes()
+
+
+def test_a_cluster_from_the_command_line(recording, tmp_path, cluster, capsys):
+    address, _ = cluster
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "out"), "--scheduler", address]
+    assert cli.main(arguments) == 0
+    check_rows(tmp_path / "out", rp.open_sequence(recording))
+    assert cli.main(arguments) == 0
+    assert "30 frames had been done before" in capsys.readouterr().out
+
+
+def test_no_cluster_at_the_address(recording, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(batch, "CONNECT_SECONDS", 0.5)
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
+    assert cli.main(arguments) == 2
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert cli.main(arguments) == 2
+    assert 'pip install "rgbd-planes[dask]"' in capsys.readouterr().err
+
+
+def test_presets_do_for_a_benchmark_sequence(tmp_path):
+    root = tmp_path / "rgbd_dataset_freiburg3_x"
+    (root / "depth").mkdir(parents=True)
+    camera = presets.tum_freiburg3()
+    images.write_png(root / "depth" / "1.5.png", scenes.room().render(camera).measure(seed=1))
+    (root / "depth.txt").write_text("# timestamp filename\n1.5 depth/1.5.png\n")
+    assert cli.main(["batch", str(root), "--out", str(tmp_path / "out")]) == 0
+    check_rows(tmp_path / "out", rp.open_sequence(root))

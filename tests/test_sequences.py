@@ -1,0 +1,466 @@
+"""Readers of data sets and recordings: each on a small file of exactly its format, made here."""
+
+import json
+import math
+import pickle
+import struct
+import zlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import real_data
+from PIL import Image
+
+import rgbd_planes as rp
+from rgbd_planes import images, presets, sequences
+
+CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
+
+
+@pytest.fixture
+def frames(rng):
+    """Three small frames with values of both bytes."""
+    return rng.integers(0, 65535, (3, 6, 8)).astype(np.uint16)
+
+
+def write_tum(root, frames):
+    """A folder as the archives of the TUM benchmark unpack."""
+    (root / "depth").mkdir(parents=True)
+    lines = ["# depth maps", "# file: 'x.bag'", "# timestamp filename"]
+    for i, frame in enumerate(frames):
+        time = f"{1305031102.160407 + i / 30:.6f}"
+        images.write_png(root / "depth" / f"{time}.png", frame)
+        lines.append(f"{time} depth/{time}.png")
+    (root / "depth.txt").write_text("\n".join(lines) + "\n")
+
+
+def write_sens(path, frames, camera=CAMERA, compression=1, stamps=(0, 33_000, 66_000)):
+    """A ScanNet recording with colour of some bytes and one IMU record at the end."""
+    matrix = np.eye(4, dtype="<f4")
+    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
+    other = np.diag([9.0, 9.0, 1.0, 1.0]).astype("<f4")
+    with open(path, "wb") as file:
+        file.write(struct.pack("<IQ", 4, 9) + b"StructSen")
+        for block in (other, np.eye(4, dtype="<f4"), matrix, np.eye(4, dtype="<f4")):
+            file.write(block.tobytes())
+        file.write(struct.pack("<iiIIIIfQ", 2, compression, 16, 12, 8, 6, 1000.0, len(frames)))
+        for frame, stamp in zip(frames, stamps, strict=True):
+            content = frame.astype("<u2").tobytes()
+            content = zlib.compress(content) if compression == 1 else content
+            colour = b"\xff\xd8colour"
+            file.write(np.eye(4, dtype="<f4").tobytes())
+            file.write(struct.pack("<QQQQ", stamp + 5, stamp, len(colour), len(content)) + colour + content)
+        file.write(struct.pack("<Q", 1) + bytes(15 * 8 + 8))
+
+
+def same(sequence, frames, camera, names=None, times=None):
+    """Whether a sequence is what was written, however it is asked for."""
+    assert len(sequence) == len(frames)
+    for i, (frame, expected) in enumerate(zip(sequence, frames, strict=True)):
+        assert np.array_equal(frame.depth, expected, equal_nan=expected.dtype.kind == "f")
+        assert frame.depth.dtype == expected.dtype
+        assert frame.camera == (camera[i] if isinstance(camera, list) else camera)
+        assert frame.name == sequence.names[i]
+    assert np.array_equal(sequence[-1].depth, frames[-1], equal_nan=True)
+    assert np.array_equal(pickle.loads(pickle.dumps(sequence[1:]))[0].depth, frames[1], equal_nan=True)
+    with pytest.raises(IndexError):
+        sequence[len(frames)]
+    if names is not None:
+        assert list(sequence.names) == names
+    times = [math.nan] * len(frames) if times is None else times
+    np.testing.assert_allclose(sequence.timestamps, times, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("number", "123")
+def test_tum(tmp_path, frames, number):
+    root = tmp_path / f"rgbd_dataset_freiburg{number}_xyz"
+    write_tum(root, frames)
+    camera = getattr(presets, f"tum_freiburg{number}")()
+    times = 1305031102.160407 + np.arange(3) / 30
+    names = [f"depth/{time:.6f}.png" for time in times]
+    same(rp.open_sequence(root), frames, camera, names, times)
+    same(sequences.tum(root, CAMERA), frames, CAMERA, names, times)
+    assert repr(rp.open_sequence(root)).startswith("<FrameSequence: 3 frames, 640 x 480 pixels, depth/")
+
+
+def test_tum_says_what_is_wrong(tmp_path, frames):
+    write_tum(tmp_path / "office", frames)
+    with pytest.raises(ValueError, match="freiburg1, freiburg2 or freiburg3 in the folder's name"):
+        rp.open_sequence(tmp_path / "office")
+    root = tmp_path / "freiburg1"
+    write_tum(root, frames)
+    for text, message in (
+        ("# only a comment\n", "found none"),
+        ("1.5 a.png\nsoon b.png\n", "line 2: expected"),
+    ):
+        (root / "depth.txt").write_text(text)
+        with pytest.raises(ValueError, match=message):
+            rp.open_sequence(root)
+
+
+def test_icl_nuim(tmp_path, frames):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "livingRoom0.gt.freiburg").touch()
+    for number, frame in zip((9, 10, 100), frames, strict=True):
+        images.write_png(tmp_path / "depth" / f"{number}.png", frame)
+    names = ["depth/9.png", "depth/10.png", "depth/100.png"]
+    same(rp.open_sequence(tmp_path), frames, presets.icl_nuim(), names)
+
+
+def test_seven_scenes(tmp_path, frames):
+    for i, frame in enumerate(frames):
+        images.write_png(tmp_path / f"frame-{i:06d}.depth.png", frame)
+        (tmp_path / f"frame-{i:06d}.pose.txt").touch()
+        (tmp_path / f"frame-{i:06d}.color.png").touch()
+    names = [f"frame-{i:06d}.depth.png" for i in range(3)]
+    same(rp.open_sequence(tmp_path), frames, presets.seven_scenes(), names)
+
+
+def test_scannet_as_exported_by_its_python_tool(tmp_path, frames):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "intrinsic").mkdir()
+    matrix = np.eye(4)
+    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = 7.0, 7.5, 3.5, 2.5
+    np.savetxt(tmp_path / "intrinsic" / "intrinsic_depth.txt", matrix, fmt="%f")
+    for i, frame in zip((2, 11, 100), frames, strict=True):
+        images.write_png(tmp_path / "depth" / f"{i}.png", frame)
+    same(rp.open_sequence(tmp_path), frames, CAMERA, ["depth/2.png", "depth/11.png", "depth/100.png"])
+    (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("1 2 3")
+    with pytest.raises(ValueError, match="expected a 4 x 4 matrix"):
+        rp.open_sequence(tmp_path)
+
+
+def test_scannet_as_exported_by_its_cpp_tool(tmp_path, frames):
+    for i, frame in enumerate(frames):
+        with open(tmp_path / f"frame-{i:06d}.depth.pgm", "wb") as file:
+            file.write(b"P5\n8 6\n65535\n" + frame.astype(">u2").tobytes())
+    (tmp_path / "_info.txt").write_text(
+        "m_versionNumber = 4\nm_sensorName = StructureSensor\nm_colorWidth = 16\nm_colorHeight = 12\n"
+        "m_depthWidth = 8\nm_depthHeight = 6\nm_depthShift = 1000\n"
+        "m_calibrationColorIntrinsic = 9 0 8 0 0 9 6 0 0 0 1 0 0 0 0 1 \n"
+        "m_calibrationDepthIntrinsic = 7 0 3.5 0 0 7.5 2.5 0 0 0 1 0 0 0 0 1 \n"
+        "m_frames.size = 3\n"
+    )
+    same(rp.open_sequence(tmp_path), frames, CAMERA)
+    (tmp_path / "_info.txt").write_text("m_depthWidth = 8\n")
+    with pytest.raises(ValueError, match="expected m_depthWidth, m_depthHeight"):
+        rp.open_sequence(tmp_path)
+
+
+@pytest.mark.parametrize("compression", [0, 1])
+def test_scannet_sens(tmp_path, frames, compression):
+    path = tmp_path / "scene0000_00.sens"
+    write_sens(path, frames, compression=compression)
+    times = [math.nan, 0.033, 0.066]  # a stamp of zero is none
+    same(rp.open_sequence(path), frames, CAMERA, times=times)
+    same(sequences.scannet_sens(path, presets.scannet()), frames, presets.scannet(), times=times)
+
+
+def test_sens_that_is_damaged(tmp_path, frames):
+    path = tmp_path / "a.sens"
+    write_sens(path, frames)
+    whole = path.read_bytes()
+    start = rp.open_sequence(path).entries[1].location.offset
+    for content, message in (
+        (whole[:5], "truncated"),
+        (whole[:300], "truncated"),
+        (whole[: start + 3], "truncated"),
+        (b"\x03" + whole[1:], "version 4, got 3"),
+        (b"\x04\0\0\0" + b"\xff" * 40, "not a .sens file"),
+        (whole[:281] + b"\x02" + whole[282:], "got occi_ushort"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=message) as error:
+            rp.open_sequence(path)
+        assert "a.sens" in str(error.value)
+    # One bad frame does not hide the others.
+    path.write_bytes(whole[:start] + b"nonsense" + whole[start + 8 :])
+    sequence = rp.open_sequence(path)
+    with pytest.raises(ValueError, match=f"damaged depth frame at byte {start}"):
+        sequence[1]
+    assert np.array_equal(sequence[2].depth, frames[2])
+
+
+def write_arkitscenes(root, frames, shift=0.0):
+    (root / "lowres_depth").mkdir(parents=True)
+    (root / "lowres_wide_intrinsics").mkdir()
+    for i, frame in enumerate(frames):
+        # Out of the alphabet's order: 99.9 comes before 100.0.
+        time = 99.95 + 0.1 * i
+        images.write_png(root / "lowres_depth" / f"41048190_{time:.3f}.png", frame)
+        (root / "lowres_wide_intrinsics" / f"41048190_{time + shift:.3f}.pincam").write_text(
+            f"8 6 {7.0 + (i > 1)} 7.5 3.5 2.5\n"
+        )
+
+
+def test_arkitscenes_has_a_camera_for_each_frame(tmp_path, frames):
+    write_arkitscenes(tmp_path / "a", frames, shift=0.001)
+    cameras = [CAMERA, CAMERA, rp.Camera(8, 6, 8.0, 7.5, 3.5, 2.5, depth_scale=1000.0)]
+    sequence = rp.open_sequence(tmp_path / "a")
+    same(sequence, frames, cameras, times=[99.95, 100.05, 100.15])
+    assert sequence.entries[0].camera is sequence.entries[1].camera
+    assert "2 cameras" in repr(sequence)
+    write_arkitscenes(tmp_path / "b", frames, shift=0.02)
+    with pytest.raises(ValueError, match="expected a calibration of its moment"):
+        rp.open_sequence(tmp_path / "b")
+    same(
+        rp.open_sequence(tmp_path / "b", CAMERA, "arkitscenes"), frames, CAMERA, times=[99.95, 100.05, 100.15]
+    )
+
+
+def test_folder(tmp_path, frames):
+    for place in (tmp_path / "flat", tmp_path / "nested" / "depth"):
+        place.mkdir(parents=True)
+        for name, frame in zip(("f9.png", "f10.npy", "f100.npy"), frames, strict=True):
+            images.write_png(place / name, frame) if name == "f9.png" else np.save(place / name, frame)
+        (place / "notes.txt").touch()
+    with pytest.raises(ValueError, match="of no known format"):
+        rp.open_sequence(tmp_path / "flat")
+    with pytest.raises(ValueError, match=r"expected a camera, or its file camera\.json"):
+        sequences.folder(tmp_path / "flat")
+    same(rp.open_sequence(tmp_path / "flat", CAMERA), frames, CAMERA, ["f9.png", "f10.npy", "f100.npy"])
+    CAMERA.save(tmp_path / "nested" / "camera.json")
+    same(rp.open_sequence(tmp_path / "nested"), frames, CAMERA)
+    (tmp_path / "nested" / "depth.txt").write_text("0.5 depth/f10.npy\n1.5 depth/f9.png\n")
+    times = rp.open_sequence(tmp_path / "nested")
+    same(times, frames[[1, 0]], CAMERA, times=[0.5, 1.5])
+
+
+def test_open_sequence_says_what_is_wrong(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such file or folder"):
+        rp.open_sequence(tmp_path / "gone")
+    (tmp_path / "x.mp4").touch()
+    with pytest.raises(ValueError, match=r"expected a folder, or a \.sens"):
+        rp.open_sequence(tmp_path / "x.mp4")
+    with pytest.raises(ValueError, match="format must be one of arkitscenes"):
+        rp.open_sequence(tmp_path, format="kitti")
+    for name in ("icl_nuim", "seven_scenes", "scannet", "arkitscenes"):
+        with pytest.raises(ValueError, match="found none"):
+            rp.open_sequence(tmp_path, format=name)
+    with pytest.raises(ValueError, match="found none"):
+        rp.open_sequence(tmp_path, CAMERA)
+    with pytest.raises(NotADirectoryError, match="expected a folder"):
+        sequences.tum(tmp_path / "x.mp4")
+
+
+def messages(store, frames, encoding="16UC1", padding=0, big_endian=False):
+    """Images as ROS messages of a type store."""
+    types = store.types
+    ros1 = "seq" in types["std_msgs/msg/Header"].__annotations__
+
+    def header(i, stamped=True):
+        time = types["builtin_interfaces/msg/Time"](100 + i if stamped else 0, 500_000_000 if stamped else 0)
+        fields = {"stamp": time, "frame_id": "depth"} | ({"seq": i} if ros1 else {})
+        return types["std_msgs/msg/Header"](**fields)
+
+    made = []
+    for i, frame in enumerate(frames):
+        rows = frame.astype(frame.dtype.newbyteorder(">" if big_endian else "<")).view(np.uint8)
+        rows = np.pad(rows.reshape(len(frame), -1), ((0, 0), (0, padding)))
+        made.append(
+            types["sensor_msgs/msg/Image"](
+                header=header(i, stamped=i != 2), height=len(frame), width=frame.shape[1], encoding=encoding,
+                is_bigendian=int(big_endian), step=rows.shape[1], data=rows.ravel(),
+            )
+        )  # fmt: skip
+    info = SimpleNamespace(
+        k=[7.0, 0, 3.5, 0, 7.5, 2.5, 0, 0, 1], p=[7.1, 0, 3.5, 0, 0, 7.6, 2.5, 0, 0, 0, 1, 0]
+    )
+    letters = str.upper if ros1 else str
+    arrays = {
+        letters("d"): np.array([0.01, 0.0, 0.0, 0.0, 0.0]), letters("k"): np.array(info.k),
+        letters("r"): np.eye(3).ravel(), letters("p"): np.array(info.p, np.float64),
+    }  # fmt: skip
+    camera_info = types["sensor_msgs/msg/CameraInfo"](
+        header=header(0), height=6, width=8, distortion_model="plumb_bob", binning_x=0, binning_y=0,
+        roi=types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False), **arrays,
+    )  # fmt: skip
+    return made, camera_info
+
+
+def write_bag(path, topics):
+    """A bag of {topic: [(nanoseconds, message), ...]}: ROS 1 where the name ends in .bag, ROS 2 elsewhere."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+
+    store, ros1 = type_store(path)
+    if ros1:
+        writer = Writer1(path)
+        writer.set_compression(Writer1.CompressionFormat.BZ2)
+    else:
+        plugin = StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
+        writer = Writer2(path, version=9, storage_plugin=plugin)
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    with writer:
+        for topic, timed in topics.items():
+            kind = timed[0][1].__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for time, message in timed:
+                writer.write(connection, time, serialize(message, kind))
+
+
+def type_store(path):
+    from rosbags.typesys import Stores, get_typestore
+
+    ros1 = path.suffix == ".bag"
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE), ros1
+
+
+RAW = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, distortion=(0.01, 0, 0, 0, 0), depth_scale=1000.0)
+RECTIFIED = rp.Camera(8, 6, 7.1, 7.6, 3.5, 2.5, depth_scale=1000.0)
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "ros2", "mcap"])
+def test_rosbag(tmp_path, frames, name):
+    pytest.importorskip("rosbags")
+    path = tmp_path / name
+    store, _ = type_store(path)
+    depth, info = messages(store, frames, padding=6)
+    metres, _ = messages(
+        store, [(frame / 1000).astype(np.float32) for frame in frames], "32FC1", big_endian=True
+    )
+    infrared, _ = messages(store, frames, "mono16")
+    times = [5_000_000_000, 6_000_000_000, 6_000_000_000]  # two recorded at once, the last one not stamped
+    write_bag(
+        path,
+        {
+            "/camera/depth/image_raw": list(zip(times, depth, strict=True)),
+            "/camera/depth/camera_info": [(times[0], info)],
+            "/other/depth/image_rect": list(zip(times, metres, strict=True)),
+            "/other/depth/camera_info": [(times[0], info)],
+            "/camera/infra/image_raw": list(zip(times, infrared, strict=True)),
+        },
+    )
+    with pytest.raises(ValueError, match="depth is in /camera/depth/image_raw, /other/depth/image_rect"):
+        rp.open_sequence(path)
+    with pytest.raises(ValueError, match="got the topic '/x'; depth is in /camera"):
+        sequences.rosbag(path, topic="/x")
+    seconds = [100.5, 101.5, 6.0]
+    same(sequences.rosbag(path, topic="/camera/depth/image_raw"), frames, RAW, times=seconds)
+    same(
+        sequences.rosbag(path, topic="/other/depth/image_rect"),
+        (frames / 1000).astype(np.float32), RECTIFIED, times=seconds,
+    )  # fmt: skip
+    if name != "ros1.bag":  # the file inside the folder, too
+        inside = next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
+        same(sequences.rosbag(inside, CAMERA, "/camera/depth/image_raw"), frames, CAMERA, times=seconds)
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "ros2"])
+def test_rosbag_of_compressed_depth(tmp_path, frames, name):
+    pytest.importorskip("rosbags")
+    import io
+
+    path = tmp_path / name
+    store, _ = type_store(path)
+    plain, info = messages(store, frames)
+    compressed = []
+    for kind, quantisation in (("16UC1", (0.0, 0.0)), ("32FC1", (6000.0, -20.0))):
+        made = []
+        for message, frame in zip(plain, frames, strict=True):
+            png = io.BytesIO()
+            Image.fromarray(frame).save(png, "PNG")
+            content = np.frombuffer(struct.pack("<iff", 0, *quantisation) + png.getvalue(), np.uint8)
+            text = f"{kind}; compressedDepth png"
+            made.append(store.types["sensor_msgs/msg/CompressedImage"](message.header, text, content))
+        compressed.append(made)
+    times = [1_000_000_000 * i for i in range(1, 4)]
+    write_bag(
+        path,
+        {
+            "/cam/image_raw/compressedDepth": list(zip(times, compressed[0], strict=True)),
+            "/cam/metres/compressedDepth": list(zip(times, compressed[1], strict=True)),
+            "/cam/camera_info": [(1_000_000_000, info)],
+        },
+    )
+    seconds = [100.5, 101.5, 3.0]
+    same(sequences.rosbag(path, topic="/cam/image_raw/compressedDepth"), frames, RAW, times=seconds)
+    expected = np.where(frames == 0, np.nan, 6000 / (frames.astype(np.float64) + 20))
+    sequence = sequences.rosbag(path, topic="/cam/metres/compressedDepth")
+    for frame, metres in zip(sequence, expected, strict=True):
+        assert frame.depth.dtype == np.float32
+        np.testing.assert_allclose(frame.depth, metres, rtol=1e-6)
+
+
+def test_rosbag_of_a_realsense(tmp_path, frames):
+    pytest.importorskip("rosbags")
+    path = tmp_path / "d405.bag"
+    store, _ = type_store(path)
+    depth, info = messages(store, frames, "mono16")
+    infrared, _ = messages(store, frames, "mono16")
+    info.distortion_model, info.D = "Brown Conrady", np.zeros(5)
+    sensor = "/device_0/sensor_0"
+    write_bag(
+        path,
+        {
+            f"{sensor}/Depth_0/image/data": [(i + 1, message) for i, message in enumerate(depth)],
+            f"{sensor}/Depth_0/info/camera_info": [(1, info)],
+            f"{sensor}/Infrared_1/image/data": [(i + 1, message) for i, message in enumerate(infrared)],
+            f"{sensor}/option/Depth_Units/value": [(1, store.types["std_msgs/msg/Float32"](1e-4))],
+        },
+    )
+    camera = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=10000.0)
+    same(rp.open_sequence(path), frames, camera, times=[100.5, 101.5, 3e-9])
+
+
+def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
+    pytest.importorskip("rosbags")
+    path = tmp_path / "a.bag"
+    store, _ = type_store(path)
+    depth, info = messages(store, frames)
+    colour, _ = messages(store, frames, "bgr8")
+    depth[1].data = depth[1].data[:20]
+    write_bag(path, {"/depth": [(i + 1, message) for i, message in enumerate(depth)]})
+    with pytest.raises(ValueError, match="expected a CameraInfo beside /depth, or a camera; there is none"):
+        rp.open_sequence(path)
+    sequence = rp.open_sequence(path, CAMERA)
+    assert np.array_equal(sequence[0].depth, frames[0])
+    with pytest.raises(ValueError, match=r"a\.bag: /depth: truncated image: 20 bytes for 6 rows of 16 bytes"):
+        sequence[1]
+    write_bag(tmp_path / "b.bag", {"/colour": [(1, colour[0])], "/camera_info": [(1, info)]})
+    with pytest.raises(ValueError, match="depth is in none"):
+        rp.open_sequence(tmp_path / "b.bag")
+    for content in (b"", b"#ROSBAG V2.0\n", path.read_bytes()[:2000]):
+        (tmp_path / "c.bag").write_bytes(content)
+        with pytest.raises(ValueError, match=r"c\.bag: not a ROS bag, or damaged"):
+            rp.open_sequence(tmp_path / "c.bag")
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    with pytest.raises(ModuleNotFoundError, match=r'this needs rosbags: pip install "rgbd-planes\[ros\]"'):
+        rp.open_sequence(path, CAMERA)
+
+
+@pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
+def test_every_real_set_is_a_folder():
+    for root in real_data.sets():
+        about = json.loads((root / "camera.json").read_text())
+        if about["depth_scale"] is None and about["disparity"] is None:
+            continue  # its depth is relative
+        sequence = rp.open_sequence(root)
+        assert sequence.camera == rp.Camera.load(root / "camera.json")
+        assert len(sequence) == len(list((root / "depth").glob("*.png")))
+        assert sequence[-1].depth.shape == sequence.camera.shape
+
+
+@pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
+def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path):
+    source = real_data.FOLDER / "kinect1_7scenes_seq" / "depth"
+    files = sorted(source.glob("*.png"))[:5]
+    for i, file in enumerate(files):
+        (tmp_path / f"frame-{i:06d}.depth.png").symlink_to(file)
+    sequence = rp.open_sequence(tmp_path)
+    assert sequence.camera == presets.seven_scenes()
+    for frame, file in zip(sequence, files, strict=True):
+        assert np.array_equal(frame.depth, images.read_depth(file))
+    tiles = rp.fit_tiles(sequence[0].depth, sequence.camera, 16)
+    assert tiles.fitted.mean() > 0.8
+
+    source = next((real_data.FOLDER / "tum_fr1_distorted" / "depth").glob("*.png"))
+    root = tmp_path / "rgbd_dataset_freiburg1_desk"
+    root.mkdir()
+    (root / "depth").symlink_to(source.parent)
+    (root / "depth.txt").write_text(f"1305031103.027881 depth/{source.name}\n")
+    frame = rp.open_sequence(root)[0]
+    assert frame.timestamp == 1305031103.027881
+    assert rp.fit_tiles(frame.depth, frame.camera).fitted.mean() > 0.5
