@@ -1,12 +1,10 @@
 """What all tests share."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+import real_data
 
 
 @pytest.fixture
@@ -19,7 +17,7 @@ def real_frames():
     """(name, depth path, camera path) of every real frame there is; empty where there are none."""
     return [
         (f"{path.parents[1].name}/{path.stem}", path, path.parents[1] / "camera.json")
-        for path in sorted(REAL_DATA.glob("*/depth/*.png"))
+        for path in sorted(real_data.FOLDER.glob("*/depth/*.png"))
     ]
 
 
@@ -31,7 +29,7 @@ def pytest_generate_tests(metafunc):
     if first_of_set:
         metafunc.parametrize("real_frame", list(first_of_set.values()), ids=list(first_of_set), indirect=True)
     else:
-        reason = pytest.mark.skip(reason=f"no real frames in {REAL_DATA.parent.name}/{REAL_DATA.name}")
+        reason = pytest.mark.skip(reason=real_data.REASON)
         metafunc.parametrize("real_frame", [pytest.param(None, marks=reason)])
 
 
