@@ -172,7 +172,7 @@ def _tile_columns(frame: Frame, settings: FitSettings) -> Columns:
         **_places((rows, columns), frame.camera.shape, tiles.tile),
         "status": tiles.status.ravel(),
         "valid_count": tiles.valid_count.ravel(),
-        **_plane_columns(tiles.planes.reshape(-1, 4), getattr(tiles, "plane_covariance", None)),
+        **_plane_columns(tiles.planes.reshape(-1, 4), tiles.plane_covariance if frame.camera.noise else None),
         "rmse": tiles.rmse.ravel(),
         "rmse_metric": tiles.rmse_metric.ravel(),
     }
