@@ -159,7 +159,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     for entry in sequence.entries:
         digest.update(f"{entry.name}\n{entry.timestamp}\n".encode())
     for camera in dict.fromkeys(entry.camera for entry in sequence.entries):
-        digest.update(json.dumps(camera.to_dict()).encode() + repr(camera.noise).encode())
+        digest.update(repr(camera).encode())
     about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": asdict(settings)}
     about = json.loads(json.dumps(about))
     file = folder / _ABOUT

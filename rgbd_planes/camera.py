@@ -5,7 +5,7 @@ import math
 import os
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes import camera_formats, distortion
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import write_beside
+from rgbd_planes.noise import NoiseModel
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ class Camera:
         Depths in metres that are measurements, both included.
     invalid_values : sequence of float
         Raw values that mean "no measurement", besides 0, negative, NaN and infinite depths.
-    noise : optional
-        The sensor's noise model. It is no part of `to_dict` and of the JSON file.
+    noise : NoiseModel, optional
+        The sensor's noise, from `rgbd_planes.noise` or `rgbd_planes.estimate_noise`.
 
     Raises
     ------
@@ -75,7 +76,7 @@ class Camera:
     disparity: tuple[float, float] | None = None
     depth_range: tuple[float, float] | None = None
     invalid_values: tuple[float, ...] = ()
-    noise: Any = field(default=None, hash=False)
+    noise: NoiseModel | None = None
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -87,6 +88,8 @@ class Camera:
                 raise ValueError(f"expected {name} in pixels, not 0, got {getattr(self, name)!r}")
         self._set("distortion", _numbers("distortion", self.distortion))
         self._set("invalid_values", _numbers("invalid_values", self.invalid_values, finite=False))
+        if self.noise is not None and not isinstance(self.noise, NoiseModel):
+            raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
         self._check_distortion()
         self._check_depth()
 
@@ -265,8 +268,16 @@ class Camera:
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
 
     def to_dict(self) -> dict[str, Any]:
-        """The camera as a dict that JSON takes; the noise model is left out."""
+        """The camera as a dict that JSON takes, with "noise" where there is a model.
+
+        Raises
+        ------
+        ValueError
+            The noise model is a function.
+        """
         made: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "noise"}
+        if self.noise is not None:
+            made["noise"] = self.noise.to_dict()
         made["distortion"] = list(self.distortion)
         made["invalid_values"] = [int(v) if v.is_integer() else v for v in self.invalid_values]
         if self.disparity is not None:
@@ -286,7 +297,7 @@ class Camera:
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
-        known = [f.name for f in fields(cls) if f.name != "noise"]
+        known = [f.name for f in fields(cls)]
         unknown = sorted(str(k) for k in values if k not in known)
         if unknown:
             raise ValueError(f"expected the camera keys {', '.join(known)}, got also {', '.join(unknown)}")
@@ -296,6 +307,8 @@ class Camera:
                 f"expected the camera keys {', '.join(known[:6])}, got none of {', '.join(missing)}"
             )
         made = dict(values)
+        if isinstance(made.get("noise"), Mapping):
+            made["noise"] = NoiseModel.from_dict(made["noise"])
         disparity = made.get("disparity")
         if isinstance(disparity, Mapping):
             if set(disparity) != {"scale", "offset"}:

@@ -27,11 +27,29 @@ def _table(noise: NoiseModel, largest: int) -> ResidualStatistics:
 
 
 class FrameStatistics:
-    """The uncertainty of the planes of one frame, from its moments: flat arrays, T planes."""
+    """The uncertainty of the planes of one frame, from its moments.
 
-    def __init__(self, arrays: "Arrays", noise: NoiseModel, in_range_space: bool) -> None:
+    Parameters
+    ----------
+    fits : PlaneFits
+    arrays : dict
+        Those of the frame, flat: see `flat_frames`.
+
+    Raises
+    ------
+    ValueError
+        The camera has no noise model.
+    """
+
+    def __init__(self, fits: "PlaneFits", arrays: "Arrays") -> None:
+        noise = fits.camera.noise
+        if noise is None:
+            raise ValueError(
+                "expected a camera with a noise model for uncertainties, got one without: "
+                "Camera(..., noise=rp.noise.kinect_v1()), or rp.estimate_noise(frames, camera)"
+            )
         self._arrays = arrays
-        self._in_range_space = in_range_space
+        self._in_range_space = in_range_space = fits.method.startswith("range")
         self._count = len(arrays["status"])
         moments, reference = arrays["_moments"], arrays["_reference"]
         self._mean = np.empty(self._count)
@@ -77,26 +95,20 @@ class FrameStatistics:
         )  # fmt: skip
 
 
+@functools.lru_cache(maxsize=32)
+def _limits(noise: NoiseModel, level: float, largest: int) -> Float:
+    """Largest sum of squared residuals in units of σq² that passes the test, for every count."""
+    from scipy.special import chdtri
+
+    counts = np.arange(largest + 1)
+    table = noise.statistics(counts)
+    limit = table.expected * chdtri(table.freedom, level) / table.freedom
+    return np.where(counts > 3, limit, np.inf)
+
+
 def _round_up(count: int) -> int:
     """The next of few sizes, so that tables are shared."""
     return max(256, 1 << (count - 1).bit_length()) if count else 256
-
-
-def frame_statistics(fits: "PlaneFits", frame: "Arrays") -> FrameStatistics:
-    """The uncertainty of one frame of ``fits``.
-
-    Raises
-    ------
-    ValueError
-        The camera has no noise model.
-    """
-    noise = fits.camera.noise
-    if noise is None:
-        raise ValueError(
-            "expected a camera with a noise model for uncertainties, got one without: "
-            "Camera(..., noise=rp.noise.kinect_v1()), or rp.estimate_noise(frames, camera)"
-        )
-    return FrameStatistics(frame, noise, fits.method.startswith("range"))
 
 
 class RoughTest:
@@ -123,12 +135,7 @@ class RoughTest:
         self._noise = noise if level > 0.0 else None
         if self._noise is None:
             return
-        from scipy.special import chdtri
-
-        counts = np.arange(largest + 1)
-        table = self._noise.statistics(counts)
-        limit = table.expected * chdtri(table.freedom, level) / table.freedom
-        self._limit = np.where(counts > 3, limit, np.inf)
+        self._limit = _limits(self._noise, level, largest)
 
     def mark(self, method: str, arrays: "Arrays", start: int, stop: int) -> None:
         """Mark tiles ``start`` to ``stop`` of one frame: flat arrays, as in `fitting.solve_planes`."""

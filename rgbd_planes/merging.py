@@ -53,7 +53,9 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     if array.dtype.kind not in "iu":
         raise TypeError(f"labels must be integers, got dtype {array.dtype}")
     if len(fits.shape) == 3:
-        raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
+        raise ValueError(
+            f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]"
+        )
     if array.shape != fits.shape:
         raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}")
     if array.size and array.min() < 0:
@@ -72,7 +74,10 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
 
 
 def _means(
-    moments: npt.NDArray[np.float64], reference: npt.NDArray[np.float64], labels: npt.NDArray[np.int32], count: int
+    moments: npt.NDArray[np.float64],
+    reference: npt.NDArray[np.float64],
+    labels: npt.NDArray[np.int32],
+    count: int,
 ) -> npt.NDArray[np.float64]:
     """(3, N): the mean of each union's valid pixels, where nothing cancels."""
     valid = moments[0] > 0.0

@@ -29,8 +29,8 @@ KINECT_V1 = 1.425e-3
 class NoiseModel:
     """The noise of a sensor's inverse depth.
 
-    Make one with `kinect_v1`, `stereo`, `time_of_flight`, `axial`, `table`, `function` or `quantised`, or from
-    your own frames with `rgbd_planes.estimate_noise`; `dataclasses.replace` changes one.
+    Make one with `kinect_v1`, `stereo`, `time_of_flight`, `axial`, `table`, `function` or `quantised`, or
+    from your own frames with `rgbd_planes.estimate_noise`; `dataclasses.replace` changes one.
 
     Attributes
     ----------
@@ -91,7 +91,10 @@ class NoiseModel:
         if any(share < 0.0 for share in shares) or sum(shares) > 1.0 + 1e-9:
             raise ValueError(f"expected shares of correlation that add up to at most 1, got {shares}")
         if any(not 0.0 < length < math.inf for length in [self.floor_length, *(c[1] for c in correlation)]):
-            raise ValueError("expected positive correlation lengths in pixels, got " f"{correlation!r} and {self.floor_length!r}")
+            raise ValueError(
+                "expected positive correlation lengths in pixels, got "
+                f"{correlation!r} and {self.floor_length!r}"
+            )
         object.__setattr__(self, "correlation", correlation)
 
     def sigma(self, inverse_depth: ArrayLike) -> Floats:
@@ -160,7 +163,9 @@ class NoiseModel:
         side = np.sqrt(np.maximum(n, 4.0))
         largest = int(2 ** np.ceil(np.log2(max(float(side.max(initial=4.0)), 8.0))))
         sides, *curves = _square_statistics(self._components, self.spread, largest)
-        expected, log_freedom, tilt, offset = (np.interp(side, sides, curve) for curve in curves)
+        expected, log_freedom, tilt, offset = (
+            np.interp(np.log(side), np.log(sides), curve) for curve in curves
+        )
         more = n > 3.0
         return ResidualStatistics(
             np.where(more, n * expected, 0.0), np.where(more, np.exp(log_freedom), 1e-3), tilt, offset
@@ -194,7 +199,9 @@ class NoiseModel:
         """Make a model from what `to_dict` returned."""
         known = {f.name for f in fields(cls)} - {"formula"}
         if not isinstance(values, Mapping) or not set(values) <= known:
-            raise ValueError(f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}")
+            raise ValueError(
+                f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}"
+            )
         made = dict(values)
         for name in ("correlation", "samples"):
             if made.get(name) is not None:

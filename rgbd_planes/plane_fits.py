@@ -2,7 +2,7 @@
 
 import enum
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ class TileStatus(enum.IntEnum):
     DEGENERATE = 2
     """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre."""
     ROUGH = 3
-    """Fitted, and it keeps its plane, but the residual is larger than ``max_error`` or than the noise explains."""
+    """Fitted, and it keeps its plane, but its residual is above ``max_error`` or what the noise explains."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,8 +78,8 @@ class PlaneFits:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
         Of the chi-square of the residual in inverse depth under ``camera.noise``. On surfaces that are flat
-        it is uniform between 0 and 1; below the significance level a tile is ROUGH. Computed on access, as
-        the covariances are: keep it if you need it often.
+        it is uniform between 0 and 1; below the significance level a tile is ROUGH. This and the covariances
+        are computed when first asked for.
 
         Raises
         ------
@@ -114,13 +114,27 @@ class PlaneFits:
         return np.asarray(np.sqrt(self.plane_covariance[..., 3, 3]))
 
     def _statistic(self, name: str, entries: tuple[int, ...]) -> Float:
-        from rgbd_planes.fit_statistics import flat_frames, frame_statistics
+        """The statistic, computed once."""
+        made: dict[str, Any] = self.__dict__.setdefault("_statistics", {})
+        if name not in made:
+            from rgbd_planes.fit_statistics import FrameStatistics, flat_frames
 
-        values = np.empty((*self.shape, *entries))
-        frames = flat_frames(self, self._cell_dimensions)
-        for frame, out in zip(frames, values.reshape(len(frames), -1, *entries), strict=True):
-            getattr(frame_statistics(self, frame), name)(out)
-        return values
+            frames = made.get("frames")
+            if frames is None:
+                frames = [
+                    FrameStatistics(self, arrays) for arrays in flat_frames(self, self._cell_dimensions)
+                ]
+                made["frames"] = frames
+            values = np.empty((*self.shape, *entries))
+            for frame, out in zip(frames, values.reshape(len(frames), -1, *entries), strict=True):
+                getattr(frame, name)(out)
+            values.flags.writeable = False
+            made[name] = values
+        return cast(Float, made[name])
+
+    def _forget_statistics(self) -> None:
+        """To be called when the arrays are written into again."""
+        self.__dict__.pop("_statistics", None)
 
     @property
     def _cell_dimensions(self) -> int:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.fit_statistics import RoughTest
 from rgbd_planes.fitting import (
     METHODS,
     Arrays,
@@ -25,7 +26,6 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import moments
 from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
-from rgbd_planes.fit_statistics import RoughTest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -296,6 +296,7 @@ class TileFitter:
             or out.method != self.method
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
+        out._forget_statistics()
         return {name: getattr(out, name) for name in _ARRAYS}
 
     def _result(self, arrays: Arrays) -> TilePlanes:

@@ -13,7 +13,10 @@ Float = npt.NDArray[np.float64]
 
 
 def same_plane(
-    alpha: npt.ArrayLike, covariance: npt.ArrayLike, other_alpha: npt.ArrayLike, other_covariance: npt.ArrayLike
+    alpha: npt.ArrayLike,
+    covariance: npt.ArrayLike,
+    other_alpha: npt.ArrayLike,
+    other_covariance: npt.ArrayLike,
 ) -> Float:
     """Test whether planes fitted to different pixels are one plane.
 
@@ -49,9 +52,12 @@ def same_plane(
 
     p_value = np.empty(shape)
     statistics.same_plane(
-        flat(first, (3,)), flat(first_covariance, (3, 3)), flat(second, (3,)), flat(second_covariance, (3, 3)),
+        flat(first, (3,)),
+        flat(first_covariance, (3, 3)),
+        flat(second, (3,)),
+        flat(second_covariance, (3, 3)),
         p_value.reshape(-1),
-    )  # fmt: skip
+    )
     return p_value
 
 
@@ -107,7 +113,10 @@ def angle_between(
         an error, never negative; the standard deviation is then that of a component along the line between
         the normals, or along the most uncertain direction where they coincide.
     """
-    first, second = _array("planes", planes, (4,))[..., :3], _array("other_planes", other_planes, (4,))[..., :3]
+    first, second = (
+        _array("planes", planes, (4,))[..., :3],
+        _array("other_planes", other_planes, (4,))[..., :3],
+    )
     first_covariance = _array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
     second_covariance = _array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
     cosine = np.sum(first * second, axis=-1)

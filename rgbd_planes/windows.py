@@ -8,6 +8,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.fit_statistics import RoughTest
 from rgbd_planes.fitting import (
     METHODS,
     WindowMoments,
@@ -19,7 +20,6 @@ from rgbd_planes.fitting import (
 )
 from rgbd_planes.plane_fits import PlaneFits, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
-from rgbd_planes.fit_statistics import RoughTest
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,0 +1,54 @@
+"""Many noisy measurements of one tile's plane, with the noise that a model says."""
+
+import numpy as np
+
+import rgbd_planes as rp
+
+
+def tile_camera(tile, noise, *, left=0.0, top=0.0, focal=525.0):
+    """A camera that sees one tile, its first pixel at column ``left``, row ``top`` of 640x480 ones."""
+    return rp.Camera(tile, tile, focal, focal, 319.5 - left, 239.5 - top, noise=noise)
+
+
+def plane_through_middle(camera, depth, incidence, direction=0.6):
+    """α of the plane that the ray through the middle of the image meets at this depth and angle (degrees)."""
+    ray = np.array([camera.tan_x.mean(), camera.tan_y.mean(), 1.0])
+    unit = ray / np.linalg.norm(ray)
+    across = np.cross(unit, [np.cos(direction), np.sin(direction), 0.1])
+    across /= np.linalg.norm(across)
+    normal = -np.cos(np.radians(incidence)) * unit + np.sin(np.radians(incidence)) * across
+    return normal / (normal @ ray * depth)
+
+
+def plane_of(alpha):
+    """(nx, ny, nz, d) of α."""
+    d = 1.0 / np.linalg.norm(alpha)
+    return np.append(-d * alpha, d)
+
+
+def measure(camera, alpha, runs, rng, *, holes=0.0, error=None):
+    """(runs, H, W) depth in metres, NaN where missing.
+
+    Errors are independent and normal with the standard deviation of ``camera.noise``, or as ``error`` gives.
+    """
+    q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
+    if error is None:
+        error = rng.standard_normal((runs, *q.shape)) * camera.noise.sigma(q)
+    depth = 1.0 / (q + error)
+    if holes:
+        # The same holes in every run: then one covariance holds for all.
+        depth[:, rng.random(q.shape) < holes] = np.nan
+    return depth
+
+
+def fit(camera, frames, method="range_explicit"):
+    """The planes of all runs: arrays of shape (runs, ...)."""
+    fitter = rp.TileFitter(camera, camera.shape, method, max_missing=1.0, significance=0.0, num_threads=1)
+    return fitter.fit_batch(frames)
+
+
+def normalised_error(stack, alpha):
+    """δᵀΣ⁻¹δ of every run's α: chi-square with 3 degrees of freedom, if the covariance is right."""
+    error = stack.alpha.reshape(-1, 3) - alpha
+    covariance = stack.alpha_covariance.reshape(-1, 3, 3)
+    return np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0])

@@ -1,0 +1,425 @@
+"""Covariances, p-values and what follows from them, against simulation and against plain linear algebra."""
+
+from dataclasses import replace
+
+import monte_carlo
+import numpy as np
+import pytest
+from scipy import stats
+
+import rgbd_planes as rp
+
+METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5, floor_length=20.0)
+# Depth, incidence, tile, share of holes: where the angle's error stays below a few degrees, so that what is
+# to first order can be held to a few per cent.
+CASES = [
+    (0.5, 0, 5, 0.0),
+    (0.5, 60, 10, 0.3),
+    (1.0, 30, 20, 0.0),
+    (1.6, 0, 20, 0.1),
+    (3.0, 45, 40, 0.0),
+    (2.0, 75, 40, 0.3),
+]
+
+
+def interval(values, variance, expected):
+    """How many standard errors the mean of ``values`` is from what it should be."""
+    return abs(np.mean(values) - expected) / np.sqrt(variance / len(values))
+
+
+@pytest.mark.parametrize(("depth", "incidence", "tile", "holes"), CASES)
+def test_simulated_errors_are_those_predicted(depth, incidence, tile, holes, rng):
+    runs = 4000
+    camera = monte_carlo.tile_camera(tile, rp.noise.kinect_v1(), left=100.0, top=60.0)
+    alpha = monte_carlo.plane_through_middle(camera, depth, incidence)
+    stack = monte_carlo.fit(camera, monte_carlo.measure(camera, alpha, runs, rng, holes=holes))
+    error = stack.alpha.reshape(-1, 3) - alpha
+    covariance = stack.alpha_covariance[0, 0, 0]
+    # Unbiased: within 4 standard errors (one in 16000 by chance).
+    assert (np.abs(error.mean(axis=0)) < 4.0 * np.sqrt(np.diag(covariance) / runs)).all()
+    # The error's chi-square (NEES) and the residual's, and the shape of both.
+    assert interval(monte_carlo.normalised_error(stack, alpha), 6.0, 3.0) < 4.0
+    freedom = int(stack.valid_count[0, 0, 0]) - 3
+    rss = stack.valid_count.ravel() * stack.rmse.ravel() ** 2 / rp.noise.KINECT_V1**2
+    assert interval(rss, 2.0 * freedom, freedom) < 4.0
+    p = stack.p_value.ravel()
+    assert stats.kstest(p, "uniform").pvalue > 1e-4
+    np.testing.assert_allclose(p, stats.chi2.sf(rss, freedom), rtol=0.02, atol=1e-4)
+    # Predicted and observed spread of normal and distance: the standard error of the ratio is 1.1 % at most.
+    truth = monte_carlo.plane_of(alpha)
+    angle = np.degrees(np.linalg.norm(stack.planes.reshape(-1, 4)[:, :3] - truth[:3], axis=1))
+    assert np.sqrt(np.mean(angle**2)) == pytest.approx(np.median(stack.angle_std), rel=0.05)
+    offset = truth[3] ** 2 * error @ truth[:3]
+    predicted = truth[3] ** 2 * np.sqrt(truth[:3] @ covariance @ truth[:3])
+    assert np.sqrt(np.mean(offset**2)) == pytest.approx(predicted, rel=0.05)
+    # d itself bends with the angle's error where the plane faces the camera: there the prediction is high.
+    spread = np.std(stack.planes[..., 3])
+    assert 0.95 * spread < np.sqrt(np.mean(stack.offset_std**2)) < (1.6 if incidence < 30 else 1.05) * spread
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_other_methods_are_held_to_the_same_bound(method, rng):
+    """Their covariance is that of range_explicit to first order; only range_explicit reaches it."""
+    camera = monte_carlo.tile_camera(20, rp.noise.kinect_v1(), left=100.0)
+    alpha = monte_carlo.plane_through_middle(camera, 2.0, 40.0)
+    frames = monte_carlo.measure(camera, alpha, 1500, rng)
+    stack = monte_carlo.fit(camera, frames, method)
+    best = monte_carlo.fit(camera, frames)
+    np.testing.assert_allclose(np.median(stack.angle_std), np.median(best.angle_std), rtol=0.1)
+    np.testing.assert_allclose(np.median(stack.offset_std), np.median(best.offset_std), rtol=0.1)
+    mean = np.mean(monte_carlo.normalised_error(stack, alpha))
+    if method == "range_explicit":
+        assert mean == pytest.approx(3.0, abs=0.25)
+    else:
+        assert mean > 3.5
+
+
+@pytest.mark.parametrize("side", [4, 9, 16])
+def test_correlated_noise_is_worked_out_exactly(side):
+    """Against the covariance matrix of all pixels."""
+    y, x = np.mgrid[:side, :side].reshape(2, -1)
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    covariance = 0.5 * np.eye(side * side)
+    for share, length in ((0.3, 1.5), (0.2, 5.0), (0.25, 20.0)):
+        covariance += share * np.exp(-0.5 * squared / length**2)
+    rays = np.stack([x - x.mean(), y - y.mean(), np.ones(side * side)], axis=1)
+    solve = np.linalg.pinv(rays)
+    residual = np.eye(side * side) - rays @ solve
+    expected = np.trace(residual @ covariance)
+    variance = 2.0 * np.trace(residual @ covariance @ residual @ covariance)
+    alpha, independent = solve @ covariance @ solve.T, np.linalg.inv(rays.T @ rays)
+    made = CORRELATED.statistics(side * side)
+    np.testing.assert_allclose(made.expected, expected, rtol=1e-9)
+    np.testing.assert_allclose(made.freedom, 2.0 * expected**2 / variance, rtol=1e-9)
+    np.testing.assert_allclose(made.tilt, alpha[0, 0] / independent[0, 0], rtol=1e-9)
+    np.testing.assert_allclose(made.offset, alpha[2, 2] / independent[2, 2], rtol=1e-9)
+    spread = replace(CORRELATED, spread=0.4).statistics(side * side)
+    np.testing.assert_allclose(spread.freedom, 2.0 * expected**2 / (variance + (0.4 * expected) ** 2))
+
+
+def test_correlated_noise_between_whole_sides():
+    """Counts that are no squares lie between those that are."""
+    for model in (
+        CORRELATED,
+        replace(CORRELATED, floor=0.0),
+        replace(CORRELATED, correlation=(), spread=0.3),
+    ):
+        made = model.statistics(np.arange(3000))
+        for values in (made.expected[4:], made.offset[4:]):
+            assert (np.diff(values) >= -1e-9).all()
+        assert (np.diff(made.freedom[4:400]) > 0.0).all()
+        np.testing.assert_array_equal(made.expected[:4], 0.0)
+    # Independent pixels by the general formulas: what the short cut says.
+    general = rp.noise.NoiseModel(correlation=((1.0, 1e-3),)).statistics(np.arange(4, 40) ** 2)
+    np.testing.assert_allclose(general.expected, np.arange(4, 40) ** 2 - 3, rtol=2e-3)
+    np.testing.assert_allclose(general.freedom, np.arange(4, 40) ** 2 - 3, rtol=2e-3)
+    np.testing.assert_allclose([general.tilt, general.offset], 1.0)
+
+
+def test_simulated_correlated_noise(rng):
+    """Frames with that noise: p-values are nearly uniform, covariances hold, and ignoring it fails."""
+    tile, runs = 16, 3000
+    camera = monte_carlo.tile_camera(tile, CORRELATED)
+    y, x = np.mgrid[:tile, :tile].reshape(2, -1)
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    covariance = 0.5 * np.eye(tile * tile)
+    for share, length in ((0.3, 1.5), (0.2, 5.0), (0.25, 20.0)):
+        covariance += share * np.exp(-0.5 * squared / length**2)
+    error = rng.standard_normal((runs, tile * tile)) @ np.linalg.cholesky(covariance).T
+    error = error.reshape(runs, tile, tile) * rp.noise.KINECT_V1
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    stack = monte_carlo.fit(camera, frames)
+    assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)
+    assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.008)
+    assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.03)
+    naive = monte_carlo.fit(replace(camera, noise=rp.noise.kinect_v1()), frames)
+    assert np.mean(monte_carlo.normalised_error(naive, alpha)) > 30.0
+
+
+@pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), rp.noise.time_of_flight(0.001, 0.002), CORRELATED])
+@pytest.mark.parametrize("method", METHODS)
+def test_rough_is_a_small_p_value(method, noise, rng):
+    """ROUGH by significance is p_value < significance, for tiles of every size and with holes."""
+    camera = rp.Camera(70, 52, 80.0, 80.0, 34.5, 25.5, noise=noise)
+    depth = rp.scenes.plane((0.3, 0.2, -1.0), 1.0).render(camera).depth
+    depth = 1.0 / (1.0 / depth + rng.standard_normal(depth.shape) * 1.2 * noise.sigma(1.0 / depth))
+    depth[rng.random(depth.shape) < 0.2] = np.nan
+    depth[:8, :16] = np.nan
+    depth[10:14, 20:24] *= 1.1
+    for level in (0.01, 0.3):
+        tiles = rp.fit_tiles(depth, camera, 8, method, significance=level)
+        sure = np.abs(tiles.p_value / level - 1.0) > 0.02
+        rough = tiles.status == rp.TileStatus.ROUGH
+        np.testing.assert_array_equal(rough[sure], (tiles.p_value < level)[sure])
+        assert rough.any()
+        assert np.isnan(tiles.p_value[~tiles.fitted]).all()
+        assert np.isnan(tiles.plane_covariance[~tiles.fitted]).all()
+        assert np.isfinite(tiles.plane_covariance[tiles.fitted]).all()
+    unset = rp.fit_tiles(depth, camera, 8, method)
+    np.testing.assert_array_equal(
+        unset.status, rp.fit_tiles(depth, camera, 8, method, significance=0.01).status
+    )
+    off = rp.fit_tiles(depth, camera, 8, method, significance=0.0)
+    assert not (off.status == rp.TileStatus.ROUGH).any()
+    both = rp.fit_tiles(depth, camera, 8, method, significance=0.01, max_error=1e-6)
+    assert (both.status[both.fitted] == rp.TileStatus.ROUGH).all()
+    windows = np.array([(r, c, 8, 8) for r in range(0, 48, 8) for c in range(0, 64, 8)])
+    fits = rp.fit_windows(depth, camera, windows, method)
+    np.testing.assert_array_equal(fits.status.reshape(6, 8), unset.status[:6, :8])
+    np.testing.assert_allclose(fits.p_value.reshape(6, 8), unset.p_value[:6, :8], rtol=1e-3, atol=1e-9)
+
+
+def test_one_level_at_every_depth(rng):
+    """The share of flat tiles that are rejected does not depend on the distance; a step is found at all."""
+    for distance in (0.5, 6.0):
+        camera = rp.Camera(320, 240, 525.0, 525.0, 159.5, 119.5, noise=rp.noise.kinect_v1())
+        rendering = rp.scenes.plane((0.1, 0.2, -1.0), distance).render(camera)
+        tiles = rp.fit_tiles(rendering.measure(quantise=False, seed=rng), camera, 8)
+        share = np.mean(tiles.status == rp.TileStatus.ROUGH)
+        assert 0.003 < share < 0.02
+
+
+def test_p_value_of_few_pixels(rng):
+    """Three pixels always lie in a plane; of four to ten the chi-square is exact."""
+    camera = monte_carlo.tile_camera(4, rp.noise.kinect_v1())
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 10.0)
+    frames = monte_carlo.measure(camera, alpha, 400, rng)
+    for valid in range(3, 17):
+        some = frames.copy()
+        some.reshape(400, 16)[
+            :, [0, 15, 3, 12, *(i for i in range(16) if i not in (0, 3, 12, 15))][valid:]
+        ] = np.nan
+        stack = monte_carlo.fit(camera, some)
+        rss = stack.valid_count * stack.rmse**2 / rp.noise.KINECT_V1**2
+        wanted = stats.chi2.sf(rss, valid - 3) if valid > 3 else np.ones(rss.shape)
+        np.testing.assert_allclose(stack.p_value, wanted, rtol=0.01, atol=1e-4)
+
+
+def test_statistics_follow_the_arrays(rng):
+    """A result that is written into again forgets its covariances; a batch has each frame's own."""
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, noise=rp.noise.NoiseModel((0.01,)))
+    fitter = rp.TileFitter(camera, 16)
+    frames = [1.0 + 0.1 * k + 0.01 * rng.standard_normal(camera.shape) for k in range(3)]
+    for frame in frames:
+        frame[rng.random(frame.shape) < 0.2] = np.nan
+    out = fitter.fit(frames[0])
+    single = [fitter.fit(frame) for frame in frames]
+    stack = fitter.fit_batch(frames)
+    for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std"):
+        before = getattr(out, name)
+        assert not np.allclose(before, getattr(fitter.fit(frames[1], out=out), name))
+        fitter.fit(frames[0], out=out)
+        np.testing.assert_array_equal(getattr(out, name), before)
+        for i in range(3):
+            np.testing.assert_array_equal(getattr(stack, name)[i], getattr(single[i], name))
+            np.testing.assert_array_equal(getattr(stack[i], name), getattr(single[i], name))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_merging_is_fitting_all_pixels(method, rng):
+    """Any union of tiles, also over holes: as one window of the same pixels."""
+    camera = rp.Camera(64, 48, 60.0, -58.0, 31.5, 20.5, depth_scale=1000.0, noise=rp.noise.kinect_v1())
+    depth = rp.scenes.room().render(camera).measure(holes=0.1, seed=rng)
+    depth[:8, :8] = 0
+    tiles = rp.fit_tiles(depth, camera, 8, method)
+    labels = np.zeros(tiles.shape, int)
+    labels[:3, :4], labels[3:, 5:7], labels[5, 0] = 1, 2, 4
+    merged = rp.merge(tiles, labels)
+    windows = rp.fit_windows(
+        depth, camera, [(0, 0, 24, 32), (24, 40, 24, 16), (0, 0, 2, 2), (40, 0, 8, 8)], method,
+        implementation="naive", max_missing=1.0,
+    )  # fmt: skip
+    some = [0, 1, 3]
+    np.testing.assert_array_equal(merged.valid_count[some], windows.valid_count[some])
+    np.testing.assert_allclose(merged.planes[some], windows.planes[some], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(merged.rmse[some], windows.rmse[some], rtol=1e-6)
+    np.testing.assert_allclose(merged.p_value[some], windows.p_value[some], rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(
+        merged.plane_covariance[some], windows.plane_covariance[some], rtol=1e-6, atol=1e-15
+    )
+    assert merged.status[2] == rp.TileStatus.TOO_FEW
+    assert np.isnan(merged.planes[2]).all()
+    # Merging what is merged, in another order.
+    again = rp.merge(rp.merge(tiles, np.arange(tiles.status.size).reshape(tiles.shape) + 1), labels.ravel())
+    np.testing.assert_allclose(again.planes[some], merged.planes[some], rtol=1e-9, atol=1e-12)
+    with pytest.raises(ValueError, match="shape of the planes"):
+        rp.merge(tiles, labels[1:])
+    with pytest.raises(TypeError, match="integers"):
+        rp.merge(tiles, labels.astype(float))
+    with pytest.raises(ValueError, match="0 or more"):
+        rp.merge(tiles, -labels)
+
+
+def test_same_plane_is_uniform_on_one_plane_and_small_on_two(rng):
+    camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, noise=rp.noise.kinect_v1())
+    depth = rp.scenes.plane((0.3, 0.2, -1.0), 2.0).render(camera).measure(quantise=False, seed=rng)
+    tiles = rp.fit_tiles(depth, camera, 16)
+    a, c = tiles.alpha, tiles.alpha_covariance
+    p = rp.uncertainty.same_plane(a[:, :-1:2], c[:, :-1:2], a[:, 1::2], c[:, 1::2])
+    assert stats.kstest(p.ravel(), "uniform").pvalue > 1e-4
+    delta = a[0, 0] - a[5, 7]
+    statistic = delta @ np.linalg.solve(c[0, 0] + c[5, 7], delta)
+    one = rp.uncertainty.same_plane(a[0, 0], c[0, 0], a[5, 7], c[5, 7])
+    np.testing.assert_allclose(one, stats.chi2.sf(statistic, 3), rtol=1e-10)
+    # Two parallel planes 3 cm apart, of 64x64 pixels each.
+    labels = np.zeros(tiles.shape, int)
+    labels[:4, :4], labels[8:12, 8:12] = 1, 2
+    merged = rp.merge(tiles, labels)
+    other = rp.merge(rp.fit_tiles(depth * 1.03 / 2.0 * 2.0, camera, 16), labels)
+    assert (
+        rp.uncertainty.same_plane(
+            merged.alpha[0], merged.alpha_covariance[0], merged.alpha[1], merged.alpha_covariance[1]
+        )
+        > 1e-4
+    )
+    assert (
+        rp.uncertainty.same_plane(
+            merged.alpha[0], merged.alpha_covariance[0], other.alpha[1], other.alpha_covariance[1]
+        )
+        < 1e-6
+    )
+    assert np.isnan(rp.uncertainty.same_plane(np.full(3, np.nan), c[0, 0], a[0, 0], c[0, 0]))
+    with pytest.raises(ValueError, match=r"covariance of shape \(..., 3, 3\)"):
+        rp.uncertainty.same_plane(a, c[..., 0], a, c)
+
+
+@pytest.fixture
+def two_planes(rng):
+    """Planes with covariances, and draws of both from them."""
+    planes, covariances, draws = [], [], []
+    for normal, d in (((0.2, 0.1, -1.0), 1.5), ((0.8, -0.4, -0.7), 2.0)):
+        unit = np.array(normal) / np.linalg.norm(normal)
+        root = 1e-3 * rng.standard_normal((3, 3))
+        alpha = -unit / d + rng.standard_normal((200_000, 3)) @ root.T
+        projection = np.eye(3) - np.outer(unit, unit)
+        slope = np.vstack([-d * projection, d * d * unit])
+        planes.append(np.append(unit, d))
+        covariances.append(slope @ root @ root.T @ slope.T)
+        length = np.linalg.norm(alpha, axis=1, keepdims=True)
+        draws.append(np.hstack([-alpha / length, 1.0 / length]))
+    return planes, covariances, draws
+
+
+def test_propagation_against_draws(two_planes, rng):
+    (plane, other), (covariance, other_covariance), (draws, other_draws) = two_planes
+    np.testing.assert_allclose(np.cov(draws.T), covariance, rtol=0.03, atol=2e-8)
+
+    point, point_covariance = np.array([0.3, -0.2, 1.7]), np.diag([1e-6, 4e-6, 2e-6])
+    distance, std = rp.uncertainty.point_distance(point, plane, covariance)
+    assert distance == pytest.approx(plane[:3] @ point + plane[3])
+    assert std == pytest.approx((draws[:, :3] @ point + draws[:, 3]).std(), rel=0.01)
+    points = point + rng.standard_normal((200_000, 3)) * np.sqrt(np.diag(point_covariance))
+    _, std = rp.uncertainty.point_distance(point, plane, covariance, point_covariance)
+    assert std == pytest.approx((np.sum(draws[:, :3] * points, axis=1) + draws[:, 3]).std(), rel=0.01)
+
+    angle, std = rp.uncertainty.angle_between(plane, covariance, other, other_covariance)
+    angles = np.degrees(np.arccos(np.sum(draws[:, :3] * other_draws[:, :3], axis=1)))
+    assert angle == pytest.approx(angles.mean(), rel=1e-3)
+    assert std == pytest.approx(angles.std(), rel=0.01)
+    angle, std = rp.uncertainty.angle_between(plane, covariance, plane, covariance)
+    assert angle == pytest.approx(0.0, abs=1e-6)
+    assert 0.0 < std < 10.0
+
+    rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    rotation *= np.linalg.det(rotation)
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = rotation, [0.5, -1.0, 2.0]
+    moved, moved_covariance = rp.uncertainty.transform_planes(plane, covariance, motion)
+    foot = -plane[3] * plane[:3]
+    assert moved[:3] @ (rotation @ foot + motion[:3, 3]) + moved[3] == pytest.approx(0.0, abs=1e-12)
+    pose_covariance = np.diag([1e-6, 2e-6, 3e-6, 4e-6, 1e-6, 2e-6])
+    moved, moved_covariance = rp.uncertainty.transform_planes(plane, covariance, motion, pose_covariance)
+    pose = rng.standard_normal((200_000, 6)) * np.sqrt(np.diag(pose_covariance))
+    normals = draws[:, :3] @ rotation.T
+    normals = normals + np.cross(pose[:, :3], normals)
+    offsets = draws[:, 3] - np.sum(normals * (motion[:3, 3] + pose[:, 3:]), axis=1)
+    np.testing.assert_allclose(
+        np.cov(np.column_stack([normals, offsets]).T), moved_covariance, rtol=0.03, atol=1e-7
+    )
+    with pytest.raises(ValueError, match="rigid motion"):
+        rp.uncertainty.transform_planes(plane, covariance, 2.0 * motion)
+
+
+def test_models():
+    noise = rp.noise
+    assert noise.kinect_v1().sigma(0.3) == 1.425e-3
+    np.testing.assert_allclose(noise.kinect_v1().sigma_depth([1.0, 2.0]), [1.425e-3, 5.7e-3])
+    np.testing.assert_allclose(noise.stereo(0.05, 400.0, 0.08).sigma([0.2, 2.0]), 0.08 / 20.0)
+    nguyen = noise.kinect_v1_nguyen().sigma_depth([0.4, 1.0, 3.0])
+    np.testing.assert_allclose(nguyen, [0.0012, 0.0012 + 0.0019 * 0.36, 0.0012 + 0.0019 * 6.76])
+    np.testing.assert_allclose(noise.time_of_flight(0.002, 0.001).sigma_depth([1.0, 4.0]), [0.003, 0.006])
+    measured = noise.table([0.2, 1.0], [1e-3, 2e-3])
+    np.testing.assert_allclose(measured.sigma([0.1, 0.6, 3.0]), [1e-3, 1.5e-3, 2e-3])
+    np.testing.assert_allclose(noise.function(lambda q: 1e-3 * q).sigma([0.5, 2.0]), [5e-4, 2e-3])
+    rounded = noise.quantised(noise.kinect_v1(), 0.001)
+    np.testing.assert_allclose(rounded.sigma(2.0) ** 2, 1.425e-3**2 + 1e-6 * 16.0 / 12.0)
+    camera = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, disparity=(-0.003, 3.0))
+    assert noise.quantised(noise.kinect_v1(), camera).disparity_step == pytest.approx(0.003)
+    np.testing.assert_allclose(rp.noise.kinect_v1().sample_share([4, 100]), 1.0)
+    assert (np.diff(CORRELATED.sample_share([4, 16, 64, 256, 1024])) < 0.0).all()
+
+
+def test_quantisation_is_part_of_the_covariance(rng):
+    """Integer millimetres at 0.4 m, where rounding is most of the noise.
+
+    Rounding errors vary less than normal ones of the same variance: the p-values crowd around their mean.
+    """
+    quiet = rp.noise.NoiseModel((1e-3,))
+    camera = replace(monte_carlo.tile_camera(12, None), depth_scale=1000.0)
+    camera = replace(camera, noise=rp.noise.quantised(quiet, camera))
+    alpha = monte_carlo.plane_through_middle(camera, 0.4, 35.0)
+    exact = replace(camera, noise=quiet)
+    frames = np.rint(1000.0 * monte_carlo.measure(exact, alpha, 3000, rng)).astype(np.uint16)
+    stack = monte_carlo.fit(camera, frames)
+    assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.1)
+    assert np.mean(monte_carlo.fit(exact, frames).p_value) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        rp.noise.kinect_v1_nguyen(), rp.noise.table([0.2, 1.0], [1e-3, 2e-3]), CORRELATED,
+        rp.noise.quantised(replace(CORRELATED, spread=0.2), 0.001),
+    ],
+)  # fmt: skip
+def test_model_goes_with_the_camera(model, tmp_path, rng):
+    camera = rp.Camera(32, 32, 40.0, 40.0, 15.5, 15.5, noise=model)
+    camera.save(tmp_path / "camera.json")
+    assert rp.Camera.load(tmp_path / "camera.json") == camera
+    assert hash(camera) == hash(rp.Camera.load(tmp_path / "camera.json"))
+    tiles = rp.fit_tiles(1.0 + 0.001 * rng.standard_normal((32, 32)), camera)
+    tiles.save(tmp_path / "tiles.npz")
+    np.testing.assert_array_equal(rp.TilePlanes.load(tmp_path / "tiles.npz").p_value, tiles.p_value)
+    with pytest.raises(ValueError, match="make a table"):
+        replace(camera, noise=rp.noise.function(np.sqrt)).save(tmp_path / "camera.json")
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: rp.noise.stereo(0.0, 400.0), ValueError, "positive baseline, got 0.0"),
+        (lambda: rp.noise.axial(), ValueError, "at least one coefficient"),
+        (lambda: rp.noise.table([1.0, 0.5], [1e-3, 1e-3]), ValueError, "growing inverse depth"),
+        (lambda: rp.noise.table([1.0], [1e-3, 1e-3]), ValueError, "one length"),
+        (lambda: rp.noise.function(3.0), TypeError, "function"),
+        (lambda: rp.noise.quantised(rp.noise.kinect_v1(), 0.0), ValueError, "positive step"),
+        (lambda: rp.noise.quantised(1e-3, 0.001), TypeError, "NoiseModel"),
+        (lambda: rp.noise.NoiseModel(correlation=((0.7, 2.0), (0.6, 5.0))), ValueError, "at most 1"),
+        (lambda: rp.noise.NoiseModel(correlation=((0.7, 0.0),)), ValueError, "positive correlation lengths"),
+        (lambda: rp.noise.NoiseModel(floor=-1.0), ValueError, "floor of 0 or more"),
+        (lambda: rp.noise.NoiseModel((1e-3, np.nan)), ValueError, "finite coefficients"),
+        (lambda: rp.noise.NoiseModel.from_dict({"sigma": 1}), ValueError, "keys"),
+        (lambda: rp.Camera(4, 4, 1.0, 1.0, 2.0, 2.0, noise=1e-3), TypeError, "NoiseModel or None, got float"),
+        (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4, significance=0.1), ValueError, "needs a camera"),
+        (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4, significance=1.0), ValueError, "below 1, got 1.0"),
+        (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4).p_value, ValueError, "noise model for uncert"),
+    ],
+)  # fmt: skip
+def test_bad_arguments(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+CAMERA = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
