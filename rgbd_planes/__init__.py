@@ -24,6 +24,7 @@ _NAMES = {
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
     "curvature": "surfaces",
+    "estimate_noise": "noise_estimation",
     "fit_sequence": "batch",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from rgbd_planes.batch_parts import FitSettings as FitSettings
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.merging import merge as merge
+    from rgbd_planes.noise_estimation import estimate_noise as estimate_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.sequences import open_sequence as open_sequence

@@ -10,7 +10,7 @@ axial noise converts by σq = σZ / Z².
 import functools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -55,6 +55,8 @@ class NoiseModel:
     spread : float
         Relative standard deviation of the noise's variance from place to place, over what depth explains:
         texture, reflectance.
+    evidence : NoiseEvidence, optional
+        What `rgbd_planes.estimate_noise` saw; no part of a file.
     """
 
     coefficients: tuple[float, ...] = (KINECT_V1,)
@@ -66,6 +68,7 @@ class NoiseModel:
     floor: float = 0.0
     floor_length: float = 60.0
     spread: float = 0.0
+    evidence: Any = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         coefficients = tuple(float(c) for c in self.coefficients)
@@ -191,13 +194,13 @@ class NoiseModel:
         return {
             f.name: getattr(self, f.name)
             for f in fields(self)
-            if f.name != "formula" and getattr(self, f.name) != f.default
+            if f.name not in ("formula", "evidence") and getattr(self, f.name) != f.default
         } | {"coefficients": self.coefficients}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Make a model from what `to_dict` returned."""
-        known = {f.name for f in fields(cls)} - {"formula"}
+        known = {f.name for f in fields(cls)} - {"formula", "evidence"}
         if not isinstance(values, Mapping) or not set(values) <= known:
             raise ValueError(
                 f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}"

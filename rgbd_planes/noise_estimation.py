@@ -1,0 +1,391 @@
+"""A sensor's noise from ordinary frames: whatever in them is flat shows it.
+
+The mean square residual of flat tiles, at several sizes, is all that is used. How it changes with depth
+gives σq; how it grows with the size of the tile says how far errors reach: independent errors leave all
+sizes alike, a bias that bends over 50 pixels shows in large tiles only. Both are fitted by non-negative
+least squares; how unequal the tiles are gives the spread.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.merging import merge
+from rgbd_planes.noise import NoiseModel
+from rgbd_planes.tiles import TileFitter, TilePlanes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Float = npt.NDArray[np.float64]
+
+WINDOW = 48
+"""Side in pixels of the windows that are judged flat or not."""
+SIZES = (4, 6, 8, 12, 16, 24, 48, 96)
+"""Sides of the tiles whose residuals are compared; all but the last divide a window."""
+LENGTHS = (1.0, 2.0, 4.0, 8.0)
+"""Correlation lengths, in pixels, among which the random error is shared out."""
+FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
+"""Candidates for the length of the systematic error, up to half of the largest tile."""
+CELL = 8
+"""Side in pixels of the cells of the flatness map."""
+_MOST_MISSING = 0.1
+_LOOSEST = 2.0  # a window is flat if its residual is below so many times the usual one at its depth
+_TAIL = 0.98  # quantile at which the spread is matched: near the significance levels that matter
+_FEWEST_WINDOWS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEvidence:
+    """What an estimated noise model was estimated from.
+
+    Attributes
+    ----------
+    windows : int
+        Number of flat windows, of `WINDOW` x `WINDOW` pixels.
+    sizes : (S,) int64
+        Sides of tiles.
+    residuals, expected : (S,) float64
+        Median of the root mean square residual of the flat tiles of each size, as a multiple of the model's
+        σq, and the same by the model.
+    inverse_depth, sigma, sigma_fit : (K,) float64
+        By depth: σq from the tiles of `WINDOW` / 3 pixels there, and the model's.
+    p_values : (T,) float64
+        Of those tiles; uniform if the model is right.
+    noise_map : (R, C) float64
+        Their residual over the model's, by place in the image; NaN where no frame is flat.
+    flatness : (H / 8, W / 8) float64
+        The sensor's own bias over the image in 1/m: mean residual of large planes in cells of `CELL` pixels.
+        NaN where no large plane was seen. A part that is itself planar over the whole of every surface does
+        not show.
+    flatness_count : (H / 8, W / 8) int64
+        How many pixels each cell's mean is of.
+    """
+
+    windows: int
+    sizes: npt.NDArray[np.int64]
+    residuals: Float
+    expected: Float
+    inverse_depth: Float
+    sigma: Float
+    sigma_fit: Float
+    p_values: Float
+    noise_map: Float
+    flatness: Float
+    flatness_count: npt.NDArray[np.int64]
+
+    def plot(self, figure: "Figure | None" = None) -> "Figure":
+        """Draw the fit; see `plotting_noise.plot_evidence`."""
+        from rgbd_planes.plotting_noise import plot_evidence
+
+        return plot_evidence(self, figure)
+
+
+def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: Camera) -> NoiseModel:
+    """Estimate a sensor's noise from frames of ordinary scenes: no target, no still camera.
+
+    Parameters
+    ----------
+    frames : (F, H, W) array or sequence of (H, W), or one (H, W)
+        With surfaces that are flat over 50 pixels or more, at the depths that matter. The more frames and the
+        more places, the better; one can be enough.
+    camera : Camera
+        Its ``noise`` is not looked at.
+
+    Returns
+    -------
+    NoiseModel
+        What the frames show, rounding to integers included, with `NoiseEvidence` as ``evidence``, whose
+        ``plot()`` draws the fit.
+
+    Raises
+    ------
+    ValueError
+        Too little in the frames is flat.
+
+    Notes
+    -----
+    Surfaces that are not flat but everywhere as smooth as a plane (a curtain, a lawn) count as noise.
+    """
+    opened = [frames] if np.ndim(frames[0]) == 1 else list(frames)
+    if not opened:
+        raise ValueError("expected at least one frame, got none")
+    bare = replace(camera, noise=None)
+    tiles = {
+        size: TileFitter(bare, size, max_missing=_MOST_MISSING).fit_batch(opened)
+        for size in SIZES
+        if size <= min(camera.shape)
+    }
+    if WINDOW not in tiles:
+        raise ValueError(
+            f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.height} x {camera.width}"
+        )
+    flat = _flat_windows(tiles[WINDOW])
+    count = int(np.count_nonzero(flat))
+    if count < _FEWEST_WINDOWS:
+        raise ValueError(
+            f"expected frames with at least {_FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
+            f"found {count} in {len(opened)} frames"
+        )
+    samples = {size: _Samples.of(planes, flat) for size, planes in tiles.items()}
+    samples = {size: some for size, some in samples.items() if len(some.count) >= _FEWEST_WINDOWS // 3}
+    model = _fit_depth(samples[WINDOW // 3])
+    for _ in range(3):
+        model = _fit_reach(samples, _fit_spread(samples, model))
+    return replace(model, evidence=_evidence(opened, camera, model, samples, tiles, count))
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Flat tiles of one size: mean and deviation of q, sum of squared residuals, pixels, place."""
+
+    q: Float
+    rss: Float
+    count: npt.NDArray[np.int32]
+    place: tuple[npt.NDArray[np.intp], ...]
+
+    @classmethod
+    def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_]) -> "_Samples":
+        """The tiles of ``planes`` that lie in flat windows."""
+        _, rows, columns = planes.shape
+        size = planes.tile[0]
+        if size <= WINDOW:
+            inside = flat.repeat(WINDOW // size, axis=1).repeat(WINDOW // size, axis=2)[:, :rows, :columns]
+            chosen = np.zeros(planes.shape, bool)
+            chosen[:, : inside.shape[1], : inside.shape[2]] = inside
+        else:
+            # All four windows flat; together they must be as well.
+            padded = np.zeros((len(flat), 2 * rows, 2 * columns), bool)
+            padded[:, : flat.shape[1], : flat.shape[2]] = flat
+            chosen = padded.reshape(len(flat), rows, 2, columns, 2).all(axis=(2, 4))
+        chosen &= planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * size * size)
+        if size > WINDOW and chosen.any():
+            residual = planes.rmse[chosen]
+            chosen[chosen] = residual < 2.0 * _LOOSEST * np.median(residual)
+        q = 1.0 / _depth(planes)
+        rss = planes.valid_count * planes.rmse**2
+        return cls(q[chosen], rss[chosen], planes.valid_count[chosen], np.nonzero(chosen))
+
+
+def _depth(planes: TilePlanes) -> Float:
+    """Mean depth of tiles: rmse_metric is d·Z̄·rmse."""
+    mean = planes._reference[:, 2] + planes._moments[:, 3] / np.maximum(planes._moments[:, 0], 1.0)
+    return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
+
+
+def _flat_windows(planes: TilePlanes) -> npt.NDArray[np.bool_]:
+    """Windows whose residual is near the commonest one at their depth."""
+    size = planes.tile[0]
+    good = planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * size * size) & (planes.rmse > 0.0)
+    q, residual = 1.0 / _depth(planes)[good], planes.rmse[good]
+    if len(q) < _FEWEST_WINDOWS:
+        return np.zeros(planes.shape, bool)
+    bins = _bins(q, 40)
+    usual = np.array([np.exp(_mode(np.log(residual[chosen]))) for chosen in bins])
+    middle = np.array([np.median(q[chosen]) for chosen in bins])
+    # A bin without a flat surface has its mode at something else: no bin is far above the others' trend.
+    coefficients = _non_negative(np.stack([np.ones_like(middle), middle, middle**2], axis=1), usual)
+    trend = np.polynomial.polynomial.polyval(q, coefficients)
+    flat = np.zeros(planes.shape, bool)
+    flat[good] = residual < _LOOSEST * trend
+    return flat
+
+
+def _bins(q: Float, smallest: int) -> list[npt.NDArray[np.intp]]:
+    """Indices of equally many values, by size."""
+    return np.array_split(np.argsort(q, kind="stable"), int(np.clip(len(q) // smallest, 1, 12)))
+
+
+def _mode(values: Float) -> float:
+    """Half-sample mode: the middle of the densest half of the densest half ... (Robertson and Cryer 1974)."""
+    values = np.sort(values)
+    while len(values) > 3:
+        half = (len(values) + 1) // 2
+        start = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))
+        values = values[start : start + half]
+    return float(np.mean(values))
+
+
+def _non_negative(terms: Float, values: Float, robust: bool = True) -> Float:
+    """Non-negative least squares of relative errors; outliers lose their weight."""
+    from scipy.optimize import nnls
+
+    weights = 1.0 / values
+    for _ in range(10 if robust else 1):
+        solution = np.asarray(nnls(terms * weights[:, None], values * weights)[0])
+        error = np.abs(terms @ solution / values - 1.0)
+        scale = 2.0 * np.median(error) + 1e-9
+        weights = 1.0 / (values * np.sqrt(1.0 + (error / scale) ** 2))
+    return solution
+
+
+def _fit_depth(samples: _Samples) -> NoiseModel:
+    """σq = c0 + c1·q + c2·q², none negative: constant in 1/Z, in between, and in Z, as rounding is."""
+    q, sigma = _by_depth(samples)
+    return NoiseModel(tuple(_non_negative(np.stack([np.ones_like(q), q, q * q], axis=1), sigma)))
+
+
+def _by_depth(samples: _Samples) -> tuple[Float, Float]:
+    """Median inverse depth and median root mean square residual of equally many tiles."""
+    bins = _bins(samples.q, 60)
+    q = np.array([np.median(samples.q[chosen]) for chosen in bins])
+    sigma = np.array([np.sqrt(np.median(samples.rss[chosen] / samples.count[chosen])) for chosen in bins])
+    return q, sigma
+
+
+def _typical(samples: _Samples, model: NoiseModel) -> float:
+    """Expected mean square residual in units of σq², from the median of the tiles."""
+    made = model.statistics(samples.count)
+    v = 2.0 / (9.0 * np.maximum(made.freedom, 1.0))
+    median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
+    return float(np.median(samples.rss / samples.count / model.sigma(samples.q) ** 2 / median_over_mean))
+
+
+def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
+    """How the variance is shared out over correlation lengths, from how residuals grow with the tiles."""
+    sizes = np.array(list(samples))
+    values = np.array([_typical(some, model) for some in samples.values()])
+    best = None
+    for floor_length in FLOOR_LENGTHS:
+        if 2 * floor_length > sizes.max():
+            continue
+        parts = [(0.0, 0.0), *((1.0, length) for length in (*LENGTHS, floor_length))]
+        terms = np.stack([_per_pixel(part, sizes) for part in parts], axis=1)
+        shares = _non_negative(terms, values, robust=False)
+        error = float(np.sum((terms @ shares / values - 1.0) ** 2))
+        if best is None or error < 0.999 * best[0]:
+            best = error, floor_length, shares
+    assert best is not None
+    _, floor_length, shares = best
+    random = float(shares[:-1].sum())
+    if random < 0.02 * shares.sum():  # all of it smooth: keep the model one of random errors
+        shares[0] += 0.02 * shares.sum()
+        random = float(shares[:-1].sum())
+    # σq is that of the random error.
+    scale = np.sqrt(random)
+    return replace(
+        model,
+        coefficients=tuple(scale * c for c in model.coefficients),
+        correlation=tuple(
+            (float(share / random), length)
+            for share, length in zip(shares[1:-1], LENGTHS, strict=True)
+            if share
+        ),
+        floor=float(np.sqrt(shares[-1] / random)),
+        floor_length=floor_length,
+    )
+
+
+def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Float:
+    """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
+    alone = NoiseModel(correlation=(part,) if part[1] else ())
+    return np.asarray(alone.statistics(sizes**2).expected / sizes**2)
+
+
+def _fit_spread(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
+    """The spread with which residuals reach as far above their median as those of the tiles do."""
+    from scipy.special import chdtri
+
+    candidates = np.linspace(0.0, 1.5, 61)
+    spreads = []
+    for size in (8, 12, 16, 24):
+        some = samples[size]
+        ratio = some.rss / some.count / model.sigma(some.q) ** 2
+        reach = np.quantile(ratio, _TAIL) / np.median(ratio)
+        freedom = np.array([replace(model, spread=s).statistics(size * size).freedom for s in candidates])
+        reaches = chdtri(freedom, 1.0 - _TAIL) / chdtri(freedom, 0.5)
+        spreads.append(float(np.interp(reach, reaches, candidates)))
+    return replace(model, spread=float(np.median(spreads)))
+
+
+def _evidence(
+    frames: Sequence[Any],
+    camera: Camera,
+    model: NoiseModel,
+    samples: dict[int, _Samples],
+    tiles: dict[int, TilePlanes],
+    windows: int,
+) -> NoiseEvidence:
+    from scipy.special import chdtrc
+
+    size = WINDOW // 3
+    chosen = samples[size]
+    made = model.statistics(chosen.count)
+    ratio = chosen.rss / model.sigma(chosen.q) ** 2 / made.expected
+    q, sigma = _by_depth(chosen)
+    pixels = np.array([size * size])
+    sizes = np.array(list(samples))
+    sums, numbers = np.zeros(tiles[size].shape[1:]), np.zeros(tiles[size].shape[1:])
+    np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
+    np.add.at(numbers, chosen.place[1:], 1.0)
+    flatness, flatness_count = _flatness(frames, replace(camera, noise=model))
+    return NoiseEvidence(
+        windows=windows,
+        sizes=sizes,
+        residuals=np.sqrt([_typical(some, model) for some in samples.values()]),
+        expected=np.sqrt(model.statistics(sizes**2).expected) / sizes,
+        inverse_depth=q,
+        sigma=sigma,
+        sigma_fit=model.sigma(q) * np.sqrt(model.statistics(pixels).expected / pixels),
+        p_values=chdtrc(made.freedom, ratio * made.freedom),
+        noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
+        flatness=flatness,
+        flatness_count=flatness_count,
+    )
+
+
+def _flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, npt.NDArray[np.int64]]:
+    """Mean residual over the image of the planes that are seen large: see `NoiseEvidence`."""
+    shape = -(-camera.height // CELL), -(-camera.width // CELL)
+    sums, numbers = np.zeros(shape), np.zeros(shape, np.int64)
+    cell_rows = np.arange(camera.height) // CELL
+    cell_columns = np.arange(camera.width) // CELL
+    fitter = TileFitter(camera, 16, significance=1e-3)
+    for depth in frames:
+        tiles = fitter.fit(depth)
+        labels = _connected(tiles)
+        merged = merge(tiles, labels, significance=1e-6)
+        large = (np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:] >= 60) & (
+            merged.status == 0
+        )
+        label = np.where(large, np.arange(1, len(large) + 1), 0)[labels - 1] * (labels > 0)
+        pixels = label.repeat(16, axis=0).repeat(16, axis=1)[: camera.height, : camera.width]
+        alpha = np.vstack([np.full((1, 3), np.nan), merged.alpha])[pixels]
+        fitted = alpha[..., 0] * camera.tan_x + alpha[..., 1] * camera.tan_y + alpha[..., 2]
+        residual = as_depth_frame(depth, camera).inverse_depth - fitted
+        assert camera.noise is not None
+        usual = np.hypot(1.0, camera.noise.floor) * camera.noise.sigma(fitted)
+        seen = np.abs(residual) < 6.0 * usual  # also False where missing
+        index = (cell_rows[:, None] * shape[1] + cell_columns)[seen]
+        sums += np.bincount(index, residual[seen], shape[0] * shape[1]).reshape(shape)
+        numbers += np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape)
+    return np.divide(sums, numbers, out=np.full(shape, np.nan), where=numbers > 0), numbers
+
+
+def _connected(tiles: TilePlanes) -> npt.NDArray[np.int64]:
+    """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    from rgbd_planes.uncertainty import same_plane
+
+    flat = tiles.status == 0
+    alpha, covariance = tiles.alpha, tiles.alpha_covariance
+    index = np.arange(flat.size).reshape(flat.shape)
+    links = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        same = same_plane(alpha[a], covariance[a], alpha[b], covariance[b]) > 0.05
+        same &= flat[a] & flat[b]
+        links.append((index[a][same], index[b][same]))
+    first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(flat.size, flat.size))
+    component = connected_components(graph, directed=False)[1].reshape(flat.shape)
+    labels = np.where(flat, component + 1, 0)
+    return np.asarray(
+        np.unique(labels, return_inverse=True)[1].reshape(flat.shape) + (0 if (labels == 0).any() else 1)
+    )
