@@ -247,9 +247,7 @@ def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -
     return {"header": header, "polygons": polygons, "labels": labels, "likelihood": []}
 
 
-def to_ros_points(
-    depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: float = 0.0
-) -> dict[str, Any]:
+def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
     """Return the points of a depth frame in the shape of sensor_msgs/PointCloud2, organised as the frame.
 
     Parameters

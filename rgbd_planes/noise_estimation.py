@@ -17,7 +17,9 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.merging import merge
 from rgbd_planes.noise import NoiseModel
+from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.tiles import TileFitter, TilePlanes
+from rgbd_planes.uncertainty import same_plane
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,6 +40,8 @@ _MOST_MISSING = 0.1
 _LOOSEST = 2.0  # a window is flat if its residual is below so many times the usual one at its depth
 _TAIL = 0.98  # quantile at which the spread is matched: near the significance levels that matter
 _FEWEST_WINDOWS = 24
+_TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
+_LARGE = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +84,8 @@ class NoiseEvidence:
     flatness_count: npt.NDArray[np.int64]
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Draw the fit; see `plotting_noise.plot_evidence`."""
-        from rgbd_planes.plotting_noise import plot_evidence
+        """Draw the fit and the maps; see `noise_plotting.plot_evidence`."""
+        from rgbd_planes.noise_plotting import plot_evidence
 
         return plot_evidence(self, figure)
 
@@ -112,7 +116,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     -----
     Surfaces that are not flat but everywhere as smooth as a plane (a curtain, a lawn) count as noise.
     """
-    opened = [frames] if np.ndim(frames[0]) == 1 else list(frames)
+    opened: list[Any] = [frames] if np.ndim(frames[0]) == 1 else list(frames)
     if not opened:
         raise ValueError("expected at least one frame, got none")
     bare = replace(camera, noise=None)
@@ -162,7 +166,7 @@ class _Samples:
             # All four windows flat; together they must be as well.
             padded = np.zeros((len(flat), 2 * rows, 2 * columns), bool)
             padded[:, : flat.shape[1], : flat.shape[2]] = flat
-            chosen = padded.reshape(len(flat), rows, 2, columns, 2).all(axis=(2, 4))
+            chosen = np.asarray(padded.reshape(len(flat), rows, 2, columns, 2).all(axis=(2, 4)))
         chosen &= planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * size * size)
         if size > WINDOW and chosen.any():
             residual = planes.rmse[chosen]
@@ -274,7 +278,7 @@ def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
         correlation=tuple(
             (float(share / random), length)
             for share, length in zip(shares[1:-1], LENGTHS, strict=True)
-            if share
+            if share > 0.0
         ),
         floor=float(np.sqrt(shares[-1] / random)),
         floor_length=floor_length,
@@ -345,17 +349,30 @@ def _flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, npt.NDArray
     sums, numbers = np.zeros(shape), np.zeros(shape, np.int64)
     cell_rows = np.arange(camera.height) // CELL
     cell_columns = np.arange(camera.width) // CELL
-    fitter = TileFitter(camera, 16, significance=1e-3)
+    fitter = TileFitter(camera, _TILE, significance=1e-3)
     for depth in frames:
         tiles = fitter.fit(depth)
         labels = _connected(tiles)
-        merged = merge(tiles, labels, significance=1e-6)
-        large = (np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:] >= 60) & (
-            merged.status == 0
+        merged = merge(tiles, labels)
+        # Links from tile to tile can lead around a bend: what is not on the common plane is left out.
+        on_plane = labels > 0
+        of = labels[on_plane] - 1
+        on_plane[on_plane] = (
+            same_plane(
+                tiles.alpha[on_plane],
+                tiles.alpha_covariance[on_plane],
+                merged.alpha[of],
+                merged.alpha_covariance[of],
+            )
+            > 1e-3
         )
-        label = np.where(large, np.arange(1, len(large) + 1), 0)[labels - 1] * (labels > 0)
-        pixels = label.repeat(16, axis=0).repeat(16, axis=1)[: camera.height, : camera.width]
-        alpha = np.vstack([np.full((1, 3), np.nan), merged.alpha])[pixels]
+        labels[~on_plane] = 0
+        merged = merge(tiles, labels, significance=1e-3)
+        large = np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:] >= _LARGE
+        large &= merged.status == TileStatus.OK
+        alpha = np.where(large[:, None], merged.alpha, np.nan)
+        pixels = labels.repeat(_TILE, axis=0).repeat(_TILE, axis=1)[: camera.height, : camera.width]
+        alpha = np.vstack([np.full((1, 3), np.nan), alpha])[pixels]
         fitted = alpha[..., 0] * camera.tan_x + alpha[..., 1] * camera.tan_y + alpha[..., 2]
         residual = as_depth_frame(depth, camera).inverse_depth - fitted
         assert camera.noise is not None
@@ -372,9 +389,7 @@ def _connected(tiles: TilePlanes) -> npt.NDArray[np.int64]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    from rgbd_planes.uncertainty import same_plane
-
-    flat = tiles.status == 0
+    flat = tiles.status == TileStatus.OK
     alpha, covariance = tiles.alpha, tiles.alpha_covariance
     index = np.arange(flat.size).reshape(flat.shape)
     links = []
@@ -385,7 +400,6 @@ def _connected(tiles: TilePlanes) -> npt.NDArray[np.int64]:
     first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
     graph = coo_array((np.ones(len(first)), (first, second)), shape=(flat.size, flat.size))
     component = connected_components(graph, directed=False)[1].reshape(flat.shape)
-    labels = np.where(flat, component + 1, 0)
-    return np.asarray(
-        np.unique(labels, return_inverse=True)[1].reshape(flat.shape) + (0 if (labels == 0).any() else 1)
-    )
+    labels = np.zeros(flat.shape, np.int64)
+    labels[flat] = np.unique(component[flat], return_inverse=True)[1] + 1
+    return labels

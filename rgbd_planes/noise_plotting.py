@@ -1,0 +1,94 @@
+"""The figure of an estimated noise model: does it fit, and where is the sensor not flat."""
+
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.plotting import NotebookFigure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rgbd_planes.noise_estimation import NoiseEvidence
+
+_SEEN, _MODEL, _PLAIN = "#2f6fb0", "#c8442e", "#8a8a8a"
+
+
+def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> "Figure":
+    """Draw what a noise model was estimated from, and the model.
+
+    Parameters
+    ----------
+    evidence : NoiseEvidence
+    figure : matplotlib Figure or SubFigure, optional
+        Drawn into; a new one by default.
+
+    Returns
+    -------
+    matplotlib Figure or SubFigure
+        Noise against depth, residual against the size of the tile, p-values; noise and bias over the image.
+    """
+    figure = NotebookFigure((15.0, 8.2), layout="constrained") if figure is None else figure
+    upper, lower = cast(Any, figure.subfigures(2, 1))
+    panels = upper.subplots(1, 3)
+    _draw_depth(panels[0], evidence)
+    _draw_sizes(panels[1], evidence)
+    _draw_p_values(panels[2], evidence)
+    maps = lower.subplots(1, 2)
+    title = "Noise over the image, as a multiple of the model's"
+    _draw_map(maps[0], evidence.noise_map, title, cmap="viridis", vmin=0.5, vmax=2.0)
+    bias = 1e3 * np.where(evidence.flatness_count >= 16, evidence.flatness, np.nan)
+    seen = np.abs(bias[np.isfinite(bias)])
+    limit = float(np.quantile(seen, 0.98)) if len(seen) else 1.0
+    title = "Bias over the image: mean residual of large planes, 1e-3 / m"
+    _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    return figure
+
+
+def _draw_depth(axes: "Axes", evidence: "NoiseEvidence") -> None:
+    depth = 1.0 / evidence.inverse_depth
+    axes.plot(depth, 1e3 * evidence.sigma, "o", color=_SEEN, label="flat tiles (median)")
+    order = np.argsort(depth)
+    axes.plot(depth[order], 1e3 * evidence.sigma_fit[order], color=_MODEL, label="model")
+    axes.set_ylim(0.0, 1.15e3 * max(evidence.sigma.max(), evidence.sigma_fit.max()))
+    _finish(axes, "Residual of 1/Z in a tile of 16 pixels", "depth, m", "rms residual, 1e-3 / m")
+
+
+def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
+    axes.plot(evidence.sizes, evidence.residuals, "o", color=_SEEN, label="flat tiles (median)")
+    axes.plot(evidence.sizes, evidence.expected, color=_MODEL, label="model")
+    independent = np.sqrt(1.0 - 3.0 / evidence.sizes**2)
+    middle = len(evidence.sizes) // 2
+    independent *= evidence.residuals[middle] / independent[middle]
+    axes.plot(evidence.sizes, independent, "--", color=_PLAIN, label="if pixels were independent")
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(evidence.sizes, [str(size) for size in evidence.sizes])
+    axes.set_ylim(0.0, 1.25 * max(evidence.residuals.max(), evidence.expected.max()))
+    _finish(axes, "How far errors reach", "side of the tile, pixels", "rms residual / σq")
+
+
+def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
+    axes.hist(evidence.p_values, bins=20, range=(0.0, 1.0), density=True, color=_SEEN, alpha=0.8)
+    axes.axhline(1.0, color=_MODEL, label="if the model were exact")
+    share = np.mean(evidence.p_values < 0.01)
+    title = f"p-values of flat tiles: {share:.1%} below 1 %"
+    _finish(axes, title, "p-value", "density")
+
+
+def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, **style: Any) -> None:
+    axes.set_facecolor((0.86, 0.86, 0.86))
+    image = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
+    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+    axes.set_title(title, fontsize=10)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def _finish(axes: "Axes", title: str, x: str, y: str) -> None:
+    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9)
