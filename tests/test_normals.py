@@ -77,7 +77,7 @@ def expected_surfaces(depth, camera, window, max_missing, pixels):
         variance[i] = squares.sum() / (len(squares) - 3) if len(squares) > 3 else np.nan
         if camera.is_distorted:  # rays are no whole pixels: rounding tells where they lie all but on one line
             sides = np.linalg.svd(rays - rays.mean(axis=0), compute_uv=False)
-            well_posed[i] &= sides[1] > 1e-3 * sides[0]
+            well_posed[i] &= sides[1] > 3e-3 * sides[0]
         mean_ray, mean_q = rays.mean(axis=0), q[part][valid].mean()
         jacobian = (np.eye(3) - np.outer(mean_ray, alpha) / mean_q) / mean_q
         spread = np.trace(jacobian @ np.cov(rays.T, bias=True) @ jacobian.T)
