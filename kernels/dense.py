@@ -73,46 +73,51 @@ def surface_row(
     normals, variance, variation : (3 N,), (N,), (N,) float32, written
         Variance of q about the plane in 1/m², with N - 3 degrees of freedom.
     """
+    inverse_fx = 1.0 / fx
+    inverse_fy = 1.0 / fy
     for i in range(needed.shape[0]):
         n = float(valid_sums[i])
-        x = valid_sums[PITCH + i] / n
-        y = valid_sums[3 * PITCH + i] / n
-        q = sums[i] / n
-        c_xx = valid_sums[2 * PITCH + i] / n - x * x
-        c_xy = valid_sums[4 * PITCH + i] / n - x * y
-        c_yy = valid_sums[5 * PITCH + i] / n - y * y
-        c_xq = sums[PITCH + i] / n - x * q
-        c_yq = sums[2 * PITCH + i] / n - y * q
-        c_qq = squares[i] / n - q * q
+        share = 1.0 / n
+        x = share * valid_sums[PITCH + i]
+        y = share * valid_sums[3 * PITCH + i]
+        q = share * sums[i]
+        c_xx = share * valid_sums[2 * PITCH + i] - x * x
+        c_xy = share * valid_sums[4 * PITCH + i] - x * y
+        c_yy = share * valid_sums[5 * PITCH + i] - y * y
+        c_xq = share * sums[PITCH + i] - x * q
+        c_yq = share * sums[2 * PITCH + i] - y * q
+        c_qq = share * squares[i] - q * q
         determinant = c_xx * c_yy - c_xy * c_xy
         trace = c_xx + c_yy
-        slope_x = (c_yy * c_xq - c_xy * c_yq) / determinant
-        slope_y = (c_xx * c_yq - c_xy * c_xq) / determinant
-        mean_square = max(c_qq - slope_x * c_xq - slope_y * c_yq, 0.0)
+        inverse_determinant = 1.0 / determinant
+        slope_x = (c_yy * c_xq - c_xy * c_yq) * inverse_determinant
+        slope_y = (c_xx * c_yq - c_xy * c_xq) * inverse_determinant
+        mean_square = c_qq - slope_x * c_xq - slope_y * c_yq
+        mean_square = mean_square if mean_square > 0.0 else 0.0
         away_x = x - x_pixel[i]
         away_y = y - y_pixel[i]
         at_pixel = q - slope_x * away_x - slope_y * away_y
         a = fx * slope_x
         b = fy * slope_y
         c = at_pixel - a * tan_x[i] - b * tan_y[i]
-        norm_square = a * a + b * b + c * c
         there = (n >= needed[i]) & (determinant > COLLINEAR * trace * trace) & (at_pixel > 0.0)
         nan = 0.0 if there else math.nan
-        inverse_norm = nan - 1.0 / math.sqrt(norm_square)
+        inverse_norm = nan - 1.0 / math.sqrt(a * a + b * b + c * c)
         normals[3 * i] = a * inverse_norm
         normals[3 * i + 1] = b * inverse_norm
         normals[3 * i + 2] = c * inverse_norm
         variance[i] = nan + mean_square * n / (n - 3.0)
         # The spread of the points, times q̄².
-        c_uu = c_xx / (fx * fx)
-        c_uv = c_xy / (fx * fy)
-        c_vv = c_yy / (fy * fy)
-        u = tan_x[i] + away_x / fx
-        v = tan_y[i] + away_y / fy
+        c_uu = c_xx * (inverse_fx * inverse_fx)
+        c_uv = c_xy * (inverse_fx * inverse_fy)
+        c_vv = c_yy * (inverse_fy * inverse_fy)
+        u = tan_x[i] + away_x * inverse_fx
+        v = tan_y[i] + away_y * inverse_fy
+        z = 1.0 / q
         across = a * (u * c_uu + v * c_uv) + b * (u * c_uv + v * c_vv)
         along = a * a * c_uu + 2.0 * a * b * c_uv + b * b * c_vv
-        spread = c_uu + c_vv - 2.0 * across / q + (u * u + v * v + 1.0) * along / (q * q)
-        off_plane = mean_square / norm_square
+        spread = c_uu + c_vv + z * (z * (u * u + v * v + 1.0) * along - 2.0 * across)
+        off_plane = mean_square * (inverse_norm * inverse_norm)
         variation[i] = nan + off_plane / (off_plane + spread)
 
 
@@ -273,6 +278,9 @@ def distorted(
         used = (channels - 1) * PITCH + columns
         x_reference = tan_x[height // 2, left + columns // 2]
         y_reference = tan_y[height // 2, left + columns // 2]
+        first_column, last_column = max(left - half, 0), min(left + columns + half, width)
+        margin = first_column - (left - half)
+        row_channels[:] = 0.0
         for row in range(row_start - half, row_stop + half):
             slot = (row + half) % slots
             old = (row + half + 1) % slots
@@ -280,9 +288,10 @@ def distorted(
                 raw, row, left - half, lowest, highest, scale, offset, is_disparity,
                 q[:count], valid[slot, :count],
             )  # fmt: skip
+            nearest = min(max(row, 0), height - 1)  # beyond the frame nothing is valid, and any rays will do
             ray_channels(
-                q[:count], valid[slot], tan_x[min(max(row, 0), height - 1)], tan_y[min(max(row, 0), height - 1)],
-                left - half, x_reference, y_reference, row_channels,
+                q[margin:], valid[slot, margin:], tan_x[nearest, first_column:last_column],
+                tan_y[nearest, first_column:last_column], x_reference, y_reference, row_channels[margin:],
             )  # fmt: skip
             sliding.sums_along_row(steps, sizes, between, row_channels, length, work, rows[slot])
             centre = row - half
@@ -309,14 +318,12 @@ def distorted(
 
 
 @kernel(reduction=True)
-def ray_channels(q, valid, tan_x, tan_y, column, x_reference, y_reference, channels):
-    """q, qx, qy; 1, x, xx, y, xy, yy of a row's valid pixels from ``column`` on, and q²; zeros elsewhere."""
-    width = tan_x.shape[0]
-    for i in range(q.shape[0]):
+def ray_channels(q, valid, tan_x, tan_y, x_reference, y_reference, channels):
+    """q, qx, qy; 1, x, xx, y, xy, yy; q² of a row's valid pixels; zeros where missing."""
+    for i in range(tan_x.shape[0]):
         there = float(valid[i])
-        inside = min(max(column + i, 0), width - 1)
-        x = there * (tan_x[inside] - x_reference)
-        y = there * (tan_y[inside] - y_reference)
+        x = there * (tan_x[i] - x_reference)
+        y = there * (tan_y[i] - y_reference)
         channels[i] = q[i]
         channels[PITCH + i] = q[i] * x
         channels[2 * PITCH + i] = q[i] * y
@@ -330,6 +337,15 @@ def ray_channels(q, valid, tan_x, tan_y, column, x_reference, y_reference, chann
 
 
 @kernel()
+def calmer(other, place, smallest, best):
+    """Take the windows of smaller variance: ``place`` counts those of ``other`` in the frame."""
+    for i in range(other.shape[0]):
+        is_calmer = other[i] < smallest[i]
+        smallest[i] = other[i] if is_calmer else smallest[i]
+        best[i] = place + i if is_calmer else best[i]
+
+
+@kernel()
 def choose_windows(
     raw, lowest, highest, tan_x, tan_y, reach, ratio, normals, variance, variation, row_start, row_stop,
     chosen_normals, chosen_variation,
@@ -338,35 +354,55 @@ def choose_windows(
 
     A moved window is taken, the one with the smallest residual variance, if its own window's is more than
     ``ratio`` times as large: an edge runs through it. The same idea as Kuwahara's filter of means (1976).
-    A plane that the pixel's ray does not meet is none. Missing pixels get NaN.
+    At the border windows are moved less. A plane that the pixel's ray does not meet is none. Missing pixels
+    get NaN.
 
     Parameters
     ----------
     tan_x, tan_y : (H, W) float64
-    normals, variance, variation
+    normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
         Of `separable` or `distorted`.
     reach : int
         0 to leave every window where it is.
     chosen_normals, chosen_variation : (H, W, 3) and (H, W) float32, written
     """
     height, width = raw.shape
+    smallest = np.empty(width, np.float32)
+    best = np.empty(width, np.int64)
+    inner = max(width - 2 * reach, 0)
     for row in range(row_start, row_stop):
         for column in range(width):
-            best_row, best_column = row, column
             own = variance[row, column]
-            if reach > 0 and lowest <= raw[row, column] <= highest:
-                # Not a number, where the pixel's own window has no plane, is larger than everything.
-                smallest = own / ratio if own == own else math.inf
-                for y in range(-reach, reach + 1, reach):
-                    for x in range(-reach, reach + 1, reach):
-                        other_row = min(max(row + y, 0), height - 1)
-                        other_column = min(max(column + x, 0), width - 1)
-                        if variance[other_row, other_column] < smallest:
-                            smallest = variance[other_row, other_column]
-                            best_row, best_column = other_row, other_column
-            normal = normals[best_row, best_column]
-            towards = normal[0] * tan_x[row, column] + normal[1] * tan_y[row, column] + normal[2]
-            there = (lowest <= raw[row, column] <= highest) and towards < 0.0
-            for i in range(3):
-                chosen_normals[row, column, i] = normal[i] if there else math.nan
-            chosen_variation[row, column] = variation[best_row, best_column] if there else math.nan
+            # Not a number, where the pixel's own window has no plane, is larger than everything.
+            smallest[column] = own / ratio if own == own else math.inf
+            best[column] = row * width + column
+        if reach > 0:
+            for y in range(-reach, reach + 1, reach):
+                other_row = min(max(row + y, 0), height - 1)
+                others = variance[other_row]
+                for x in range(-reach, reach + 1, reach):
+                    if inner > 0:
+                        left = reach + x
+                        calmer(
+                            others[left : left + inner], other_row * width + left,
+                            smallest[reach : reach + inner], best[reach : reach + inner],
+                        )  # fmt: skip
+                    for side in range(2):
+                        start = 0 if side == 0 else max(reach, width - reach)
+                        stop = min(reach, width) if side == 0 else width
+                        for column in range(start, stop):
+                            place = min(max(column + x, 0), width - 1)
+                            calmer(
+                                others[place : place + 1], other_row * width + place,
+                                smallest[column : column + 1], best[column : column + 1],
+                            )  # fmt: skip
+        for column in range(width):
+            place = best[column]
+            a, b, c = normals[3 * place], normals[3 * place + 1], normals[3 * place + 2]
+            towards = a * tan_x[row, column] + b * tan_y[row, column] + c
+            there = (raw[row, column] >= lowest) & (raw[row, column] <= highest) & (towards < 0.0)
+            nan = np.float32(0.0 if there else math.nan)
+            chosen_normals[row, column, 0] = a + nan
+            chosen_normals[row, column, 1] = b + nan
+            chosen_normals[row, column, 2] = c + nan
+            chosen_variation[row, column] = variation[place] + nan

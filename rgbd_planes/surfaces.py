@@ -152,7 +152,7 @@ def _surfaces(
         def choose(start: int, stop: int) -> None:
             dense.choose_windows(
                 frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, reach, _ratio(window),
-                made, variance, variation, start, stop, chosen, chosen_variation,
+                arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
             )  # fmt: skip
 
         run_in_ranges(choose, height, threads)

@@ -1,0 +1,157 @@
+"""Normals of a frame: speed and accuracy beside OpenCV's RgbdNormals, one thread each.
+
+    pytest bench/test_normals.py            times by pytest-benchmark, accuracy in extra_info
+    python bench/test_normals.py            one table: speed ratios of interleaved runs, and accuracy
+
+OpenCV 5 is used when it is installed (opencv-python-headless). Its methods get what they take: FALS, SRI and
+CROSS_PRODUCT the point cloud, ready made; LINEMOD the raw frame.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+
+import rgbd_planes as rp
+from rgbd_planes import scenes
+
+try:
+    import cv2
+except ImportError:
+    cv2 = None
+OPENCV = (
+    ("FALS", "LINEMOD", "SRI", "CROSS_PRODUCT") if cv2 is not None and hasattr(cv2, "RgbdNormals") else ()
+)
+WINDOWS = (7, 3, 15, 31)
+OURS = tuple(f"{name} {w}" for w in WINDOWS for name in ("normals", "avoid_edges"))
+METHODS = (*OURS, *(f"OpenCV {name}" for name in OPENCV))
+HOLES = (0.0, 0.05)
+
+
+class Case(NamedTuple):
+    """A frame, what is true of it, and where the truth changes within three pixels."""
+
+    camera: rp.Camera
+    depth: Any
+    truth: Any
+    near_edge: Any
+
+
+@cache
+def case(holes: float, width: int = 640, height: int = 480, noise: float = scenes.KINECT_NOISE) -> Case:
+    """The rendered room with independent noise of a Kinect's size."""
+    focal = 525.0 * width / 640
+    camera = rp.Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0)
+    rendering = scenes.room().render(camera)
+    labels = rendering.labels
+    around = sliding_window_view(np.pad(labels, 3, mode="edge"), (7, 7))
+    near_edge = (around != labels[..., None, None]).any(axis=(2, 3))
+    depth = rendering.measure(holes=holes, noise=noise, seed=1)
+    return Case(camera, depth, rendering.planes[labels - 1, :3], near_edge)
+
+
+def prepare(method: str, frame: Case) -> Callable[[], Any]:
+    """A function of no arguments that computes the normals once, caches filled."""
+    camera = frame.camera
+    name, _, option = method.partition(" ")
+    if name != "OpenCV":
+        avoid = name == "avoid_edges"
+        return lambda: rp.normals(frame.depth, camera, int(option), avoid_edges=avoid, num_threads=1)
+    cv2.setNumThreads(1)
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float32)
+    kind = getattr(cv2, f"RgbdNormals_RGBD_NORMALS_METHOD_{option}")
+    computer = cv2.RgbdNormals.create(camera.height, camera.width, cv2.CV_32F, matrix, 7, 50.0, kind)
+    computer.cache()
+    source = frame.depth if option == "LINEMOD" else cv2.depthTo3d(frame.depth, matrix)
+    result = computer.apply(source)
+    return lambda: computer.apply(source, result)
+
+
+def accuracy(normals: Any, frame: Case) -> dict[str, float]:
+    """Median angle in degrees to the truth over valid pixels: all, away from edges, near them; and shares."""
+    chord = np.linalg.norm(normals[..., :3] - frame.truth, axis=-1)
+    angle = np.degrees(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
+    valid = frame.depth > 0
+    there = valid & np.isfinite(angle)
+    near = there & frame.near_edge
+    return {
+        "median_deg": float(np.median(angle[there])),
+        "inside_deg": float(np.median(angle[there & ~frame.near_edge])),
+        "near_edge_deg": float(np.median(angle[near])),
+        "p90_deg": float(np.percentile(angle[there], 90)),
+        "share_of_valid": float(there.sum() / valid.sum()),
+        "share_of_missing": float(np.isfinite(angle[~valid]).mean()) if (~valid).any() else 0.0,
+    }
+
+
+@pytest.mark.parametrize("holes", HOLES)
+@pytest.mark.parametrize("method", METHODS)
+def test_normals(benchmark: Any, method: str, holes: float) -> None:
+    """Time of one frame of 640 x 480, uint16."""
+    frame = case(holes)
+    compute = prepare(method, frame)
+    benchmark.group = f"normals 640 x 480, {holes:.0%} missing"
+    benchmark.extra_info.update(accuracy(compute(), frame))
+    benchmark(compute)
+
+
+def seconds(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Any]:
+    """Times of each function, taken in turns so that all see the same machine."""
+    times: dict[str, list[float]] = {name: [] for name in functions}
+    for function in functions.values():
+        function()
+    for _ in range(repeats):
+        for name, function in functions.items():
+            start = time.perf_counter()
+            function()
+            times[name].append(time.perf_counter() - start)
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def print_table(holes: float, repeats: int) -> None:
+    """Print speed and accuracy of every method as a Markdown table."""
+    frame = case(holes)
+    functions = {method: prepare(method, frame) for method in METHODS}
+    times = seconds(functions, repeats)
+    base = times["normals 7"]
+    print(f"\n640 x 480, uint16, {holes:.0%} missing, noise 1.425e-3/m, one thread, {repeats} rounds\n")
+    print(
+        "| normals | ms | time ÷ normals 7 (10–90 %) | median | inside | near edges | 90 % | valid | missing |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for method, function in functions.items():
+        found = accuracy(function(), frame)
+        ratio = times[method] / base
+        low, middle, high = np.percentile(ratio, [10, 50, 90])
+        print(
+            f"| {method} | {1e3 * np.median(times[method]):.2f} | {middle:.2f} ({low:.2f}–{high:.2f}) "
+            f"| {found['median_deg']:.2f}° | {found['inside_deg']:.2f}° | {found['near_edge_deg']:.2f}° "
+            f"| {found['p90_deg']:.1f}° | {found['share_of_valid']:.0%} | {found['share_of_missing']:.0%} |"
+        )
+
+
+def print_scaling(repeats: int) -> None:
+    """Print the cost per pixel by frame and window."""
+    print("\n| frame, 5 % missing | " + " | ".join(f"window {w}" for w in sorted(WINDOWS)) + " |")
+    print("|---" * (len(WINDOWS) + 1) + "|")
+    for width, height in ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160)):
+        frame = case(0.05, width, height)
+        functions = {f"normals {w}": prepare(f"normals {w}", frame) for w in sorted(WINDOWS)}
+        times = seconds(functions, max(3, repeats * 640 * 480 // (width * height)))
+        cost = " | ".join(f"{1e9 * np.median(t) / (width * height):.2f} ns" for t in times.values())
+        print(f"| {width} x {height} | {cost} |")
+        case.cache_clear()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=30)
+    arguments = parser.parse_args()
+    for share in HOLES:
+        print_table(share, arguments.rounds)
+    print_scaling(arguments.rounds)

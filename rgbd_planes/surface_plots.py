@@ -1,0 +1,94 @@
+"""The figure of dense normals: depth, normals as colours, surface variation."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.plotting import NotebookFigure, normal_colours
+
+_MISSING = (0.86, 0.86, 0.86)
+_PANEL_INCHES = 5.2
+
+
+def plot_surfaces(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    normals: npt.NDArray[np.float32],
+    curvature: npt.NDArray[np.float32],
+) -> Figure:
+    """Draw a frame's depth, its normals as colours and its surface variation.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+    camera : Camera
+    normals : (H, W, 3) float32
+        Of `rgbd_planes.normals`.
+    curvature : (H, W) float32
+        Of `rgbd_planes.curvature`; drawn on a logarithmic scale.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    metres = as_depth_frame(depth, camera).metres
+    panel = _PANEL_INCHES * min(max(camera.height / camera.width, 0.3), 1.6)
+    figure = NotebookFigure((3 * _PANEL_INCHES, panel + 1.0), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+
+    viridis = colormaps["viridis_r"].with_extremes(bad=_MISSING)
+    near, far = _limits(metres, (0.5, 99.5), (0.0, 1.0))
+    image = left.imshow(metres, cmap=viridis, vmin=near, vmax=far, interpolation="nearest")
+    left.set_title("Measured depth")
+    _bar(figure, left, image, f"metres     (grey: missing, {np.isnan(metres).mean():.1%} of the pixels)")
+
+    # x to the right of the image and y down it, also where a focal length is negative.
+    in_image = normals.astype(np.float64) * np.sign([camera.fx, camera.fy, 1.0])
+    middle.imshow(normal_colours(in_image), interpolation="nearest")
+    middle.set_title("Normals")
+    # In the place of a colour bar, so that the images keep their size beside each other.
+    angle = np.linspace(-1.0, 1.0, 255) * np.pi / 2
+    sideways = np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=-1)
+    upwards = np.stack([0.0 * angle, -np.sin(angle), -np.cos(angle)], axis=-1)
+    legend = figure.colorbar(image, ax=middle, orientation="horizontal", shrink=0.8, aspect=20)
+    legend.ax.clear()
+    legend.ax.imshow(normal_colours(np.stack([sideways, upwards])), aspect="auto", extent=(-90, 90, 2, 0))
+    legend.ax.tick_params(labelsize=9, length=2)
+    legend.ax.set_yticks([0.5, 1.5], ["right", "up"], fontsize=7)
+    legend.ax.set_xlabel(
+        "degrees that the surface faces to the right, or up, from facing the camera", fontsize=9
+    )
+
+    magma = colormaps["magma"].with_extremes(bad=_MISSING)
+    low, high = _limits(np.where(curvature > 0.0, curvature, np.nan), (1.0, 99.5), (1e-3, 1.0))
+    image = right.imshow(curvature, cmap=magma, norm=LogNorm(low, high, clip=True), interpolation="nearest")
+    right.set_title("Curvature (surface variation)")
+    _bar(figure, right, image, "share of the points' variance across the plane")
+    for axes in (left, middle, right):
+        axes.set_xticks([])
+        axes.set_yticks([])
+        for side in axes.spines.values():
+            side.set_visible(False)
+    return figure
+
+
+def _limits(
+    values: npt.NDArray[Any], percentiles: tuple[float, float], otherwise: tuple[float, float]
+) -> tuple[float, float]:
+    """Bounds that a few stray values do not move."""
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, percentiles) if known.size else otherwise
+    return float(low), float(max(high, low * (1.0 + 1e-6) + 1e-12))
+
+
+def _bar(figure: Figure, axes: Axes, image: object, label: str) -> None:
+    bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.8, aspect=30)  # type: ignore[arg-type]
+    bar.ax.tick_params(labelsize=9, length=2)
+    bar.set_label(label, fontsize=9)
