@@ -52,7 +52,9 @@ def record(
         for index, frame in enumerate(sequence):
             camera = frame.camera
             if camera not in fitters:
-                fitters = {camera: TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)}
+                fitters = {
+                    camera: TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
+                }
             tiles = fitters[camera].fit(frame.depth)
             stream.set_time("frame", sequence=index)
             if math.isfinite(frame.timestamp):
