@@ -124,12 +124,15 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     After an interruption the same command does the rest. A frame that cannot be read or fitted is reported
     and skipped, and makes the exit status 1.
     """
-    from rgbd_planes.sequences.formats import FORMATS
-
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the table, many files")
     parser.add_argument("--camera", type=Path, metavar="JSON", help="instead of the sequence's own camera")
-    parser.add_argument("--format", choices=sorted(FORMATS), help="if it is not recognised")
+    parser.add_argument(
+        "--format",
+        metavar="NAME",
+        help="if it is not recognised: arkitscenes, folder, icl_nuim, rosbag, scannet, scannet_sens, "
+        "seven_scenes, tum",
+    )
     parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")
     _add_fit_options(parser)
     parser.add_argument(
