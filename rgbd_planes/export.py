@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.colours import normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting import normal_colours
 from rgbd_planes.tiles import TilePlanes
 
 if TYPE_CHECKING:
