@@ -33,11 +33,12 @@ _NAMES = {
     "open_sequence": "sequences",
     "segment_quadtree": "quadtree",
 }
-_MODULES = ("noise", "presets", "scenes", "sequences", "uncertainty")
+_MODULES = ("export", "noise", "presets", "scenes", "sequences", "uncertainty")
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
+    from rgbd_planes import export as export
     from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes

@@ -83,7 +83,7 @@ def fit_sequence(
     scheduler: str | None = None,
     progress: Callable[[Progress], object] | None = None,
 ) -> BatchReport:
-    """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile or a segment.
+    """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile.
 
     Where `out` holds a part of this very table, from a call that was interrupted, the rest is done. A frame
     that cannot be read or fitted is skipped and reported. Memory does not grow with the sequence.
@@ -93,10 +93,11 @@ def fit_sequence(
     sequence : FrameSequence
     out : folder
         Made if need be; `pandas.read_parquet` and others read the folder as one table. Columns: frame, name,
-        timestamp; of a tile its row and column, of a segment its label; top, left, height, width in pixels;
-        status, valid_count; nx, ny, nz, d; the covariance of these four, 10 columns; rmse, rmse_metric.
+        timestamp; row and column of the tile; top, left, height, width in pixels; status, valid_count; nx,
+        ny, nz, d; rmse, rmse_metric; where the cameras have a noise model also p_value and the covariance of
+        the plane, cov_nx_nx, cov_nx_ny, ..., cov_d_d.
     settings : FitSettings, optional
-        Tiles or segments, and the arguments of `fit_tiles`.
+        The arguments of `fit_tiles`.
     num_threads : int, optional
         All cores, if not given. The table is the same for any number.
     scheduler : str, optional
@@ -124,6 +125,9 @@ def fit_sequence(
         raise ValueError(f"num_threads must be at least 1, or None, got {num_threads}")
     settings = settings or FitSettings()
     settings.check(sequence.camera)
+    cameras = {entry.camera for entry in sequence.entries}
+    if len({camera.noise is None for camera in cameras}) > 1:
+        raise ValueError("expected a noise model in all cameras or in none, got some with and some without")
     folder = Path(out)
     with _workers(scheduler, num_threads) as workers:
         size = _open_table(folder, sequence, settings, workers.slots)

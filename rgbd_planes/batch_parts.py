@@ -25,7 +25,7 @@ Columns = dict[str, NDArray[Any]]
 _STATUSES = [status.name for status in TileStatus]
 _KEY = b"rgbd_planes"
 _PLANE = ("nx", "ny", "nz", "d")
-_COVARIANCES = [(i, j) for i in range(4) for j in range(i, 4)]
+_COVARIANCES = {f"cov_{_PLANE[i]}_{_PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
 # Few different values each: written once, and numbers after. Of residuals and planes all values differ.
 _REPEATED = [
     "frame",
@@ -48,22 +48,19 @@ class FitSettings:
 
     Attributes
     ----------
-    segments : bool
-        One row a segment of the frame (`rgbd_planes.segment`) instead of one row a tile.
-    tile, method, max_missing, max_error
-        Of tiles, as `rgbd_planes.fit_tiles` takes them.
+    tile, method, max_missing, max_error, significance
+        As `rgbd_planes.fit_tiles` takes them.
     """
 
-    segments: bool = False
     tile: int | tuple[int, int] = 16
     method: str = "range_explicit"
     max_missing: float = 0.5
     max_error: float | None = None
+    significance: float | None = None
 
     def check(self, camera: Camera) -> None:
         """Raise what fitting a frame of this camera would raise for these settings."""
-        if not self.segments:
-            _fitter(camera, self)
+        _fitter(camera, self)
 
 
 class Problem(NamedTuple):
@@ -120,7 +117,6 @@ def fit_part(
     rows: list[tuple[int, Columns]] = []
     problems: list[Problem] = []
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
-    work = _segment_columns if settings.segments else _tile_columns
     for i, entry in enumerate(sequence.entries):
         if stopped():
             raise StoppedError
@@ -128,7 +124,7 @@ def fit_part(
         try:
             frame = sequence[i]
             middle = time.perf_counter()
-            rows.append((i, work(frame, settings)))
+            rows.append((i, _columns(frame, settings)))
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
@@ -137,7 +133,7 @@ def fit_part(
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle
     begin = time.perf_counter()
-    content, status = _write(sequence, first, settings, rows, problems)
+    content, status = _write(sequence, first, rows, problems)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), seconds)
 
@@ -151,6 +147,7 @@ def _fitter(camera: Camera, settings: FitSettings) -> TileFitter:
         settings.method,
         max_missing=settings.max_missing,
         max_error=settings.max_error,
+        significance=settings.significance,
         num_threads=1,  # the frames are shared between threads, not each frame's tiles
     )
 
@@ -165,47 +162,40 @@ def _places(shape: tuple[int, int], size: tuple[int, int], tile: tuple[int, int]
     return {"row": row, "column": column, "top": top, "left": left, "height": height, "width": width}
 
 
-def _tile_columns(frame: Frame, settings: FitSettings) -> Columns:
+def _columns(frame: Frame, settings: FitSettings) -> Columns:
+    """One row a tile: columns after frame, name and timestamp."""
     tiles: TilePlanes = _fitter(frame.camera, settings).fit(frame.depth)
     rows, columns = tiles.shape
-    return {
+    planes = tiles.planes.reshape(-1, 4)
+    made = {
         **_places((rows, columns), frame.camera.shape, tiles.tile),
         "status": tiles.status.ravel(),
         "valid_count": tiles.valid_count.ravel(),
-        **_plane_columns(tiles.planes.reshape(-1, 4), tiles.plane_covariance if frame.camera.noise else None),
+        **{name: planes[:, i] for i, name in enumerate(_PLANE)},
         "rmse": tiles.rmse.ravel(),
         "rmse_metric": tiles.rmse_metric.ravel(),
     }
+    if frame.camera.noise is not None:
+        covariance = tiles.plane_covariance.reshape(-1, 4, 4)
+        made["p_value"] = tiles.p_value.ravel()
+        made |= {name: covariance[:, i, j] for name, (i, j) in _COVARIANCES.items()}
+    return made
 
 
-def _segment_columns(frame: Frame, settings: FitSettings) -> Columns:
-    raise NotImplementedError
-
-
-def _dtypes(settings: FitSettings) -> dict[str, type]:
-    """Columns after frame, name and timestamp, in order."""
-    where = ["label"] if settings.segments else ["row", "column"]
+def _dtypes(noise: bool) -> dict[str, type]:
+    """Columns of `_columns`, in order."""
+    statistics = ["p_value", *_COVARIANCES] if noise else []
     return {
-        **dict.fromkeys([*where, "top", "left", "height", "width"], np.int32),
+        **dict.fromkeys(["row", "column", "top", "left", "height", "width"], np.int32),
         "status": np.uint8,
         "valid_count": np.int32,
-        **dict.fromkeys(_PLANE, np.float64),
-        **dict.fromkeys(["rmse", "rmse_metric"], np.float64),
+        **dict.fromkeys([*_PLANE, "rmse", "rmse_metric", *statistics], np.float64),
     }
-
-
-def _plane_columns(planes: NDArray[np.float64], covariance: NDArray[np.float64] | None) -> Columns:
-    columns = {name: planes[:, i] for i, name in enumerate(_PLANE)}
-    if covariance is not None:
-        covariance = covariance.reshape(-1, 4, 4)
-        columns |= {f"cov_{_PLANE[i]}_{_PLANE[j]}": covariance[:, i, j] for i, j in _COVARIANCES}
-    return columns
 
 
 def _write(
     sequence: FrameSequence,
     first: int,
-    settings: FitSettings,
     rows: list[tuple[int, Columns]],
     problems: list[Problem],
 ) -> tuple[bytes, dict[str, int]]:
@@ -214,7 +204,7 @@ def _write(
 
     columns: Columns = {
         name: np.concatenate([np.empty(0, dtype), *(made[name] for _, made in rows)], dtype=dtype)
-        for name, dtype in _dtypes(settings).items()
+        for name, dtype in _dtypes(sequence.camera.noise is not None).items()
     }
     which = np.repeat([i for i, _ in rows], [len(made["status"]) for _, made in rows]).astype(np.int32)
     counts = np.bincount(columns["status"], minlength=len(_STATUSES))

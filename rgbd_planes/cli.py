@@ -117,27 +117,34 @@ def fit(parser: argparse.ArgumentParser) -> Run:
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
-    """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
+    """Fit every frame of a data set or a recording into a Parquet table, one row a tile.
 
     example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet --tile 16
 
     After an interruption the same command does the rest. A frame that cannot be read or fitted is reported
     and skipped, and makes the exit status 1.
     """
-    from rgbd_planes.sequences.formats import FORMATS
-
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the table, many files")
     parser.add_argument("--camera", type=Path, metavar="JSON", help="instead of the sequence's own camera")
-    parser.add_argument("--format", choices=sorted(FORMATS), help="if it is not recognised")
+    parser.add_argument(
+        "--format",
+        metavar="NAME",
+        help="if it is not recognised: arkitscenes, folder, icl_nuim, rosbag, scannet, scannet_sens, "
+        "seven_scenes, tum",
+    )
     parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")
-    parser.add_argument("--segments", action="store_true", help="one row a segment instead of one a tile")
     _add_fit_options(parser)
+    parser.add_argument(
+        "--noise",
+        choices=("kinect_v1", "kinect_v1_nguyen"),
+        help="of the sensor: adds covariances and p-values",
+    )
     parser.add_argument("--threads", type=int, metavar="N", help="one for each core, if not given")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:port")
 
     def run(arguments: argparse.Namespace) -> int:
-        from rgbd_planes import Camera, FitSettings, fit_sequence, open_sequence, sequences
+        from rgbd_planes import Camera, FitSettings, fit_sequence, noise, open_sequence, sequences
         from rgbd_planes.batch import Progress
         from rgbd_planes.extras import needs
 
@@ -148,8 +155,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             sequence = open_sequence(arguments.sequence, camera, arguments.format)
         else:
             sequence = sequences.rosbag(arguments.sequence, camera, arguments.topic)
+        if arguments.noise is not None:
+            sequence = sequence.with_noise(getattr(noise, arguments.noise)())
         settings = FitSettings(
-            segments=arguments.segments,
             tile=arguments.tile,
             method=arguments.method,
             max_missing=arguments.max_missing,

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.colours import normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting import normal_colours
 from rgbd_planes.tiles import TilePlanes
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ def tile_polygons(tiles: TilePlanes) -> Floats:
     Returns
     -------
     (N, 4, 3) float64
-        X, Y, Z in metres where the rays of the tile's corner pixels meet its plane, in the order top left,
-        top right, bottom right, bottom left. One for each tile that is fitted and that these rays all meet,
-        row by row; see `exported`.
+        X, Y, Z in metres where the rays of the tile's corner pixels meet its plane, counter-clockwise about
+        its normal: from the top left corner down, where the camera's fx and fy have the same sign. One for
+        each tile that is fitted and that these rays all meet, row by row; see `exported`.
     """
     return _corners(tiles)[exported(tiles)]
 
@@ -53,8 +53,10 @@ def _corners(tiles: TilePlanes) -> Floats:
     _check_one_frame(tiles)
     top = np.concatenate([[0], np.cumsum(tiles.tile_heights)])
     left = np.concatenate([[0], np.cumsum(tiles.tile_widths)])
-    rows = np.stack([top[:-1], top[:-1], top[1:] - 1, top[1:] - 1], axis=1)[:, None]
-    columns = np.stack([left[:-1], left[1:] - 1, left[1:] - 1, left[:-1]], axis=1)[None]
+    rows = np.stack([top[:-1], top[1:] - 1, top[1:] - 1, top[:-1]], axis=1)[:, None]
+    columns = np.stack([left[:-1], left[:-1], left[1:] - 1, left[1:] - 1], axis=1)[None]
+    if tiles.camera.fx * tiles.camera.fy < 0:  # a mirror image, in which clockwise is the other way round
+        rows, columns = rows[..., ::-1], columns[..., ::-1]
     rays = np.stack([tiles.camera.tan_x[rows, columns], tiles.camera.tan_y[rows, columns]], axis=-1)
     rays = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
     alpha = np.where(tiles.fitted[..., None], tiles.alpha, np.nan)
@@ -74,7 +76,7 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
     Returns
     -------
     dict
-        camera (`Camera.to_dict`), method, tile [height, width], and planes: of each tile that has one its row,
+        camera (`Camera.to_dict`), method, tile [height, width], and planes: of each tile that has one row,
         column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points.
     """
     _check_one_frame(tiles)

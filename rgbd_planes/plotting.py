@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
 from rgbd_planes.plane_fits import TileStatus
 
 if TYPE_CHECKING:
@@ -21,20 +22,12 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Green, red and blue are the paper's (its figure of a segmented room corner).
-STATUS_COLOURS = {
-    TileStatus.OK: (0.30, 0.69, 0.42),
-    TileStatus.TOO_FEW: (0.84, 0.19, 0.22),
-    TileStatus.DEGENERATE: (0.98, 0.70, 0.18),
-    TileStatus.ROUGH: (0.20, 0.40, 0.85),
-}
 STATUS_MEANINGS = {
     TileStatus.OK: "plane fitted",
     TileStatus.TOO_FEW: "too many pixels missing",
     TileStatus.DEGENERATE: "pixels determine no plane",
     TileStatus.ROUGH: "plane fitted, residual too large",
 }
-_MISSING = (0.86, 0.86, 0.86)
 _LIGHT = np.array([-0.35, -0.65, -0.67])  # from above, over the camera's left shoulder
 _PANEL_INCHES = 5.2
 _LEGEND_INCHES = 0.85
@@ -47,23 +40,6 @@ class NotebookFigure(Figure):
         buffer = io.BytesIO()
         self.savefig(buffer, format="png", dpi=80)
         return buffer.getvalue()
-
-
-def normal_colours(normals: Floats) -> Floats:
-    """Colours of unit normals: red grows to the right, green upwards, blue towards the camera.
-
-    Parameters
-    ----------
-    normals : (..., 3) float64
-        x to the right of the image, y down, z away from the camera. NaN where there is none.
-
-    Returns
-    -------
-    (..., 3) float64
-        RGB in 0..1; light grey where there is no normal.
-    """
-    colours = 0.5 + 0.5 * normals * np.array([1.0, -1.0, -1.0])
-    return np.where(np.isfinite(colours), colours, _MISSING)
 
 
 def plot_tiles(
@@ -124,7 +100,7 @@ def _draw_depth(panel: Axes, legend: Axes, tiles: "TilePlanes", depth: Floats | 
     known = shown[np.isfinite(shown)]
     # A few stray far pixels must not take the whole scale.
     nearest, farthest = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
-    colours = colormaps["viridis_r"].with_extremes(bad=_MISSING)
+    colours = colormaps["viridis_r"].with_extremes(bad=MISSING)
     image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=max(farthest, nearest + 1e-9))
     panel.set_title("Depth of the fitted planes" if fitted else "Measured depth")
     bar = legend.inset_axes((0.1, 0.72, 0.8, 0.16))

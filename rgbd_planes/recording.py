@@ -5,10 +5,10 @@ import os
 
 import numpy as np
 
+from rgbd_planes.colours import normal_colours
 from rgbd_planes.export import exported, tile_polygons
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
-from rgbd_planes.plotting import normal_colours
 from rgbd_planes.sequences.frames import FrameSequence
 from rgbd_planes.tiles import TileFitter
 

@@ -80,6 +80,12 @@ class TilePlanes(PlaneFits):
             f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
         )
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import tiles_html
+
+        return tiles_html(self)
+
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
 

@@ -108,6 +108,27 @@ def test_each_frame_may_have_its_own_camera(recording, tmp_path):
     check_rows(tmp_path / "out", mixed)
 
 
+def test_a_noise_model_adds_covariances_and_p_values(recording, tmp_path):
+    plain = rp.open_sequence(recording)
+    sequence = plain.with_noise(rp.noise.kinect_v1())
+    rp.fit_sequence(sequence, tmp_path / "out", FitSettings(significance=0.01))
+    rows = rows_of(tmp_path / "out")
+    tiles = [rp.fit_tiles(f.depth, f.camera, significance=0.01) for f in sequence]
+    assert {"OK", "ROUGH"} <= set(rows["status"])
+    check_rows(tmp_path / "out", sequence, significance=0.01)
+    expected = np.concatenate([t.plane_covariance.reshape(-1, 4, 4) for t in tiles])
+    for i, a in enumerate(("nx", "ny", "nz", "d")):
+        for j, b in enumerate(("nx", "ny", "nz", "d")[i:], start=i):
+            assert np.array_equal(rows[f"cov_{a}_{b}"], expected[:, i, j], equal_nan=True)
+    assert np.array_equal(rows["p_value"], np.concatenate([t.p_value.ravel() for t in tiles]), equal_nan=True)
+    mixed = FrameSequence([plain.entries[0], sequence.entries[1]], images.read_depth)
+    with pytest.raises(ValueError, match="noise model in all cameras or in none"):
+        rp.fit_sequence(mixed, tmp_path / "mixed")
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "c"), "--noise", "kinect_v1"]
+    assert cli.main(arguments) == 0
+    assert "cov_d_d" in rows_of(tmp_path / "c")
+
+
 def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     (recording / "depth" / "0.png").unlink()
     (recording / "depth" / "7.png").write_bytes((recording / "depth" / "7.png").read_bytes()[:200])

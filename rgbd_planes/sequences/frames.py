@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -88,6 +88,14 @@ class FrameSequence(Sequence[Frame]):
     def camera(self) -> Camera:
         """The camera of the first frame; in most data sets that of all."""
         return self.entries[0].camera
+
+    def with_noise(self, noise: Any) -> "FrameSequence":
+        """The same frames, of cameras with a noise model (`rgbd_planes.noise`)."""
+        cameras = {
+            camera: replace(camera, noise=noise)
+            for camera in dict.fromkeys(entry.camera for entry in self.entries)
+        }
+        return FrameSequence((replace(e, camera=cameras[e.camera]) for e in self.entries), self._read)
 
     def __repr__(self) -> str:
         if not self.entries:

@@ -1,0 +1,34 @@
+"""Colours that mean something: of normals, and of a tile's status."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.plane_fits import TileStatus
+
+Floats = NDArray[np.float64]
+
+# Green, red and blue are the paper's (its figure of a segmented room corner).
+STATUS_COLOURS = {
+    TileStatus.OK: (0.30, 0.69, 0.42),
+    TileStatus.TOO_FEW: (0.84, 0.19, 0.22),
+    TileStatus.DEGENERATE: (0.98, 0.70, 0.18),
+    TileStatus.ROUGH: (0.20, 0.40, 0.85),
+}
+MISSING = (0.86, 0.86, 0.86)
+
+
+def normal_colours(normals: Floats) -> Floats:
+    """Colours of unit normals: red grows to the right, green upwards, blue towards the camera.
+
+    Parameters
+    ----------
+    normals : (..., 3) float64
+        x to the right of the image, y down, z away from the camera. NaN where there is none.
+
+    Returns
+    -------
+    (..., 3) float64
+        RGB in 0..1; light grey where there is no normal.
+    """
+    colours = 0.5 + 0.5 * normals * np.array([1.0, -1.0, -1.0])
+    return np.where(np.isfinite(colours), colours, MISSING)

@@ -1,0 +1,74 @@
+"""Small pictures of a fit, made fast enough to follow a slider; `plotting` makes the figures."""
+
+import base64
+import html
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
+from rgbd_planes.plane_fits import TileStatus
+
+if TYPE_CHECKING:
+    from rgbd_planes.tiles import TilePlanes
+
+_WIDEST = 320  # pixels of a panel
+_GAP = 8
+
+
+def tiles_picture(tiles: "TilePlanes") -> NDArray[np.uint8]:
+    """Return the normals as colours and, to the right, the tiles by status.
+
+    Parameters
+    ----------
+    tiles : TilePlanes
+        Of one frame.
+
+    Returns
+    -------
+    (H', W', 3) uint8
+        Each panel as large as the frame, but at most 320 pixels wide. Colours as in `TilePlanes.plot`.
+    """
+    if len(tiles.shape) != 2:
+        raise ValueError(f"expected the tiles of one frame, got a batch of shape {tiles.shape}")
+    height, width = tiles.camera.shape
+    step = max(1.0, width / _WIDEST)
+    rows = (np.arange(0.0, height, step).astype(int)) // tiles.tile[0]
+    columns = (np.arange(0.0, width, step).astype(int)) // tiles.tile[1]
+    in_image = tiles.planes[..., :3] * np.sign([tiles.camera.fx, tiles.camera.fy, 1.0])
+    normals = normal_colours(in_image)
+    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[tiles.status]
+    panels = [panel[rows[:, None], columns] for panel in (normals, colours)]
+    gap = np.ones((len(rows), _GAP, 3))
+    return np.rint(255.0 * np.concatenate([panels[0], gap, panels[1]], axis=1)).astype(np.uint8)
+
+
+def tiles_html(tiles: "TilePlanes") -> str:
+    """Return a few lines of HTML: what was found, a picture, and what its colours mean."""
+    first = tiles if len(tiles.shape) == 2 else tiles[0]
+    names = " ".join(
+        f'<span style="color:rgb({_css(STATUS_COLOURS[status])})">&#9632;</span>&nbsp;{status.name}'
+        for status in TileStatus
+        if (first.status == status).any()
+    )
+    which = "" if first is tiles else " of the first frame"
+    return (
+        f"<div><div>{html.escape(repr(tiles).strip('<>'))}</div>"
+        f'<img alt="normals and status of the tiles" src="data:image/png;base64,{_png(tiles_picture(first))}">'
+        f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
+        f'<span style="color:rgb({_css(MISSING)})">&#9632;</span>&nbsp;none. Right: {names}.</small></div></div>'
+    )
+
+
+def _css(colour: tuple[float, ...]) -> str:
+    return ",".join(str(round(255 * value)) for value in colour)
+
+
+def _png(picture: NDArray[np.uint8]) -> str:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "PNG")
+    return base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,0 +1,253 @@
+"""Exports, each read back with the tool that it is for."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes import export, images, recording, scenes
+from rgbd_planes.sequences import FrameEntry, FrameSequence
+
+CAMERA = rp.Camera(
+    width=80, height=60, fx=65.0, fy=66.0, cx=39.5, cy=29.5,
+    distortion=(0.05, -0.02, 0.001, 0.0, 0.0), depth_scale=1000.0,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def depth():
+    return scenes.room().render(CAMERA).measure(holes=0.1, patches=0.2, seed=2)
+
+
+@pytest.fixture(scope="module")
+def tiles(depth):
+    made = rp.fit_tiles(depth, CAMERA, tile=(12, 16), max_error=0.02)
+    assert set(np.unique(made.status)) == {0, 1, 3}
+    return made
+
+
+def test_polygons_lie_on_their_planes_behind_the_corner_pixels(tiles):
+    polygons = export.tile_polygons(tiles)
+    chosen = export.exported(tiles)
+    assert polygons.shape == (chosen.sum(), 4, 3)
+    assert (chosen <= tiles.fitted).all()
+    assert chosen.sum() > 10
+    planes = tiles.planes[chosen]
+    distance = np.einsum("nki,ni->nk", polygons, planes[:, :3]) + planes[:, 3:]
+    np.testing.assert_allclose(distance, 0.0, atol=1e-12)
+    row, column = np.argwhere(chosen)[5]
+    x, y = 16 * column, 12 * row
+    corners = [(x, y), (x, y + 11), (x + 15, y + 11), (x + 15, y)]
+    np.testing.assert_allclose(CAMERA.project(polygons[5]), corners, atol=1e-6)
+
+
+def test_polygons_turn_about_their_normals(tiles):
+    mirrored = rp.Camera(**{**CAMERA.to_dict(), "fy": -66.0})
+    depth = scenes.room().render(mirrored).measure(seed=2)
+    for each in (tiles, rp.fit_tiles(depth, mirrored, tile=(12, 16))):
+        a, b, c, _ = np.moveaxis(export.tile_polygons(each), 1, 0)
+        across = np.cross(b - a, c - a)
+        normals = each.planes[export.exported(each)][:, :3]
+        cosine = (across * normals).sum(axis=1) / np.linalg.norm(across, axis=1)
+        np.testing.assert_allclose(cosine, 1.0, atol=1e-9)
+
+
+def test_a_tile_that_its_corner_rays_miss_has_no_polygon():
+    # A plane that the rays of the right-hand columns run away from: q falls below zero.
+    camera = rp.Camera(width=16, height=8, fx=8.0, fy=8.0, cx=7.5, cy=3.5)
+    inverse_depth = 0.5 - 0.6 * camera.tan_x
+    metres = np.where(inverse_depth > 0.0, 1.0 / inverse_depth, np.nan)
+    tiles = rp.fit_tiles(metres, camera, tile=(8, 16))
+    assert tiles.fitted.all()
+    assert not export.exported(tiles).any()
+    assert export.tile_polygons(tiles).shape == (0, 4, 3)
+    assert export.to_dict(tiles)["planes"][0]["polygon"] is None
+    assert export.to_ros_polygons(tiles)["polygons"] == export.to_ros_planes(tiles)["coefficients"] == []
+
+
+def test_json(tiles, tmp_path):
+    export.write_json(tmp_path / "planes.json", tiles)
+    read = json.loads((tmp_path / "planes.json").read_text())
+    assert rp.Camera.from_dict(read["camera"]) == CAMERA
+    assert (read["method"], read["tile"]) == ("range_explicit", [12, 16])
+    assert len(read["planes"]) == tiles.fitted.sum()
+    for plane in read["planes"]:
+        at = plane["row"], plane["column"]
+        assert plane["plane"] == tiles.planes[at].tolist()
+        assert plane["rmse_metric"] == tiles.rmse_metric[at]
+        assert plane["valid_count"] == tiles.valid_count[at]
+        assert rp.TileStatus[plane["status"]] == tiles.status[at]
+    chosen = [p["polygon"] for p in read["planes"] if p["polygon"]]
+    np.testing.assert_array_equal(chosen, export.tile_polygons(tiles))
+
+
+def test_ply(tiles, depth, tmp_path):
+    plyfile = pytest.importorskip("plyfile")
+    export.write_tiles_ply(tmp_path / "tiles.ply", tiles)
+    read = plyfile.PlyData.read(tmp_path / "tiles.ply")
+    vertex, polygons = read["vertex"], export.tile_polygons(tiles)
+    xyz = np.stack([vertex[name] for name in "xyz"], axis=-1)
+    np.testing.assert_allclose(xyz.reshape(-1, 4, 3), polygons, rtol=1e-6)
+    normals = np.stack([vertex["n" + name] for name in "xyz"], axis=-1)
+    planes = tiles.planes[export.exported(tiles)]
+    np.testing.assert_allclose(normals.reshape(-1, 4, 3)[:, 2], planes[:, :3], rtol=1e-6, atol=1e-7)
+    blue = np.rint(255 * (0.5 - 0.5 * planes[:, 2]))
+    np.testing.assert_array_equal(vertex["blue"].reshape(-1, 4)[:, 0], blue)
+    faces = np.stack(read["face"]["vertex_indices"])
+    np.testing.assert_array_equal(faces, np.arange(len(xyz)).reshape(-1, 4))
+
+    points = CAMERA.points(depth)
+    export.write_ply(tmp_path / "points.ply", points)
+    vertex = plyfile.PlyData.read(tmp_path / "points.ply")["vertex"]
+    seen = np.isfinite(points[..., 2])
+    assert 0 < seen.sum() < seen.size
+    xyz = np.stack([vertex[name] for name in "xyz"], axis=-1)
+    np.testing.assert_array_equal(xyz, points[seen].astype(np.float32))
+    with pytest.raises(ValueError, match="faces must be"):
+        export.write_ply(tmp_path / "no.ply", np.zeros((3, 3)), faces=[[0, 1, 3]])
+    assert not (tmp_path / "no.ply").exists()
+
+
+def test_open3d(tiles, depth, tmp_path):
+    open3d = pytest.importorskip("open3d")
+    mesh = export.to_open3d(tiles)
+    polygons, planes = export.tile_polygons(tiles), tiles.planes[export.exported(tiles)]
+    np.testing.assert_array_equal(np.asarray(mesh.vertices).reshape(-1, 4, 3), polygons)
+    mesh.compute_triangle_normals()
+    # Counter-clockwise as seen from the camera: Open3D's own normals point at it, as ours do.
+    normals = np.asarray(mesh.triangle_normals)
+    np.testing.assert_allclose(normals, planes[:, :3].repeat(2, axis=0), atol=1e-9)
+    cloud = export.points_to_open3d(depth, CAMERA)
+    points = CAMERA.points(depth)
+    np.testing.assert_array_equal(np.asarray(cloud.points), points[np.isfinite(points[..., 2])])
+    export.write_tiles_ply(tmp_path / "tiles.ply", tiles)
+    read = open3d.io.read_triangle_mesh(str(tmp_path / "tiles.ply"))
+    assert len(read.triangles) == 2 * len(polygons)
+    export.write_ply(tmp_path / "points.ply", points)
+    assert len(open3d.io.read_point_cloud(str(tmp_path / "points.ply")).points) == len(cloud.points)
+
+
+def as_message(store, kind, values):
+    """A ROS message made from a dict of its shape: every field, and no other."""
+    about = store.types[kind]
+    fields = {name: t for name, (_, t) in zip(about.__annotations__, store.fielddefs[kind][1], strict=False)}
+    assert set(values) == set(fields)
+    return about(**{name: as_field(store, *fields[name], values[name]) for name in fields})
+
+
+def as_field(store, node, detail, value):
+    from rosbags.interfaces import Nodetype
+
+    if node == Nodetype.NAME:
+        return as_message(store, detail, value)
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        inner, of = detail[0]
+        if inner == Nodetype.NAME:
+            return [as_message(store, of, item) for item in value]
+        array = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value)
+        return array.astype({"octet": np.uint8}.get(of[0], of[0]))
+    return value
+
+
+@pytest.fixture(scope="module")
+def store():
+    pytest.importorskip("rosbags")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in {  # as in the packages' own .msg files
+        "pcl_msgs/msg/ModelCoefficients": "std_msgs/Header header\nfloat32[] values",
+        "jsk_recognition_msgs/msg/ModelCoefficientsArray": (
+            "std_msgs/Header header\npcl_msgs/ModelCoefficients[] coefficients"
+        ),
+        "jsk_recognition_msgs/msg/PolygonArray": (
+            "std_msgs/Header header\ngeometry_msgs/PolygonStamped[] polygons\n"
+            "uint32[] labels\nfloat32[] likelihood"
+        ),
+    }.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def round_trip(store, kind, values):
+    message = as_message(store, kind, values)
+    return store.deserialize_cdr(store.serialize_cdr(message, kind), kind)
+
+
+def test_ros_messages(tiles, depth, store):
+    chosen = export.exported(tiles)
+    about = ("camera_depth_optical_frame", 12.345678901)
+    planes = round_trip(
+        store, "jsk_recognition_msgs/msg/ModelCoefficientsArray", export.to_ros_planes(tiles, *about)
+    )
+    assert planes.header.frame_id == about[0]
+    assert (planes.header.stamp.sec, planes.header.stamp.nanosec) == (12, 345678901)
+    read = np.array([one.values for one in planes.coefficients])
+    np.testing.assert_allclose(read, tiles.planes[chosen], rtol=1e-6, atol=1e-7)
+    polygons = round_trip(
+        store, "jsk_recognition_msgs/msg/PolygonArray", export.to_ros_polygons(tiles, *about)
+    )
+    read = np.array([[(p.x, p.y, p.z) for p in one.polygon.points] for one in polygons.polygons])
+    np.testing.assert_allclose(read, export.tile_polygons(tiles), rtol=1e-6)
+    assert list(polygons.labels) == list(range(1, chosen.sum() + 1))
+    cloud = round_trip(
+        store, "sensor_msgs/msg/PointCloud2", export.to_ros_points(depth, CAMERA, "camera", float("nan"))
+    )
+    assert (cloud.height, cloud.width, cloud.is_dense) == (60, 80, False)
+    dtype = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "formats": [{7: "<f4"}[field.datatype] for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    read = np.frombuffer(cloud.data, dtype).reshape(60, 80)
+    expected = CAMERA.points(depth).astype(np.float32)
+    for i, name in enumerate("xyz"):
+        np.testing.assert_array_equal(read[name], expected[..., i])
+
+
+def test_rerun(depth, tiles, tmp_path):
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    for i in range(3):
+        images.write_png(tmp_path / f"{i}.png", depth)
+    sequence = FrameSequence(
+        (FrameEntry(str(i), 100.5 + i, CAMERA, tmp_path / f"{i}.png") for i in range(3)), images.read_depth
+    )
+    recording.record(sequence, tmp_path / "planes.rrd", (12, 16), max_error=0.02)
+    chunks = [chunk.to_record_batch() for chunk in RrdReader(tmp_path / "planes.rrd").stream().to_chunks()]
+    columns = {}
+    for chunk in chunks:
+        entity = (chunk.schema.metadata or {}).get(b"rerun:entity_path", b"?").decode()
+        for name in chunk.schema.names:
+            columns.setdefault((entity, name), []).extend(chunk[name].to_pylist())
+    strips = columns["/planes/outlines", "LineStrips3D:strips"]
+    assert len(strips) == 3
+    polygons = export.tile_polygons(tiles)
+    closed = np.concatenate([polygons, polygons[:, :1]], axis=1)
+    np.testing.assert_allclose(np.array(strips[1]), closed, rtol=1e-6)
+    fitted = columns["/fitted", "Scalars:scalars"]
+    assert fitted == [[float(tiles.fitted.sum())]] * 3
+    assert columns["/fitted", "frame"] == [0, 1, 2]
+    assert len(columns["/camera/depth", "DepthImage:buffer"]) == 3
+    image = np.array(columns["/camera/depth", "DepthImage:buffer"][0][0], np.uint8).view(np.float32)
+    np.testing.assert_array_equal(image, (depth.ravel() / 1000).astype(np.float32))
+
+
+def test_what_cannot_be_exported(tiles, depth, tmp_path, monkeypatch):
+    batch = rp.TileFitter(CAMERA).fit_batch([depth, depth])
+    with pytest.raises(ValueError, match=r"got a batch of shape \(2, 4, 5\): take tiles\[i\]"):
+        export.to_dict(batch)
+    with pytest.raises(TypeError, match="expected TilePlanes, got ndarray"):
+        export.tile_polygons(depth)
+    for name in ("open3d", "rerun"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ModuleNotFoundError, match="this needs open3d: pip install open3d"):
+        export.to_open3d(tiles)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[viewer\]"'):
+        recording.record([], tmp_path / "a.rrd")

@@ -1,0 +1,61 @@
+"""What a notebook shows of a result."""
+
+import base64
+import io
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import rgbd_planes as rp
+from rgbd_planes import scenes
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
+from rgbd_planes.preview import tiles_picture
+
+
+@pytest.fixture(scope="module")
+def tiles():
+    camera = rp.Camera(width=400, height=300, fx=325.0, fy=325.0, cx=199.5, cy=149.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(patches=0.2, seed=2)
+    return rp.fit_tiles(depth, camera, tile=(28, 30), max_error=0.02)
+
+
+def picture_of(text):
+    (content,) = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    with Image.open(io.BytesIO(base64.b64decode(content))) as image:
+        return np.asarray(image)
+
+
+def test_the_picture_has_each_tile_where_it_is(tiles):
+    picture = tiles_picture(tiles)
+    assert picture.shape == (240, 320 + 8 + 320, 3)
+    for row, column in np.ndindex(tiles.shape):
+        # The middle of the tile, in a picture of 320 columns for 400.
+        y = int((28 * row + tiles.tile_heights[row] / 2) / 1.25)
+        x = int((30 * column + tiles.tile_widths[column] / 2) / 1.25)
+        status = STATUS_COLOURS[rp.TileStatus(tiles.status[row, column])]
+        assert np.array_equal(picture[y, 328 + x], np.rint(255 * np.array(status)))
+        normal = normal_colours(tiles.planes[row, column, :3])
+        assert np.array_equal(picture[y, x], np.rint(255 * normal))
+    assert (picture[:, :320] == np.rint(255 * np.array(MISSING))).all(axis=2).any()
+
+
+def test_a_result_shows_itself(tiles):
+    text = tiles._repr_html_()
+    assert "11 x 14 tiles of 28 x 30 pixels, range_explicit" in text
+    assert np.array_equal(picture_of(text), tiles_picture(tiles))
+    for status in rp.TileStatus:
+        assert (f"&nbsp;{status.name}" in text) == (tiles.status == status).any()
+    assert len(text) < 20_000
+
+
+def test_a_batch_shows_its_first_frame(tiles):
+    depth = np.full(tiles.camera.shape, 2000, np.uint16)
+    batch = rp.TileFitter(tiles.camera).fit_batch([depth, depth // 2])
+    text = batch._repr_html_()
+    assert "2 frames of 19 x 25 tiles" in text
+    assert "of the first frame" in text
+    assert np.array_equal(picture_of(text), tiles_picture(batch[0]))
+    with pytest.raises(ValueError, match="got a batch"):
+        tiles_picture(batch)
