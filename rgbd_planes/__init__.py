@@ -19,45 +19,50 @@ __version__ = "0.1.0"
 _NAMES = {
     "Camera": "camera",
     "FitSettings": "batch_parts",
+    "Segmentation": "segmentation",
     "TileFitter": "tiles",
     "TilePlanes": "tiles",
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
     "curvature": "surfaces",
+    "fit_sequence": "batch",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
     "merge": "merging",
     "normals": "surfaces",
-    "segment_quadtree": "quadtree",
-}
-_MODULES = ("noise", "presets", "scenes", "uncertainty")
-    "fit_sequence": "batch",
-    "fit_tiles": "tiles",
-    "fit_windows": "windows",
     "open_sequence": "sequences",
+    "plane_polygons": "polygons",
+    "segment": "segmentation",
+    "segment_quadtree": "quadtree",
+    "segment_sequence": "tracking",
 }
-_MODULES = ("presets", "scenes", "sequences")
+_MODULES = ("metrics", "noise", "presets", "scenes", "sequences", "uncertainty")
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
+    from rgbd_planes import metrics as metrics
     from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
-    from rgbd_planes import uncertainty as uncertainty
     from rgbd_planes import sequences as sequences
+    from rgbd_planes import uncertainty as uncertainty
     from rgbd_planes.batch import fit_sequence as fit_sequence
     from rgbd_planes.batch_parts import FitSettings as FitSettings
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
+    from rgbd_planes.segmentation import Segmentation as Segmentation
+    from rgbd_planes.segmentation import segment as segment
+    from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature
     from rgbd_planes.surfaces import normals as normals
-    from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
+    from rgbd_planes.tracking import segment_sequence as segment_sequence
     from rgbd_planes.windows import WindowPlanes as WindowPlanes
     from rgbd_planes.windows import fit_windows as fit_windows
 
