@@ -12,17 +12,40 @@ import numpy as np
 
 from ._jit import kernel
 
-# Columns handled at a time: their accumulators stay in the first-level cache.
-COLUMNS = 256
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
 
 
+@kernel()
+def camera_sums(tan_x, tan_y, block, sums):
+    """What a block's moments hold of the camera alone, where every pixel is valid.
+
+    ``sums`` is (R, C, 6), written: n, Σu, Σv, Σuu, Σuv, Σvv.
+    """
+    height, width = tan_x.shape
+    for row in range(sums.shape[0]):
+        for column in range(sums.shape[1]):
+            total = sums[row, column]
+            total[:] = 0.0
+            for y in range(row * block, min(row * block + block, height)):
+                for x in range(column * block, min(column * block + block, width)):
+                    u, v = tan_x[y, x], tan_y[y, x]
+                    total[0] += 1.0
+                    total[1] += u
+                    total[2] += v
+                    total[3] += u * u
+                    total[4] += u * v
+                    total[5] += v * v
+
+
 @kernel(reduction=True)
 def block_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, block, inverse_depth, moments
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, block, camera, inverse_depth, moments
 ):  # fmt: skip
     """Read the frame once: the inverse depth of every pixel and the moments of every block.
+
+    The sums that hold q are added up down the image columns first, which runs along the rows and
+    vectorises; those that don't are the camera's, unless pixels are missing.
 
     Parameters
     ----------
@@ -33,52 +56,81 @@ def block_moments(
     tan_x, tan_y : (H, W) float64
     block : int
         Pixels along a block's side.
+    camera : (R, C, 6) float64
+        Of `camera_sums`.
     inverse_depth : (H, W) float64, written
         0 where there is no measurement.
     moments : (R, C, 10) float64, written
+
+    Returns
+    -------
+    float
+        The largest inverse depth.
     """
     height, width = raw.shape
     rows, columns = moments.shape[0], moments.shape[1]
-    at_once = COLUMNS // block
-    sums = np.empty((10, COLUMNS))
-    n, s_u, s_v, s_q, s_uu = sums[0], sums[1], sums[2], sums[3], sums[4]
-    s_uv, s_uq, s_vv, s_vq, s_qq = sums[5], sums[6], sums[7], sums[8], sums[9]
+    n = np.empty(columns * block)
+    s_q, s_uq, s_vq, s_qq = (
+        np.zeros(columns * block),
+        np.zeros(columns * block),
+        np.zeros(columns * block),
+        np.zeros(columns * block),
+    )
+    largest = 0.0
     for row in range(rows):
-        for first in range(0, columns, at_once):
-            last = min(first + at_once, columns)
-            left = first * block
-            right = min(last * block, width)
-            sums[:] = 0.0
-            for y in range(row * block, min(row * block + block, height)):
-                values = raw[y, left:right]
-                u_row = tan_x[y, left:right]
-                v_row = tan_y[y, left:right]
-                q_row = inverse_depth[y, left:right]
-                for x in range(right - left):
+        n[:] = 0.0
+        s_q[:] = 0.0
+        s_uq[:] = 0.0
+        s_vq[:] = 0.0
+        s_qq[:] = 0.0
+        for y in range(row * block, min(row * block + block, height)):
+            values = raw[y]
+            q = inverse_depth[y]
+            u, v = tan_x[y], tan_y[y]
+            if is_disparity:
+                for x in range(width):
                     valid = (values[x] >= lowest) & (values[x] <= highest)
-                    q = scale * values[x] + offset if is_disparity else scale / values[x]
-                    q = q if valid else 0.0
-                    one = 1.0 if valid else 0.0
-                    u = u_row[x] * one
-                    v = v_row[x] * one
-                    q_row[x] = q
-                    n[x] += one
-                    s_u[x] += u
-                    s_v[x] += v
-                    s_q[x] += q
-                    s_uu[x] += u * u
-                    s_uv[x] += u * v
-                    s_uq[x] += u * q
-                    s_vv[x] += v * v
-                    s_vq[x] += v * q
-                    s_qq[x] += q * q
-            for column in range(first, last):
-                start = (column - first) * block
-                for k in range(10):
-                    total = 0.0
-                    for x in range(start, start + block):
-                        total += sums[k, x]
-                    moments[row, column, k] = total
+                    q[x] = scale * values[x] + offset if valid else 0.0
+            else:
+                for x in range(width):
+                    valid = (values[x] >= lowest) & (values[x] <= highest)
+                    q[x] = scale / values[x] if valid else 0.0
+            for x in range(width):
+                n[x] += 1.0 if q[x] > 0.0 else 0.0
+                s_q[x] += q[x]
+            for x in range(width):
+                s_uq[x] += u[x] * q[x]
+                s_vq[x] += v[x] * q[x]
+            for x in range(width):
+                s_qq[x] += q[x] * q[x]
+                largest = max(largest, q[x])
+        for column in range(columns):
+            m = moments[row, column]
+            left = column * block
+            m[:] = 0.0
+            for x in range(left, left + block):
+                m[0] += n[x]
+                m[3] += s_q[x]
+                m[6] += s_uq[x]
+                m[8] += s_vq[x]
+                m[9] += s_qq[x]
+            if m[0] == camera[row, column, 0]:
+                m[1] = camera[row, column, 1]
+                m[2] = camera[row, column, 2]
+                m[4] = camera[row, column, 3]
+                m[5] = camera[row, column, 4]
+                m[7] = camera[row, column, 5]
+            elif m[0] > 0.0:
+                for y in range(row * block, min(row * block + block, height)):
+                    for x in range(left, min(left + block, width)):
+                        if inverse_depth[y, x] > 0.0:
+                            u_x, v_x = tan_x[y, x], tan_y[y, x]
+                            m[1] += u_x
+                            m[2] += v_x
+                            m[4] += u_x * u_x
+                            m[5] += u_x * v_x
+                            m[7] += v_x * v_x
+    return largest
 
 
 @kernel()

@@ -104,7 +104,7 @@ def distinct(pairs, contact, cost, count, regions):
 
 
 @kernel()
-def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, growth, floor, jump, spread):
+def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, waves, floor, jump, spread):
     """How far two regions are from being one plane: they are at 1 or less.
 
     Two things speak against it: the rise Δ of the sum of squared residuals, per pixel of the smaller region,
@@ -112,8 +112,6 @@ def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, growth, floor,
     makes Δ and no jump; two parallel planes make a jump before they make much Δ.
     """
     smaller = min(m_a[0], m_b[0])
-    waves = waviness(smaller, growth)
-    waves *= waves
     rise = max(joint_residual(m_a, m_b) - rss, 0.0)
     bend = rise / (noise * (floor * floor * waves * smaller + spread))
     step = (
@@ -151,6 +149,7 @@ def merge(
     count = distinct(pairs, contact, cost, count, regions)
     rss = np.empty(regions)
     noise = np.empty(regions)
+    waves = np.empty(regions)
     alpha = np.empty((regions, 3))
     changed = np.ones(regions, np.bool_)
     best = np.empty(regions, np.int64)
@@ -158,6 +157,7 @@ def merge(
         parent[a] = a
         rss[a] = residual(moments[a])
         noise[a] = 0.0
+        waves[a] = waviness(moments[a, 0], growth) ** 2
         if fit(moments[a], alpha[a]):
             noise[a] = variance(moments[a], alpha[a], sigma, lateral_x, lateral_y)
     while count > 0:
@@ -167,7 +167,7 @@ def merge(
             if changed[a] or changed[b] or cost[i] < 0.0:
                 cost[i] = disagreement(
                     moments[a], moments[b], rss[a] + rss[b], alpha[a], alpha[b], contact[i],
-                    min(noise[a], noise[b]), growth, floor, jump, spread,
+                    min(noise[a], noise[b]), min(waves[a], waves[b]), floor, jump, spread,
                 )  # fmt: skip
             if not cost[i] <= 1.0:
                 continue
@@ -195,6 +195,7 @@ def merge(
         for a in range(regions):
             if changed[a]:
                 rss[a] = residual(moments[a])
+                waves[a] = waviness(moments[a, 0], growth) ** 2
                 fit(moments[a], alpha[a])
                 noise[a] = variance(moments[a], alpha[a], sigma, lateral_x, lateral_y)
         kept = 0

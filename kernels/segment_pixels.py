@@ -89,7 +89,7 @@ def misfit(m, alpha):
 
 
 @kernel()
-def misfits(q, u, v, n, side, alpha, deviation, limit, square, mean):
+def misfits(q, u, v, n, side, alpha, deviation, limit, square, sums, mean):
     """Squared residuals of a block and its rim against one plane, in variances, and their 3x3 means.
 
     Parameters
@@ -99,8 +99,10 @@ def misfits(q, u, v, n, side, alpha, deviation, limit, square, mean):
     n : (side²,) float64
         Measured pixels in the 3x3 around each.
     square : (side²,) float64, written
-        Cut off at ``limit``, so that pixels beyond a depth jump do not outweigh the others; ``limit`` itself
-        where nothing was measured, or the pixel is too far away to belong to the plane.
+        Cut off at ``limit``, so that pixels beyond a depth jump do not outweigh the others; 0 where nothing
+        was measured.
+    sums : (side²,) float64
+        Room to work in.
     mean : (side²,) float64, written
         Over the measured pixels of the 3x3 around a pixel of the block.
     """
@@ -108,40 +110,65 @@ def misfits(q, u, v, n, side, alpha, deviation, limit, square, mean):
     a, b, c = alpha[0] * scale, alpha[1] * scale, alpha[2] * scale
     for i in range(side * side):
         e = q[i] * scale - (a * u[i] + b * v[i] + c)
-        square[i] = min(e * e, limit)
+        square[i] = min(e * e, limit) if q[i] > 0.0 else 0.0
     for i in range(side, side * (side - 1)):
-        total = 0.0
-        for k in (i - side, i, i + side):
-            for j in range(k - 1, k + 2):
-                total += square[j] if q[j] > 0.0 else 0.0
-        mean[i] = total / n[i]
+        sums[i] = square[i - side] + square[i] + square[i + side]
+    for i in range(side + 1, side * (side - 1) - 1):
+        mean[i] = (sums[i - 1] + sums[i] + sums[i + 1]) / n[i]
 
 
 @kernel()
-def gather(inverse_depth, tan_x, tan_y, top, left, side, q, u, v, n):
+def gather(inverse_depth, tan_x, tan_y, top, left, side, q, u, v, sums, n):
     """Copy a block and its rim; what is outside the image counts as not measured."""
     height, width = inverse_depth.shape
-    for i in range(side):
-        y = top + i
-        for j in range(side):
-            x = left + j
-            k = i * side + j
-            inside = 0 <= y < height and 0 <= x < width
-            q[k] = inverse_depth[y, x] if inside else 0.0
-            u[k] = tan_x[y, x] if inside else 0.0
-            v[k] = tan_y[y, x] if inside else 0.0
+    if top >= 0 and left >= 0 and top + side <= height and left + side <= width:
+        for i in range(side):
+            for j in range(side):
+                q[i * side + j] = inverse_depth[top + i, left + j]
+                u[i * side + j] = tan_x[top + i, left + j]
+                v[i * side + j] = tan_y[top + i, left + j]
+    else:
+        for i in range(side):
+            for j in range(side):
+                inside = 0 <= top + i < height and 0 <= left + j < width
+                q[i * side + j] = inverse_depth[top + i, left + j] if inside else 0.0
+                u[i * side + j] = tan_x[top + i, left + j] if inside else 0.0
+                v[i * side + j] = tan_y[top + i, left + j] if inside else 0.0
     for i in range(side, side * (side - 1)):
-        total = 0.0
+        sums[i] = 0.0
         for k in (i - side, i, i + side):
-            for j in range(k - 1, k + 2):
-                total += 1.0 if q[j] > 0.0 else 0.0
-        n[i] = max(total, 1.0)
+            sums[i] += 1.0 if q[k] > 0.0 else 0.0
+    for i in range(side + 1, side * (side - 1) - 1):
+        n[i] = max(sums[i - 1] + sums[i] + sums[i + 1], 1.0)
+
+
+@kernel()
+def find_lines(count, candidate, centre, alpha, line):
+    """Where the planes of two contending regions meet between the regions.
+
+    ``line`` (K, K, 4) is written for each pair i < j: the line's coefficients, positive on j's side, and 1;
+    or zeros where the planes do not meet between the two.
+    """
+    for j in range(1, count):
+        b = alpha[candidate[j]]
+        for i in range(j):
+            a = alpha[candidate[i]]
+            d_u, d_v, d_1 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            side_i = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
+            side_j = d_u * centre[j, 0] + d_v * centre[j, 1] + d_1
+            sign = 0.0
+            if side_i * side_j < 0.0:
+                sign = 1.0 if side_j > 0.0 else -1.0
+            line[i, j, 0] = sign * d_u
+            line[i, j, 1] = sign * d_v
+            line[i, j, 2] = sign * d_1
+            line[i, j, 3] = abs(sign)
 
 
 @kernel()
 def own_pixels(
     inverse_depth, tan_x, tan_y, block, region, alpha, slope_variance, spread, sigma, reach, close, settled,
-    cut, block_moments, label, moments, squares,
+    cut, block_moments, is_last, label, moments, squares,
 ):  # fmt: skip
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
@@ -163,6 +190,8 @@ def own_pixels(
     cut : float
         Squared residuals count in ``squares`` as so many variances at most.
     block_moments : (R, C, 10) float64
+    is_last : bool
+        Whether to write ``label``.
     label : (H, W) int32, written
         Region of each pixel, or -1.
     moments : (N, 10) float64, written
@@ -181,7 +210,9 @@ def own_pixels(
     mean = np.empty((NEIGHBOURS, side * side))
     penalty = np.empty(NEIGHBOURS)
     owned = np.empty(NEIGHBOURS, np.int64)
-    q, u, v, n = np.empty(side * side), np.empty(side * side), np.empty(side * side), np.empty(side * side)
+    line = np.empty((NEIGHBOURS, NEIGHBOURS, 4))
+    q, u, v = np.empty(side * side), np.empty(side * side), np.empty(side * side)
+    n, sums = np.empty(side * side), np.empty(side * side)
     before = region.copy()
     moments[:] = 0.0
     squares[:] = 0.0
@@ -195,7 +226,8 @@ def own_pixels(
             if pixels > 0.0:
                 count = contenders(before, row, column, block, tan_x, tan_y, candidate, centre)
             if count == 0:
-                label[top:bottom, left:right] = -1
+                if is_last:
+                    label[top:bottom, left:right] = -1
                 continue
             sensor = sensor_variance(block_moments[row, column, 3] / pixels, sigma)
             if count == 1:
@@ -204,36 +236,35 @@ def own_pixels(
                     (sensor + slope_variance[a]) * spread[a]
                 )
                 if error <= settled_square * pixels:
-                    for y in range(top, bottom):
-                        for x in range(left, right):
-                            label[y, x] = a if inverse_depth[y, x] > 0.0 else -1
+                    if is_last:
+                        for y in range(top, bottom):
+                            for x in range(left, right):
+                                label[y, x] = a if inverse_depth[y, x] > 0.0 else -1
                     for k in range(10):
                         moments[a, k] += block_moments[row, column, k]
                     squares[a] += max(error, 0.0)
                     region[row, column] = a
                     continue
 
-            gather(inverse_depth, tan_x, tan_y, top - 1, left - 1, side, q, u, v, n)
+            gather(inverse_depth, tan_x, tan_y, top - 1, left - 1, side, q, u, v, sums, n)
+            find_lines(count, candidate, centre, alpha, line)
             for i in range(count):
                 a = candidate[i]
                 total = (sensor + slope_variance[a]) * spread[a]
                 penalty[i] = math.log(total)
                 owned[i] = 0
-                misfits(q, u, v, n, side, alpha[a], math.sqrt(total), limit, square[i], mean[i])
+                misfits(q, u, v, n, side, alpha[a], math.sqrt(total), limit, square[i], sums, mean[i])
             for y in range(top, bottom):
                 for x in range(left, right):
                     p = (y - top + 1) * side + x - left + 1
-                    winner = -1
-                    if q[p] > 0.0:
-                        winner = choose(
-                            p, u[p], v[p], count, candidate, centre, alpha, square, mean, penalty, limit,
-                            close_square,
-                        )  # fmt: skip
-                    if winner < 0:
-                        label[y, x] = -1
+                    winner = choose(p, u[p], v[p], count, line, square, mean, penalty, limit, close_square)
+                    if q[p] == 0.0 or winner < 0:
+                        if is_last:
+                            label[y, x] = -1
                         continue
                     a = candidate[winner]
-                    label[y, x] = a
+                    if is_last:
+                        label[y, x] = a
                     owned[winner] += 1
                     squares[a] += min(square[winner, p], cut * cut)
                     add(moments[a], u[p], v[p], q[p])
@@ -249,7 +280,7 @@ def own_pixels(
 
 
 @kernel()
-def choose(p, u, v, count, candidate, centre, alpha, square, mean, penalty, limit, close):
+def choose(p, u, v, count, line, square, mean, penalty, limit, close):
     """Which of the contending regions gets pixel ``p``, or -1."""
     winner = -1
     for i in range(count):
@@ -257,16 +288,10 @@ def choose(p, u, v, count, candidate, centre, alpha, square, mean, penalty, limi
             continue
         if winner < 0:
             winner = i
-            continue
-        better = mean[i, p] + penalty[i] < mean[winner, p] + penalty[winner]
-        if mean[i, p] < close and mean[winner, p] < close:
-            a, b = alpha[candidate[winner]], alpha[candidate[i]]
-            d_u, d_v, d_1 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            side_a = d_u * centre[winner, 0] + d_v * centre[winner, 1] + d_1
-            side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
-            if side_a * side_b < 0.0:  # the planes meet between the two regions: which side is this?
-                better = (d_u * u + d_v * v + d_1) * side_b > 0.0
-        if better:
+        elif line[winner, i, 3] > 0.0 and mean[i, p] < close and mean[winner, p] < close:
+            if line[winner, i, 0] * u + line[winner, i, 1] * v + line[winner, i, 2] > 0.0:
+                winner = i
+        elif mean[i, p] + penalty[i] < mean[winner, p] + penalty[winner]:
             winner = i
     return winner
 
@@ -474,7 +499,7 @@ def measure_parts(
 @kernel()
 def write_labels(
     run_row, run_start, run_stop, runs, part, number, why, missing, unclaimed, inverse_depth,
-    loose, loose_count, needed, label, reason,
+    loose, loose_count, needed, label, reason, sizes,
 ):  # fmt: skip
     """Write the final labels and the reasons, and let stray pixels go with their neighbours.
 
@@ -487,18 +512,28 @@ def write_labels(
     loose, loose_count
         Of `find_runs`. One goes with a label that ``needed`` or more of its eight neighbours have.
     label, reason : (H, W) int32 and uint8, written
+    sizes : (N + 1,) int32, written
+        Pixels of each label.
     """
     height, width = label.shape
+    sizes[:] = 0
+    i = 0
     for y in range(height):
-        for x in range(width):
-            label[y, x] = 0
-            reason[y, x] = unclaimed if inverse_depth[y, x] > 0.0 else missing
-    for i in range(runs):
-        y = run_row[i]
-        a = number[part[i]]
-        for x in range(run_start[i], run_stop[i]):
-            label[y, x] = a
-            reason[y, x] = why[part[i]]
+        x = 0
+        while x < width:
+            is_run = i < runs and run_row[i] == y
+            stop = run_start[i] if is_run else width
+            for gap in range(x, stop):
+                label[y, gap] = 0
+                reason[y, gap] = unclaimed if inverse_depth[y, gap] > 0.0 else missing
+            x = stop
+            if is_run:
+                k = part[i]
+                label[y, x : run_stop[i]] = number[k]
+                reason[y, x : run_stop[i]] = why[k]
+                sizes[number[k]] += run_stop[i] - x
+                x = run_stop[i]
+                i += 1
     found = np.empty(loose_count, np.int32)
     for _ in range(2):
         for i in range(loose_count):
@@ -519,6 +554,8 @@ def write_labels(
                     break
         for i in range(loose_count):
             if found[i] > 0:
+                if label[loose[i] // width, loose[i] % width] == 0:
+                    sizes[found[i]] += 1
                 label[loose[i] // width, loose[i] % width] = found[i]
                 reason[loose[i] // width, loose[i] % width] = 0
 

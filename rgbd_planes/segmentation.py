@@ -1,6 +1,7 @@
 """Segment a depth frame into planes."""
 
 import enum
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -248,12 +249,12 @@ def segment_frame(
     pyramid = np.empty((offsets[-1], 10))
     block_moments = pyramid[: rows * columns].reshape(rows, columns, 10)
     inverse_depth = np.empty((height, width))
-    segment_blocks.block_moments(
+    nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        tan_x, tan_y, BLOCK, inverse_depth, block_moments,
+        tan_x, tan_y, BLOCK, _camera_sums(camera), inverse_depth, block_moments,
     )  # fmt: skip
     segment_blocks.sum_by_fours(pyramid, offsets, level_shapes)
-    noise = estimate(frame, camera, pyramid, offsets, BLOCK, float(inverse_depth.max()), sigma)
+    noise = estimate(frame, camera, pyramid, offsets, BLOCK, nearest, sigma)
     spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
 
     state = np.empty(offsets[-1], np.int8)
@@ -272,7 +273,7 @@ def segment_frame(
         np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
     )
     centre_u, centre_v = tan_x[middle], tan_y[middle]
-    label = np.full((height, width), -1, np.int32)
+    label = np.empty((height, width), np.int32)
     squares = np.empty(rows * columns)
     for trip in range(rules.trips + 1):
         pair_count = segment_merge.neighbours(region, centre_u, centre_v, pairs, contact)
@@ -292,7 +293,7 @@ def segment_frame(
         segment_pixels.planes(moments[:count], *spread, noise.growth, alpha, slope, waves)
         segment_pixels.own_pixels(
             inverse_depth, tan_x, tan_y, BLOCK, region, alpha, slope, waves, noise.sigma,
-            rules.reach, rules.close, rules.settled, CUT, block_moments, label,
+            rules.reach, rules.close, rules.settled, CUT, block_moments, trip == rules.trips - 1, label,
             moments[:count], squares[:count],
         )  # fmt: skip
     own_squares: NDArray[Any] = np.bincount(
@@ -314,6 +315,14 @@ def segment_frame(
         min_size,
         rules,
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _camera_sums(camera: Camera) -> Floats:
+    """What the moments of a camera's blocks hold of the camera alone: once for each camera."""
+    sums = np.empty((-(-camera.height // BLOCK), -(-camera.width // BLOCK), 6))
+    segment_blocks.camera_sums(camera.tan_x, camera.tan_y, BLOCK, sums)
+    return sums
 
 
 def _result(
@@ -357,10 +366,11 @@ def _result(
     number = np.zeros(count, np.int32)
     number[kept] = np.arange(1, len(kept) + 1)
 
+    sizes = np.empty(len(kept) + 1, np.int32)
     labels, reason = np.empty((height, width), np.int32), np.empty((height, width), np.uint8)
     segment_pixels.write_labels(
         row, start, stop, runs, part, number, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
-        inverse_depth, loose, loose_count, FILLED, labels, reason,
+        inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
     )  # fmt: skip
 
     chosen = moments[kept]
@@ -374,7 +384,7 @@ def _result(
         planes=np.column_stack([-alpha * d[:, None], d]),
         alpha=alpha,
         alpha_covariance=_covariance(chosen, rss, deviation[of_part[kept]]),
-        sizes=np.bincount(labels.ravel(), minlength=len(kept) + 1)[1:].astype(np.int32),
+        sizes=sizes[1:],
         rmse=np.sqrt(rss / np.maximum(chosen[:, 0], 1.0)),
         reason=reason,
         sigma=float(np.median(noise.sigma[1:])),
