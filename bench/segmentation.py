@@ -202,30 +202,44 @@ def _by_rules(frame: Frame, rules: Rules) -> Segmentation:
     return segment_frame(as_depth_frame(frame.depth, frame.camera), frame.camera, None, 60, rules)
 
 
-def baseline(depth: NDArray[Any], camera: Camera, tile: int = 20) -> NDArray[np.float64]:
-    """The vectorised NumPy fit that times are put beside: PCA of the points of every tile, from raw depth."""
-    rows, columns = depth.shape[0] // tile, depth.shape[1] // tile
-    z = depth[: rows * tile, : columns * tile] * (1.0 / (camera.depth_scale or 1.0))
-    shape = z.shape
-    tiles = [
-        a[: shape[0], : shape[1]].reshape(rows, tile, columns, tile).swapaxes(1, 2).reshape(-1, tile * tile)
-        for a in (z, camera.tan_x, camera.tan_y)
-    ]
-    valid = (tiles[0] > 0).astype(np.float64)
-    points = np.stack([tiles[0] * tiles[1], tiles[0] * tiles[2], tiles[0]])
-    count = np.maximum(valid.sum(axis=1), 1.0)
-    centre = points.sum(axis=2) / count
-    points -= centre[:, :, None]
-    points *= valid
-    _, vectors = np.linalg.eigh(np.einsum("itn,jtn->tij", points, points))
-    normals = vectors[:, :, 0]
-    return np.column_stack([normals, -(normals * centre.T).sum(axis=1)])
+class Baseline:
+    """The vectorised NumPy fit that times are put beside: PCA of the points of every tile, from raw depth.
+
+    Moments by einsum, one batched eigh, and no array made twice: as good as NumPy does it.
+    """
+
+    def __init__(self, camera: Camera, tile: int = 20) -> None:
+        self._rows, self._columns, self._tile = camera.height // tile, camera.width // tile, tile
+        shape = self._rows * tile, self._columns * tile
+        self._rays = [np.ascontiguousarray(t[: shape[0], : shape[1]]) for t in (camera.tan_x, camera.tan_y)]
+        self._points = np.empty((3, *shape))
+        self._scale = 1.0 / (camera.depth_scale or 1.0)
+        self._scatter = np.empty((self._rows, self._columns, 3, 3))
+
+    def fit(self, depth: NDArray[Any]) -> NDArray[np.float64]:
+        """(R, C, 4): nx, ny, nz, d of every tile."""
+        x, y, z = self._points
+        np.multiply(depth[: z.shape[0], : z.shape[1]], self._scale, out=z)
+        np.multiply(z, self._rays[0], out=x)
+        np.multiply(z, self._rays[1], out=y)
+        split = (self._rows, self._tile, self._columns, self._tile)
+        tiles = [coordinate.reshape(split) for coordinate in self._points]
+        # A missing pixel is a point at the origin: it adds nothing to any sum but the count.
+        count = np.maximum(np.count_nonzero(tiles[2], axis=(1, 3)), 1)
+        mean = np.stack([np.einsum("itjs->ij", tile) for tile in tiles], axis=-1) / count[..., None]
+        for i, j in itertools.combinations_with_replacement(range(3), 2):
+            product = np.einsum("itjs,itjs->ij", tiles[i], tiles[j])
+            product -= count * mean[..., i] * mean[..., j]
+            self._scatter[..., i, j] = self._scatter[..., j, i] = product
+        normals = np.linalg.eigh(self._scatter)[1][..., 0]
+        return np.concatenate([normals, -np.einsum("ijk,ijk->ij", normals, mean)[..., None]], axis=-1)
 
 
 def timing(frame: Frame, repeats: int = 40) -> None:
     """Times of one frame, baseline and segmentation by turns, medians and the ratio."""
+    numpy_fit = Baseline(frame.camera)
     runs: dict[str, Callable[[], object]] = {
-        "NumPy, PCA of 20x20 tiles": lambda: baseline(frame.depth, frame.camera),
+        "NumPy, PCA of 20x20 tiles": lambda: numpy_fit.fit(frame.depth),
         "segment": lambda: segment(frame.depth, frame.camera),
     }
     taken: dict[str, list[float]] = {name: [] for name in runs}

@@ -2,6 +2,7 @@
 
 import enum
 import functools
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -236,50 +237,32 @@ def segment_frame(
     rules: Rules,
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
-    height, width = camera.shape
     tan_x, tan_y = camera.tan_x, camera.tan_y
-    shapes = [(-(-height // BLOCK), -(-width // BLOCK))]
-    while len(shapes) < LEVELS:
-        rows, columns = shapes[-1]
-        shapes.append((-(-rows // 2), -(-columns // 2)))
-    level_shapes = np.array(shapes)
-    offsets = np.concatenate([[0], np.cumsum(level_shapes.prod(axis=1))])
-    rows, columns = shapes[0]
-
-    pyramid = np.empty((offsets[-1], 10))
-    block_moments = pyramid[: rows * columns].reshape(rows, columns, 10)
-    inverse_depth = np.empty((height, width))
+    grid = _grid(camera)
+    room = _rooms.of(camera)
+    rows, columns = grid.shapes[0]
+    block_moments = room.pyramid[: rows * columns].reshape(rows, columns, 10)
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        tan_x, tan_y, BLOCK, _camera_sums(camera), inverse_depth, block_moments,
+        tan_x, tan_y, BLOCK, grid.sums, room.inverse_depth, block_moments,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(pyramid, offsets, level_shapes)
-    noise = estimate(frame, camera, pyramid, offsets, BLOCK, nearest, sigma)
+    segment_blocks.sum_by_fours(room.pyramid, grid.offsets, grid.shapes)
+    noise = estimate(frame, camera, room.pyramid, grid.offsets, BLOCK, nearest, sigma)
     spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
 
-    state = np.empty(offsets[-1], np.int8)
+    state = np.empty(grid.offsets[-1], np.int8)
     segment_blocks.join_blocks(
-        pyramid, offsets, level_shapes, *spread,
+        room.pyramid, grid.offsets, grid.shapes, *spread,
         rules.rough_block, rules.steep_block, rules.square_floor, rules.square_spread, state,
     )  # fmt: skip
     region = np.empty((rows, columns), np.int64)
-    moments = np.empty((rows * columns, 10))
-    count = segment_blocks.leaves(offsets, level_shapes, state, pyramid, region, moments)
-
-    pairs = np.empty((4 * rows * columns, 2), np.int64)
-    contact = np.empty((4 * rows * columns, 3))
-    middle = np.ix_(
-        np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
-        np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
-    )
-    centre_u, centre_v = tan_x[middle], tan_y[middle]
-    label = np.empty((height, width), np.int32)
-    squares = np.empty(rows * columns)
+    moments, squares = room.moments, room.squares
+    count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, moments)
     for trip in range(rules.trips + 1):
-        pair_count = segment_merge.neighbours(region, centre_u, centre_v, pairs, contact)
+        pair_count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
         parent = np.empty(count, np.int64)
         segment_merge.merge(
-            moments[:count], pairs, contact, pair_count, *spread, noise.growth,
+            moments[:count], room.pairs, room.contact, pair_count, *spread, noise.growth,
             rules.region_floor, rules.region_jump, rules.region_spread, parent,
         )  # fmt: skip
         number = np.full(count + 1, -1)  # the last entry is what -1, no region, stays
@@ -292,8 +275,8 @@ def segment_frame(
         alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
         segment_pixels.planes(moments[:count], *spread, noise.growth, alpha, slope, waves)
         segment_pixels.own_pixels(
-            inverse_depth, tan_x, tan_y, BLOCK, region, alpha, slope, waves, noise.sigma,
-            rules.reach, rules.close, rules.settled, CUT, block_moments, trip == rules.trips - 1, label,
+            room.inverse_depth, tan_x, tan_y, BLOCK, region, alpha, slope, waves, noise.sigma,
+            rules.reach, rules.close, rules.settled, CUT, block_moments, trip == rules.trips - 1, room.owner,
             moments[:count], squares[:count],
         )  # fmt: skip
     own_squares: NDArray[Any] = np.bincount(
@@ -302,33 +285,80 @@ def segment_frame(
     alpha, slope, waves = np.empty((merged, 3)), np.empty(merged), np.empty(merged)
     segment_pixels.planes(moments[:merged], *spread, noise.growth, alpha, slope, waves)
     return _result(
-        camera,
-        inverse_depth,
-        label,
-        number,
-        alpha,
-        slope,
-        waves,
-        moments[:merged],
-        own_squares,
-        noise,
-        min_size,
-        rules,
+        camera, room, number, alpha, slope, waves, moments[:merged], own_squares, noise, min_size, rules
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """What the blocks of a camera's frames have in common."""
+
+    shapes: NDArray[np.int64]  # (LEVELS, 2): rows and columns of each level of the pyramid
+    offsets: NDArray[np.int64]  # (LEVELS + 1,): where each begins
+    sums: Floats  # (R, C, 6): what the moments hold of the camera alone
+    centre_u: Floats  # (R, C): tanθx, tanθy in the middle of each block
+    centre_v: Floats
+
+
 @functools.lru_cache(maxsize=8)
-def _camera_sums(camera: Camera) -> Floats:
-    """What the moments of a camera's blocks hold of the camera alone: once for each camera."""
-    sums = np.empty((-(-camera.height // BLOCK), -(-camera.width // BLOCK), 6))
+def _grid(camera: Camera) -> _Grid:
+    height, width = camera.shape
+    shapes = [(-(-height // BLOCK), -(-width // BLOCK))]
+    while len(shapes) < LEVELS:
+        rows, columns = shapes[-1]
+        shapes.append((-(-rows // 2), -(-columns // 2)))
+    rows, columns = shapes[0]
+    sums = np.empty((rows, columns, 6))
     segment_blocks.camera_sums(camera.tan_x, camera.tan_y, BLOCK, sums)
-    return sums
+    middle = np.ix_(
+        np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
+        np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
+    )
+    sizes = np.array(shapes).prod(axis=1)
+    return _Grid(
+        shapes=np.array(shapes),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        sums=sums,
+        centre_u=camera.tan_x[middle],
+        centre_v=camera.tan_y[middle],
+    )
+
+
+class _Room:
+    """Arrays to work in. New ones for every frame would cost a millisecond: the system clears them."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.shape = camera.shape
+        pixels = camera.height * camera.width
+        grid = _grid(camera)
+        blocks = int(grid.shapes[0].prod())
+        self.inverse_depth = np.empty(camera.shape)
+        self.owner = np.empty(camera.shape, np.int32)
+        self.pyramid = np.empty((grid.offsets[-1], 10))
+        self.moments = np.empty((blocks, 10))
+        self.squares = np.empty(blocks)
+        self.pairs = np.empty((4 * blocks, 2), np.int64)
+        self.contact = np.empty((4 * blocks, 3))
+        self.runs = np.empty((8, pixels), np.int32)
+
+
+class _Rooms(threading.local):
+    """One for each thread."""
+
+    room: _Room | None = None
+
+    def of(self, camera: Camera) -> _Room:
+        if self.room is None or self.room.shape != camera.shape:
+            self.room = _Room(camera)
+        return self.room
+
+
+_rooms = _Rooms()
 
 
 def _result(
     camera: Camera,
-    inverse_depth: Floats,
-    owner: NDArray[np.int32],
+    room: _Room,
     number_of: NDArray[np.int64],
     alpha: Floats,
     slope: Floats,
@@ -340,16 +370,14 @@ def _result(
     rules: Rules,
 ) -> Segmentation:
     """Split the regions into connected parts, keep those that are planes, and describe them."""
-    height, width = owner.shape
-    tan_x, tan_y = camera.tan_x, camera.tan_y
-    regions = len(alpha)
-    mean_q = region_moments[:regions, 3] / np.maximum(region_moments[:regions, 0], 1.0)
+    tan_x, tan_y, inverse_depth = camera.tan_x, camera.tan_y, room.inverse_depth
+    mean_q = region_moments[:, 3] / np.maximum(region_moments[:, 0], 1.0)
     table = np.arange(len(noise.sigma) - 1) * noise.sigma[0]
     deviation = np.sqrt((np.interp(mean_q, table, noise.sigma[1:]) ** 2 + slope) * waves)
 
-    row, start, stop, of, vertical, parent, part, loose = np.empty((8, owner.size), np.int32)
+    row, start, stop, of, vertical, parent, part, loose = room.runs
     runs, loose_count = segment_pixels.find_runs(
-        owner, number_of, inverse_depth, row, start, stop, of, vertical, parent, loose
+        room.owner, number_of, inverse_depth, row, start, stop, of, vertical, parent, loose
     )
     moments, squares = np.empty((runs, 10)), np.empty(runs)
     size, across, down, of_part = np.empty((4, runs), np.int64)
@@ -367,7 +395,7 @@ def _result(
     number[kept] = np.arange(1, len(kept) + 1)
 
     sizes = np.empty(len(kept) + 1, np.int32)
-    labels, reason = np.empty((height, width), np.int32), np.empty((height, width), np.uint8)
+    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     segment_pixels.write_labels(
         row, start, stop, runs, part, number, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
         inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
