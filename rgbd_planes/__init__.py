@@ -19,6 +19,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Camera": "camera",
     "FitSettings": "batch_parts",
+    "Segmentation": "segmentation",
     "TileFitter": "tiles",
     "TilePlanes": "tiles",
     "TileStatus": "plane_fits",
@@ -31,14 +32,18 @@ _NAMES = {
     "merge": "merging",
     "normals": "surfaces",
     "open_sequence": "sequences",
+    "plane_polygons": "polygons",
+    "segment": "segmentation",
     "segment_quadtree": "quadtree",
+    "segment_sequence": "tracking",
 }
-_MODULES = ("export", "noise", "presets", "scenes", "sequences", "uncertainty")
+_MODULES = ("export", "metrics", "noise", "presets", "scenes", "sequences", "uncertainty")
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
     from rgbd_planes import export as export
+    from rgbd_planes import metrics as metrics
     from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
     from rgbd_planes import scenes as scenes
@@ -50,13 +55,17 @@ if TYPE_CHECKING:
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.noise_estimation import estimate_noise as estimate_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
+    from rgbd_planes.segmentation import Segmentation as Segmentation
+    from rgbd_planes.segmentation import segment as segment
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature
     from rgbd_planes.surfaces import normals as normals
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
+    from rgbd_planes.tracking import segment_sequence as segment_sequence
     from rgbd_planes.windows import WindowPlanes as WindowPlanes
     from rgbd_planes.windows import fit_windows as fit_windows
 

@@ -1,0 +1,340 @@
+"""How good and how fast the segmentation is: ``python -m bench.segmentation``.
+
+Scores it on every labelled set in ``../shared/data``, where there is one beside the checkout, and on rendered
+scenes with noise and holes; prints tables, and with ``--out`` writes pictures, truth beside result.
+
+Constants are never scored on the frames that chose them. The ABW frames are split into folds; for each fold
+the setting that does best on the other folds, out of ``SETTINGS``, is scored on it.
+"""
+
+import argparse
+import itertools
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes import Camera, scenes
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.metrics import compare_labels, plane_errors
+from rgbd_planes.segmentation import Rules, Segmentation, segment, segment_frame
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+LABELLED = {
+    "ABW": ("abw_segcomp_cal0", "abw_segcomp_cal1"),
+    "ICL-NUIM": ("icl_nuim_evops_gt",),
+    "NYU, 8 bits, scale unknown": ("nyu_planes_relative8bit",),
+}
+
+FOLDS = 4
+
+# One at a time around the default, for the cross-validation to choose from.
+SETTINGS = (
+    Rules(),
+    *(Rules(region_floor=value) for value in (3.5, 4.0, 5.0, 6.0)),
+    *(Rules(region_jump=value) for value in (4.0, 8.0)),
+    *(Rules(reach=value) for value in (6.0, 7.0, 9.0, 10.0)),
+    *(Rules(close=value) for value in (2.0, 4.0)),
+    *(Rules(rough=value) for value in (2.0, 3.0)),
+    *(Rules(narrow=value) for value in (2.5, 3.2, 4.5)),
+    *(Rules(steep_block=value) for value in (0.4, 0.8)),
+    *(Rules(rough_block=value) for value in (2.5, 3.5)),
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A depth frame and the truth about it."""
+
+    name: str
+    depth: NDArray[Any]
+    camera: Camera
+    truth: NDArray[np.int32]
+    planes: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What one segmentation is worth; rows of these are averaged."""
+
+    regions: int
+    correct_80: int
+    correct_90: int
+    over: int
+    under: int
+    missed: int
+    noise: int
+    f_50: float
+    f_75: float
+    panoptic: float
+    covering: float
+    information: float
+    matched_iou: float
+
+
+def score(labels: NDArray[np.int32], frame: Frame) -> Scores:
+    """Score labels against the truth."""
+    comparison = compare_labels(labels, frame.truth)
+    hoover = comparison.hoover(0.8)
+    half, strict = comparison.detection(0.5), comparison.detection(0.75)
+    return Scores(
+        regions=len(comparison.truth_labels),
+        correct_80=hoover.correct,
+        correct_90=comparison.hoover(0.9).correct,
+        over=hoover.over_segmented,
+        under=hoover.under_segmented,
+        missed=hoover.missed,
+        noise=hoover.noise,
+        f_50=half.f_score,
+        f_75=strict.f_score,
+        panoptic=half.panoptic_quality,
+        covering=comparison.covering,
+        information=comparison.variation_of_information,
+        matched_iou=half.matched_iou,
+    )
+
+
+def mean(rows: Sequence[Scores], name: str) -> float:
+    """Mean of one score."""
+    return float(np.mean([getattr(row, name) for row in rows]))
+
+
+def report(title: str, rows: Sequence[Scores]) -> None:
+    """Print one line of the table."""
+    regions = sum(row.regions for row in rows)
+    counts = "  ".join(f"{mean(rows, name):4.2f}" for name in ("over", "under", "missed", "noise"))
+    others = "  ".join(
+        f"{mean(rows, name):5.3f}"
+        for name in ("f_50", "f_75", "panoptic", "covering", "information", "matched_iou")
+    )
+    print(
+        f"{title:38s} {len(rows):3d}  {regions / len(rows):6.2f}  "
+        f"{sum(row.correct_80 for row in rows) / regions:6.1%}  "
+        f"{sum(row.correct_90 for row in rows) / regions:6.1%}  {counts}  {others}"
+    )
+
+
+HEADER = (
+    f"{'':38s} frames regions  c 80%   c 90%  over  undr  miss  nois  F .5   F .75  PQ     cover  VI     IoU"
+)
+
+
+def read_set(folder: Path) -> list[Frame]:
+    """The labelled frames of one folder."""
+    from PIL import Image
+
+    camera = Camera.from_dict(json.loads((folder / "camera.json").read_text()))
+    frames = []
+    for path in sorted((folder / "labels").glob("*.png")):
+        with Image.open(folder / "depth" / path.name) as depth, Image.open(path) as labels:
+            frames.append(
+                Frame(
+                    f"{folder.name}/{path.stem}",
+                    np.asarray(depth),
+                    camera,
+                    np.asarray(labels).astype(np.int32),
+                )
+            )
+    return frames
+
+
+def empty_room() -> scenes.Scene:
+    """Floor, ceiling, three walls and a board: six planes."""
+    x, y, z = 1.6, 1.2, 3.5
+    faces = {
+        "floor": [(-x, y, 0.1), (x, y, 0.1), (x, y, z), (-x, y, z)],
+        "ceiling": [(-x, -y, 0.1), (x, -y, 0.1), (x, -y, z), (-x, -y, z)],
+        "left wall": [(-x, -y, 0.1), (-x, y, 0.1), (-x, y, z), (-x, -y, z)],
+        "right wall": [(x, -y, 0.1), (x, y, 0.1), (x, y, z), (x, -y, z)],
+        "back wall": [(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)],
+        "board": [(-0.5, -0.3, 2.0), (0.4, -0.3, 2.2), (0.4, 0.5, 2.2), (-0.5, 0.5, 2.0)],
+    }
+    return scenes.Scene(tuple(scenes.polygon(*face) for face in faces.items()), np.eye(4))
+
+
+def rendered(scene: scenes.Scene, name: str, holes: float, seeds: int) -> list[Frame]:
+    """A scene seen by a Kinect, several times; the truth of a missing pixel is "none"."""
+    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=1000.0)
+    rendering = scene.render(camera)
+    frames = []
+    for seed in range(seeds):
+        depth = rendering.measure(holes=holes, seed=seed)
+        truth = np.where(depth > 0, rendering.labels, 0)
+        frames.append(Frame(f"{name}, seed {seed}", depth, camera, truth, rendering.planes))
+    return frames
+
+
+def cross_validate(frames: Sequence[Frame]) -> list[Scores]:
+    """Score every frame with the setting that does best on the frames of the other folds."""
+    table = [[score(_by_rules(frame, rules).labels, frame) for rules in SETTINGS] for frame in frames]
+    chosen_rows = []
+    for fold in range(FOLDS):
+        inside = [i for i in range(len(frames)) if i % FOLDS == fold]
+        outside = [i for i in range(len(frames)) if i % FOLDS != fold]
+        worth = [sum(_worth(table[i][k]) for i in outside) for k in range(len(SETTINGS))]
+        best = int(np.argmax(worth))
+        print(f"  fold {fold + 1}: {_difference(SETTINGS[best])}")
+        chosen_rows += [table[i][best] for i in inside]
+    return chosen_rows
+
+
+def _worth(row: Scores) -> float:
+    """Correct regions at both tolerances, less the wrong ones."""
+    return row.correct_80 + row.correct_90 - row.noise - row.over - row.under
+
+
+def _difference(rules: Rules) -> str:
+    changed = [
+        f"{name} {getattr(rules, name)}"
+        for name in Rules.__dataclass_fields__
+        if getattr(rules, name) != getattr(Rules(), name)
+    ]
+    return ", ".join(changed) or "as shipped"
+
+
+def _by_rules(frame: Frame, rules: Rules) -> Segmentation:
+    return segment_frame(as_depth_frame(frame.depth, frame.camera), frame.camera, None, 60, rules)
+
+
+class Baseline:
+    """The vectorised NumPy fit that times are put beside: PCA of the points of every tile, from raw depth.
+
+    Moments by einsum, one batched eigh, and no array made twice: as good as NumPy does it.
+    """
+
+    def __init__(self, camera: Camera, tile: int = 20) -> None:
+        self._rows, self._columns, self._tile = camera.height // tile, camera.width // tile, tile
+        shape = self._rows * tile, self._columns * tile
+        self._rays = [np.ascontiguousarray(t[: shape[0], : shape[1]]) for t in (camera.tan_x, camera.tan_y)]
+        self._points = np.empty((3, *shape))
+        self._scale = 1.0 / (camera.depth_scale or 1.0)
+        self._scatter = np.empty((self._rows, self._columns, 3, 3))
+
+    def fit(self, depth: NDArray[Any]) -> NDArray[np.float64]:
+        """(R, C, 4): nx, ny, nz, d of every tile."""
+        x, y, z = self._points
+        np.multiply(depth[: z.shape[0], : z.shape[1]], self._scale, out=z)
+        np.multiply(z, self._rays[0], out=x)
+        np.multiply(z, self._rays[1], out=y)
+        split = (self._rows, self._tile, self._columns, self._tile)
+        tiles = [coordinate.reshape(split) for coordinate in self._points]
+        # A missing pixel is a point at the origin: it adds nothing to any sum but the count.
+        count = np.maximum(np.count_nonzero(tiles[2], axis=(1, 3)), 1)
+        mean = np.stack([np.einsum("itjs->ij", tile) for tile in tiles], axis=-1) / count[..., None]
+        for i, j in itertools.combinations_with_replacement(range(3), 2):
+            product = np.einsum("itjs,itjs->ij", tiles[i], tiles[j])
+            product -= count * mean[..., i] * mean[..., j]
+            self._scatter[..., i, j] = self._scatter[..., j, i] = product
+        normals = np.linalg.eigh(self._scatter)[1][..., 0]
+        return np.concatenate([normals, -np.einsum("ijk,ijk->ij", normals, mean)[..., None]], axis=-1)
+
+
+def timing(frame: Frame, repeats: int = 40) -> None:
+    """Times of one frame, baseline and segmentation by turns, medians and the ratio."""
+    numpy_fit = Baseline(frame.camera)
+    runs: dict[str, Callable[[], object]] = {
+        "NumPy, PCA of 20x20 tiles": lambda: numpy_fit.fit(frame.depth),
+        "segment": lambda: segment(frame.depth, frame.camera),
+    }
+    taken: dict[str, list[float]] = {name: [] for name in runs}
+    for _, (name, run) in itertools.product(range(repeats), runs.items()):
+        start = time.perf_counter()
+        run()
+        taken[name].append(1e3 * (time.perf_counter() - start))
+    reference, own = (np.array(times) for times in taken.values())
+    ratio = np.quantile(own / reference, [0.25, 0.5, 0.75])
+    print(
+        f"{frame.name}: {frame.depth.shape[1]} x {frame.depth.shape[0]}: segment {np.median(own):.1f} ms, "
+        f"NumPy {np.median(reference):.1f} ms, ratio {ratio[1]:.2f} ({ratio[0]:.2f} to {ratio[2]:.2f})"
+    )
+
+
+def picture(frames: Sequence[Frame], path: Path) -> None:
+    """Truth beside result."""
+    from matplotlib.figure import Figure
+
+    from rgbd_planes.plotting_segments import label_colours
+
+    figure = Figure((8.0, 3.1 * len(frames)), layout="constrained")
+    axes = figure.subplots(len(frames), 2, squeeze=False)
+    for row, frame in zip(axes, frames, strict=True):
+        found = segment(frame.depth, frame.camera)
+        _, truth = np.unique(np.append(0, frame.truth), return_inverse=True)
+        colours = np.vstack([[(0.62, 0.62, 0.62)], label_colours(int(truth.max()))])
+        row[0].imshow(colours[truth[1:].reshape(frame.truth.shape)], interpolation="nearest")
+        row[0].set_title(f"{frame.name}: truth, {truth.max()} planes", fontsize=9)
+        found.plot(frame.depth, row[1])
+        for panel in row:
+            panel.set_xticks([])
+            panel.set_yticks([])
+    figure.savefig(path, dpi=90)
+
+
+def labelled_sets() -> Iterator[tuple[str, list[Frame]]]:
+    """Every labelled set that is there."""
+    for name, folders in LABELLED.items():
+        frames = [
+            frame for folder in folders if (DATA / folder).is_dir() for frame in read_set(DATA / folder)
+        ]
+        if frames:
+            yield name, frames
+        else:
+            print(f"{name}: not found in {DATA.parent.name}/{DATA.name}, skipped")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run everything."""
+    parser = argparse.ArgumentParser(prog="python -m bench.segmentation", description=__doc__)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="write pictures there")
+    parser.add_argument("--no-cross-validation", action="store_true", help="only the rules as shipped")
+    options = parser.parse_args(arguments)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+
+    sets = list(labelled_sets())
+    sets.append(("room, 6 planes, 5 % holes", rendered(empty_room(), "empty room", 0.05, 5)))
+    sets.append(("room, 6 planes, no holes", rendered(empty_room(), "empty room, no holes", 0.0, 5)))
+    sets.append(("furnished room, 24 planes, 5 % holes", rendered(scenes.room(), "room", 0.05, 5)))
+    print(HEADER)
+    for name, frames in sets:
+        report(name, [score(segment(frame.depth, frame.camera).labels, frame) for frame in frames])
+        if name == "ABW" and not options.no_cross_validation:
+            report("ABW, cross-validated", cross_validate(frames))
+        if options.out:
+            file = "".join(c if c.isalnum() else "_" for c in name.lower())
+            picture(frames[:6], options.out / f"{file}.png")
+    print()
+    for name, frames in sets:
+        if frames[0].planes is not None:
+            report_planes(name, frames)
+    print()
+    for _, frames in sets[:1] + sets[-3:-2]:
+        timing(replace(frames[0], name=frames[0].name))
+
+
+def report_planes(name: str, frames: Sequence[Frame]) -> None:
+    """Errors of the planes that were found, against the rendered ones."""
+    angles: list[float] = []
+    offsets: list[float] = []
+    for frame in frames:
+        assert frame.planes is not None
+        found = segment(frame.depth, frame.camera)
+        truth, own = compare_labels(found.labels, frame.truth).detection(0.5).pairs.T
+        errors = plane_errors(found.planes[own - 1], frame.planes[truth - 1])
+        angles += errors.angle_deg.tolist()
+        offsets += np.abs(errors.offset).tolist()
+    angle, offset = (np.quantile(values, (0.5, 0.9)) for values in (angles, 1e3 * np.array(offsets)))
+    print(
+        f"{name}: {len(angles)} planes, angle median {angle[0]:.3f}°, 90 % {angle[1]:.3f}°; "
+        f"offset median {offset[0]:.2f} mm, 90 % {offset[1]:.2f} mm"
+    )
+
+
+if __name__ == "__main__":
+    main()

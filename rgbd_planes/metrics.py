@@ -1,0 +1,299 @@
+"""How good is a segmentation, against one that is known to be right.
+
+Everything is read from one contingency table, the number of pixels that each pair of labels shares, so a
+frame is gone through once. Label 0 is "none" on both sides: unlabelled pixels belong to no region, but a
+region keeps all its pixels, also those that the truth leaves unlabelled.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+LARGEST_TABLE = 1 << 22
+
+
+@dataclass(frozen=True)
+class HooverCounts:
+    """Hoover's five counts, and which regions are meant (labels of the truth and of the prediction)."""
+
+    correct: int
+    over_segmented: int
+    under_segmented: int
+    missed: int
+    noise: int
+    correct_pairs: NDArray[np.int64]  # (correct, 2): label of the truth, label of the prediction
+    missed_labels: NDArray[np.int64]  # of the truth
+    noise_labels: NDArray[np.int64]  # of the prediction
+
+
+@dataclass(frozen=True)
+class DetectionScores:
+    """Regions matched one to one at a threshold on intersection over union."""
+
+    precision: float
+    recall: float
+    f_score: float
+    panoptic_quality: float
+    matched_iou: float  # mean over the matched pairs; 0 where there are none
+    pairs: NDArray[np.int64]  # (matches, 2): label of the truth, label of the prediction
+
+
+@dataclass(frozen=True)
+class LabelComparison:
+    """A predicted segmentation beside the true one; made by `compare_labels`.
+
+    Attributes
+    ----------
+    table : (T + 1, P + 1) int64
+        Pixels shared by true region i and predicted region j; row and column 0 are "none".
+    truth_labels : (T,) int64
+        The true labels of rows 1..T, ascending.
+    predicted_labels : (P,) int64
+        The predicted labels of columns 1..P, ascending.
+    """
+
+    table: NDArray[np.int64]
+    truth_labels: NDArray[np.int64]
+    predicted_labels: NDArray[np.int64]
+
+    @cached_property
+    def truth_sizes(self) -> NDArray[np.int64]:
+        """(T,) pixels of each true region."""
+        return np.asarray(self.table[1:].sum(axis=1))
+
+    @cached_property
+    def predicted_sizes(self) -> NDArray[np.int64]:
+        """(P,) pixels of each predicted region."""
+        return np.asarray(self.table[:, 1:].sum(axis=0))
+
+    @cached_property
+    def iou(self) -> NDArray[np.float64]:
+        """(T, P) intersection over union of every pair of regions."""
+        shared = self.table[1:, 1:]
+        return np.asarray(shared / (self.truth_sizes[:, None] + self.predicted_sizes[None, :] - shared))
+
+    def hoover(self, tolerance: float = 0.8) -> HooverCounts:
+        """Correct, over- and under-segmented, missed and noise regions.
+
+        A region that could count under several heads counts under the one whose mean share of overlap is
+        highest, as in the paper.
+
+        Parameters
+        ----------
+        tolerance : float
+            Share of the pixels that must agree, above 0.5 and at most 1.
+
+        Notes
+        -----
+        Hoover et al., "An experimental comparison of range image segmentation algorithms", PAMI 18(7),
+        1996, section 3.
+        """
+        if not 0.5 < tolerance <= 1.0:
+            raise ValueError(f"tolerance must be above 0.5 and at most 1, got {tolerance}")
+        shared = self.table[1:, 1:]
+        of_truth = shared / self.truth_sizes[:, None]
+        of_predicted = shared / self.predicted_sizes[None, :]
+
+        # Every possible instance: its mean share, its kind, its true regions, its predicted regions.
+        instances: list[tuple[float, int, NDArray[np.int64], NDArray[np.int64]]] = []
+        for i, j in np.argwhere((of_truth >= tolerance) & (of_predicted >= tolerance)):
+            instances.append((0.5 * (of_truth[i, j] + of_predicted[i, j]), 0, np.array([i]), np.array([j])))
+        inside = of_predicted >= tolerance  # predicted region j lies in true region i
+        for i in np.flatnonzero(inside.sum(axis=1) >= 2):
+            parts = np.flatnonzero(inside[i])
+            total = shared[i, parts].sum()
+            if total >= tolerance * self.truth_sizes[i]:
+                share = 0.5 * (total / self.predicted_sizes[parts].sum() + total / self.truth_sizes[i])
+                instances.append((share, 1, np.array([i]), parts))
+        inside = of_truth >= tolerance  # true region i lies in predicted region j
+        for j in np.flatnonzero(inside.sum(axis=0) >= 2):
+            parts = np.flatnonzero(inside[:, j])
+            total = shared[parts, j].sum()
+            if total >= tolerance * self.predicted_sizes[j]:
+                share = 0.5 * (total / self.truth_sizes[parts].sum() + total / self.predicted_sizes[j])
+                instances.append((share, 2, parts, np.array([j])))
+
+        truth_free = np.ones(len(self.truth_labels), dtype=bool)
+        predicted_free = np.ones(len(self.predicted_labels), dtype=bool)
+        counts = [0, 0, 0]
+        pairs = []
+        for _, kind, rows, columns in sorted(instances, key=lambda instance: (-instance[0], instance[1])):
+            if truth_free[rows].all() and predicted_free[columns].all():
+                truth_free[rows] = False
+                predicted_free[columns] = False
+                # An under-segmentation is counted once for the predicted region, as the paper counts it.
+                counts[kind] += 1
+                if kind == 0:
+                    pairs.append((self.truth_labels[rows[0]], self.predicted_labels[columns[0]]))
+        return HooverCounts(
+            correct=counts[0],
+            over_segmented=counts[1],
+            under_segmented=counts[2],
+            missed=int(truth_free.sum()),
+            noise=int(predicted_free.sum()),
+            correct_pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+            missed_labels=self.truth_labels[truth_free],
+            noise_labels=self.predicted_labels[predicted_free],
+        )
+
+    def detection(self, iou: float = 0.5) -> DetectionScores:
+        """Precision, recall, F and panoptic quality of the regions that match at `iou` or better.
+
+        Each region is matched at most once. Above 0.5 there is only one way to do that; below, the matches
+        are the most, and of those the best, that there can be.
+
+        Parameters
+        ----------
+        iou : float
+            Threshold on intersection over union, above 0 and at most 1.
+
+        Notes
+        -----
+        Panoptic quality: Kirillov et al., CVPR 2019. Precision and recall as EVOPS (Kornilova et al.,
+        2022) counts them, whose threshold is 0.75. Where both sides have no region, all scores are 1.
+        """
+        if not 0.0 < iou <= 1.0:
+            raise ValueError(f"iou must be above 0 and at most 1, got {iou}")
+        matches = self.iou >= iou
+        if iou > 0.5:
+            rows, columns = np.nonzero(matches)
+        else:
+            from scipy.optimize import linear_sum_assignment
+
+            # A match more outweighs any gain in overlap.
+            gain = np.where(matches, 1.0 + min(self.iou.shape, default=0) - (1.0 - self.iou), 0.0)
+            rows, columns = linear_sum_assignment(gain, maximize=True)
+            chosen = matches[rows, columns]
+            rows, columns = rows[chosen], columns[chosen]
+        true_count, predicted_count, count = len(self.truth_labels), len(self.predicted_labels), len(rows)
+        total = true_count + predicted_count
+        overlap = float(self.iou[rows, columns].sum())
+        return DetectionScores(
+            precision=count / predicted_count if predicted_count else float(true_count == 0),
+            recall=count / true_count if true_count else float(predicted_count == 0),
+            f_score=2.0 * count / total if total else 1.0,
+            panoptic_quality=2.0 * overlap / total if total else 1.0,
+            matched_iou=overlap / count if count else 0.0,
+            pairs=np.column_stack([self.truth_labels[rows], self.predicted_labels[columns]]),
+        )
+
+    @property
+    def rand_index(self) -> float:
+        """Share of the pairs of pixels on which both segmentations agree.
+
+        Over the pixels that the truth labels; predicted "none" is one more segment there.
+        """
+        table = self.table[1:].astype(np.float64)
+        pixels = table.sum()
+        if pixels < 2:
+            return 1.0
+        squares = (table**2).sum()
+        rows = (table.sum(axis=1) ** 2).sum()
+        columns = (table.sum(axis=0) ** 2).sum()
+        return float(1.0 - (rows + columns - 2.0 * squares) / (pixels * (pixels - 1.0)))
+
+    @property
+    def variation_of_information(self) -> float:
+        """H(truth | prediction) + H(prediction | truth) in bits (Meila 2007); 0 is agreement.
+
+        Over the pixels that the truth labels; predicted "none" is one more segment there.
+        """
+        table = self.table[1:].astype(np.float64)
+        pixels = table.sum()
+        if pixels == 0:
+            return 0.0
+        rows, columns = np.nonzero(table)
+        shared = table[rows, columns]
+        given_truth = shared / table.sum(axis=1)[rows]
+        given_predicted = shared / table.sum(axis=0)[columns]
+        return float(-(shared * (np.log2(given_truth) + np.log2(given_predicted))).sum() / pixels)
+
+    @property
+    def covering(self) -> float:
+        """Mean over the truth's pixels of the best overlap of their region (Arbelaez et al. 2011)."""
+        if self.truth_sizes.sum() == 0:
+            return 1.0
+        if len(self.predicted_labels) == 0:
+            return 0.0
+        return float((self.truth_sizes * self.iou.max(axis=1)).sum() / self.truth_sizes.sum())
+
+
+def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
+    """Put a predicted segmentation beside the true one.
+
+    Parameters
+    ----------
+    predicted, truth : (H, W) int
+        Labels, 0 for none. They need not be consecutive.
+
+    Returns
+    -------
+    LabelComparison
+        From which every score is read.
+
+    Raises
+    ------
+    TypeError
+        If the labels are not integers.
+    ValueError
+        If the shapes differ or a label is negative.
+    """
+    columns, predicted_labels = _consecutive(np.asarray(predicted), "predicted")
+    rows, truth_labels = _consecutive(np.asarray(truth), "truth")
+    if rows.shape != columns.shape:
+        raise ValueError(f"predicted and truth must have one shape, got {columns.shape} and {rows.shape}")
+    height, width = len(truth_labels) + 1, len(predicted_labels) + 1
+    flat = np.bincount((rows * np.intp(width) + columns).ravel(), minlength=height * width)
+    return LabelComparison(flat.reshape(height, width), truth_labels, predicted_labels)
+
+
+def _consecutive(given: NDArray[np.generic], name: str) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Labels renumbered 0 (none), 1..N, and the old label of each."""
+    if given.dtype.kind not in "iub":
+        raise TypeError(f"{name} must hold integer labels, got {given.dtype}")
+    labels: NDArray[np.intp] = given.astype(np.intp)
+    if labels.size and labels.min() < 0:
+        raise ValueError(f"{name} must not hold negative labels, got {labels.min()}")
+    if labels.size and labels.max() >= LARGEST_TABLE:
+        values, inverse = np.unique(labels, return_inverse=True)
+        return inverse.reshape(labels.shape) + (values[0] != 0), values[values > 0].astype(np.int64)
+    present = np.bincount(labels.ravel(), minlength=1) > 0
+    present[0] = True
+    if present.all():
+        return labels, np.arange(1, len(present), dtype=np.int64)
+    number = np.cumsum(present) - 1
+    return number[labels], np.flatnonzero(present)[1:].astype(np.int64)
+
+
+@dataclass(frozen=True)
+class PlaneErrors:
+    """How far planes are from the true ones, pair by pair."""
+
+    angle_deg: NDArray[np.float64]  # (K,) between the normals, 0..180
+    offset: NDArray[np.float64]  # (K,) metres: predicted less true distance from the camera
+
+
+def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
+    """Angle between the normals and difference of the offsets of pairs of planes.
+
+    Parameters
+    ----------
+    predicted, truth : (K, 4) float
+        Planes (nx, ny, nz, d), n of any length, one pair a row; the sign of both is taken as it is.
+
+    Returns
+    -------
+    PlaneErrors
+        NaN where a plane is.
+    """
+    first, second = np.asarray(predicted, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    if first.ndim != 2 or first.shape[1] != 4 or first.shape != second.shape:
+        raise ValueError(f"predicted and truth must both be (K, 4), got {first.shape} and {second.shape}")
+    first = first / np.linalg.norm(first[:, :3], axis=1, keepdims=True)
+    second = second / np.linalg.norm(second[:, :3], axis=1, keepdims=True)
+    # The arctangent keeps its digits near 0 and 180 degrees, where the arccosine loses them.
+    sine = np.linalg.norm(np.cross(first[:, :3], second[:, :3]), axis=1)
+    cosine = (first[:, :3] * second[:, :3]).sum(axis=1)
+    return PlaneErrors(np.degrees(np.arctan2(sine, cosine)), first[:, 3] - second[:, 3])

@@ -1,0 +1,99 @@
+"""The figure of a segmentation: planes in colours over the relief of the depth."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.depth import as_depth_frame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rgbd_planes.segmentation import Segmentation
+
+Floats = NDArray[np.float64]
+
+MISSING = (1.0, 1.0, 1.0)
+NO_PLANE = (0.62, 0.62, 0.62)
+_GOLDEN = 0.618033988749895
+_NUMBERED = 400  # pixels that a plane must have for its number to be written on it, at 640 x 480
+
+
+def label_colours(count: int) -> Floats:
+    """(count, 3) float64: RGB of labels 1..count, neighbouring labels far apart in hue."""
+    i = np.arange(count)
+    hue = (0.08 + i * _GOLDEN) % 1.0
+    saturation = 0.45 + 0.3 * ((i // 3) % 3) / 2.0
+    value = 0.95 - 0.25 * ((i // 2) % 3) / 2.0
+    sector = (hue[:, None] * 6.0 + np.array([5.0, 3.0, 1.0])) % 6.0
+    return np.asarray(
+        value[:, None] * (1.0 - saturation[:, None] * np.clip(np.minimum(sector, 4.0 - sector), 0.0, 1.0))
+    )
+
+
+def label_image(segmentation: "Segmentation", depth: ArrayLike | None = None) -> Floats:
+    """(H, W, 3) float64: each pixel in the colour of its plane, light and dark following the surface.
+
+    Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief.
+    """
+    from rgbd_planes.segmentation import Reason
+
+    palette = np.vstack([[NO_PLANE], label_colours(len(segmentation))])
+    image = palette[segmentation.labels]
+    if depth is not None:
+        frame = as_depth_frame(depth, segmentation.camera)
+        # Lit from the upper left, in inverse depth, where noise is alike near and far.
+        q = np.nan_to_num(frame.inverse_depth)
+        slope = np.diff(q, axis=1, prepend=q[:, :1]) + np.diff(q, axis=0, prepend=q[:1])
+        image = image * np.clip(1.0 + 0.08 * slope / segmentation.sigma, 0.65, 1.15)[..., None]
+    image[segmentation.reason == Reason.MISSING] = MISSING
+    return np.asarray(np.clip(image, 0.0, 1.0))
+
+
+def plot_segments(
+    segmentation: "Segmentation", depth: ArrayLike | None = None, axes: "Axes | None" = None
+) -> "Axes":
+    """Draw a segmentation.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like, optional
+        The frame that was segmented, for its relief.
+    axes : matplotlib Axes, optional
+        Drawn into; those of a new figure by default.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    height, width = segmentation.labels.shape
+    if axes is None:
+        from matplotlib.figure import Figure
+
+        axes = Figure((8.0, 8.0 * height / width + 0.4), layout="constrained").add_subplot()
+    axes.imshow(label_image(segmentation, depth), interpolation="nearest")
+    _write_numbers(segmentation, axes)
+    axes.set_title(f"{len(segmentation)} planes, {segmentation.share:.0%} of the measured pixels")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    return axes
+
+
+def _write_numbers(segmentation: "Segmentation", axes: "Axes") -> None:
+    """Write each large plane's label where the plane is widest along a row and in the middle of its rows."""
+    labels = segmentation.labels
+    least = _NUMBERED * labels.size / (640 * 480)
+    rows, columns = np.nonzero(labels)
+    order = np.argsort(labels[rows, columns], kind="stable")
+    bounds = np.concatenate([[0], np.cumsum(segmentation.sizes)])
+    for i in np.flatnonzero(segmentation.sizes >= least):
+        own = order[bounds[i] : bounds[i + 1]]
+        row = int(np.median(rows[own]))
+        in_row = columns[own][rows[own] == row]
+        if not in_row.size:
+            continue
+        axes.text(
+            float(np.median(in_row)), row, str(i + 1), ha="center", va="center", fontsize=7, color="black",
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.6, "linewidth": 0},
+        )  # fmt: skip

@@ -1,0 +1,248 @@
+"""Outlines of segmented planes: in the image, in the plane, and in space.
+
+Needs shapely: ``pip install rgbd-planes[polygons]``.
+"""
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.segmentation import Segmentation
+
+if TYPE_CHECKING:
+    from shapely import Geometry, MultiPolygon, Polygon
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanePolygon:
+    """The outline of one plane.
+
+    Attributes
+    ----------
+    label : int
+        In the segmentation.
+    plane : (4,) float64
+        nx, ny, nz, d, as in `Segmentation.planes`.
+    origin : (3,) float64
+        Origin of the plane's own coordinates: the point of the plane that is nearest to the camera, metres.
+    axes : (2, 3) float64
+        Their directions, of unit length: to the right in the image, and down it. With the normal they make
+        right angles.
+    image : shapely MultiPolygon
+        The outline, holes included, in pixels (x, y); pixel centres are at integers, edges half-way between.
+    metric : shapely MultiPolygon
+        The same in the plane's coordinates, metres.
+    """
+
+    label: int
+    plane: Floats
+    origin: Floats
+    axes: Floats
+    image: "MultiPolygon"
+    metric: "MultiPolygon"
+
+    def __repr__(self) -> str:
+        holes = sum(len(part.interiors) for part in self.metric.geoms)
+        return (
+            f"<PlanePolygon {self.label}: {self.area:.3g} m², {len(self.metric.geoms)} parts, {holes} holes>"
+        )
+
+    @property
+    def area(self) -> float:
+        """Square metres, holes left out."""
+        return float(self.metric.area)
+
+    @cached_property
+    def hull(self) -> "Polygon":
+        """Convex hull in the plane's coordinates."""
+        return self.metric.convex_hull
+
+    @cached_property
+    def rectangle(self) -> "Polygon":
+        """The smallest rectangle around the outline, at any angle, in the plane's coordinates."""
+        return self.metric.minimum_rotated_rectangle
+
+    def to_space(self, coordinates: ArrayLike) -> Floats:
+        """(K, 3) float64: points of the plane in the camera's frame, from its own (K, 2) coordinates."""
+        return np.asarray(self.origin + np.asarray(coordinates, dtype=np.float64) @ self.axes)
+
+    def corners(self, geometry: "Polygon | None" = None) -> Floats:
+        """(K, 3) float64: corners in the camera's frame of a polygon in the plane, by default `rectangle`."""
+        chosen = self.rectangle if geometry is None else geometry
+        return self.to_space(np.asarray(chosen.exterior.coords)[:-1])
+
+    def rings(self) -> list[list[Floats]]:
+        """Outlines in space: for each part its outer ring and its holes, (K, 3) float64 each, open."""
+        return [
+            [self.to_space(np.asarray(ring.coords)[:-1]) for ring in (part.exterior, *part.interiors)]
+            for part in self.metric.geoms
+        ]
+
+    def triangles(self) -> Floats:
+        """(T, 3, 3) float64: triangles in space that cover the outline and leave the holes open."""
+        import shapely
+
+        pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(self.metric))
+        corners = np.array([np.asarray(piece.exterior.coords)[:3] for piece in pieces]).reshape(-1, 2)
+        return self.to_space(corners).reshape(-1, 3, 3)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers and lists, which JSON takes; outlines and rectangle in space."""
+        return {
+            "label": self.label,
+            "plane": self.plane.tolist(),
+            "area": self.area,
+            "rectangle": self.corners().tolist(),
+            "hull": self.corners(self.hull).tolist(),
+            "outline": [[ring.tolist() for ring in part] for part in self.rings()],
+        }
+
+
+def plane_polygons(
+    segmentation: Segmentation, *, tolerance: float = 1.0, min_part: float = 16.0
+) -> list[PlanePolygon]:
+    """Outline every plane of a segmentation.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+    tolerance : float
+        How far, in pixels, a simplified outline may be from the outline of the pixels. 0 keeps every corner.
+    min_part : float
+        Parts and holes of fewer pixels are left out, unless nothing else is left of the plane.
+
+    Returns
+    -------
+    list of PlanePolygon
+        One for each label, in order.
+
+    Raises
+    ------
+    ImportError
+        shapely is not installed.
+    ValueError
+        `tolerance` or `min_part` is negative.
+    """
+    if not tolerance >= 0.0:
+        raise ValueError(f"tolerance must not be negative, in pixels, got {tolerance!r}")
+    if not min_part >= 0.0:
+        raise ValueError(f"min_part must not be negative, in pixels, got {min_part!r}")
+    try:
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise ImportError("polygons need shapely: pip install rgbd-planes[polygons]") from error
+
+    boxes = _boxes(segmentation.labels, len(segmentation))
+    return [
+        _polygon(segmentation, label, boxes[label - 1], tolerance, min_part)
+        for label in range(1, len(segmentation) + 1)
+    ]
+
+
+def _boxes(labels: NDArray[np.int32], count: int) -> list[tuple[slice, ...]]:
+    """Rows and columns in which each label lies."""
+    from scipy.ndimage import find_objects
+
+    return list(find_objects(labels, max_label=count))
+
+
+def _polygon(
+    segmentation: Segmentation, label: int, box: tuple[slice, ...], tolerance: float, min_part: float
+) -> PlanePolygon:
+    plane = segmentation.planes[label - 1]
+    normal, d = plane[:3], plane[3]
+    origin = -d * normal
+    # To the right in the image, as far as the plane allows; for a plane seen along the rows, into the image.
+    right = np.array([np.sign(segmentation.camera.fx), 0.0, 0.0])
+    if abs(normal @ right) > 0.99:
+        right = np.array([0.0, 0.0, 1.0])
+    first = right - (right @ normal) * normal
+    first /= np.linalg.norm(first)
+    axes = np.stack([first, np.cross(first, normal)])
+
+    image = _outline(segmentation.labels[box] == label, box[1].start, box[0].start, tolerance, min_part)
+    return PlanePolygon(
+        label, plane, origin, axes, image, _in_plane(image, segmentation, label, origin, axes)
+    )
+
+
+def _outline(
+    mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min_part: float
+) -> "MultiPolygon":
+    """The outline of a mask whose first pixel is at (left, top)."""
+    import contourpy
+    import shapely
+
+    framed = np.pad(mask.astype(np.float64), 1)
+    height, width = framed.shape
+    generator = contourpy.contour_generator(
+        x=np.arange(left - 1, left - 1 + width, dtype=np.float64),
+        y=np.arange(top - 1, top - 1 + height, dtype=np.float64),
+        z=framed,
+        fill_type=contourpy.FillType.OuterOffset,
+    )
+    polygons = []
+    for points, offsets in zip(*generator.filled(0.5, np.inf), strict=True):
+        rings = [shapely.LinearRing(points[i:j]) for i, j in itertools.pairwise(offsets)]
+        outer, *holes = rings
+        holes = [hole for hole in holes if shapely.Polygon(hole).area >= min_part]
+        polygons.append(shapely.Polygon(outer, holes))
+    kept = [polygon for polygon in polygons if polygon.area >= min_part]
+    outline = shapely.MultiPolygon(kept or [max(polygons, key=lambda polygon: polygon.area)])
+    return _multi(outline.simplify(tolerance) if tolerance > 0.0 else outline, outline)
+
+
+def _multi(geometry: "Geometry", otherwise: "MultiPolygon") -> "MultiPolygon":
+    """Valid polygons and nothing else; ``otherwise`` where nothing is left."""
+    import shapely
+
+    parts = [
+        part
+        for part in shapely.get_parts(shapely.make_valid(geometry))
+        if part.geom_type == "Polygon" and not part.is_empty
+    ]
+    return shapely.MultiPolygon(parts) if parts else otherwise
+
+
+def _in_plane(
+    image: "MultiPolygon", segmentation: Segmentation, label: int, origin: Floats, axes: Floats
+) -> "MultiPolygon":
+    """The outline in the plane's coordinates: where the rays through its corners meet the plane."""
+    import shapely
+
+    alpha = segmentation.alpha[label - 1]
+    # Beyond the horizon a ray does not meet the plane; an outline half a pixel too large may reach there.
+    horizon = 1e-3 * float(np.linalg.norm(alpha))
+
+    def meet(pixels: Floats) -> Floats:
+        rays = rays_through(segmentation.camera, pixels)
+        points = rays / np.maximum(rays @ alpha, horizon)[:, None]
+        return np.asarray((points - origin) @ axes.T)
+
+    metric = shapely.transform(image, meet)
+    return _multi(metric, metric)
+
+
+def rays_through(camera: Camera, pixels: ArrayLike) -> Floats:
+    """(K, 3) float64: rays (tanθx, tanθy, 1) through any points (x, y) of the image.
+
+    Between pixel centres the camera's tables are interpolated; up to a pixel outside they are continued.
+    """
+    x, y = np.asarray(pixels, dtype=np.float64).T
+    column = np.clip(np.floor(x).astype(int), 0, max(camera.width - 2, 0))
+    row = np.clip(np.floor(y).astype(int), 0, max(camera.height - 2, 0))
+    s, t = x - column, y - row
+    next_column, next_row = np.minimum(column + 1, camera.width - 1), np.minimum(row + 1, camera.height - 1)
+    tables = [
+        (1 - t) * ((1 - s) * table[row, column] + s * table[row, next_column])
+        + t * ((1 - s) * table[next_row, column] + s * table[next_row, next_column])
+        for table in (camera.tan_x, camera.tan_y)
+    ]
+    return np.column_stack([*tables, np.ones_like(x)])

@@ -1,0 +1,427 @@
+"""Segment a depth frame into planes."""
+
+import enum
+import functools
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.compilation import announced
+from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.kernels import segment_blocks, segment_merge, segment_pixels
+from rgbd_planes.segmentation_noise import FrameNoise, estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+
+BLOCK = 4  # pixels
+LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
+SMALLEST = 60  # pixels of a region, where the caller does not say
+CUT = 4.0  # standard deviations: the most that a pixel counts for in a region's residual
+FILLED = 5  # neighbours of eight that take a stray pixel with them
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The constants of the segmentation.
+
+    Deviations are standard deviations of the frame's own noise, so none of these knows a sensor, a unit or a
+    distance. `bench.segmentation` says what they are worth on frames that did not choose them.
+    """
+
+    rough_block: float = 3.0  # deviations of a planar block
+    steep_block: float = 0.6  # the same for the part that the block's own slope makes
+    square_floor: float = 1.0  # when four neighbouring squares are one plane: see `join_blocks`
+    square_spread: float = 30.0
+    region_floor: float = 4.5  # when two regions are one plane: see `merge`
+    region_jump: float = 6.0
+    region_spread: float = 30.0
+    reach: float = 8.0  # deviations within which a region contends for a pixel
+    close: float = 3.0  # deviations within which two planes meet
+    settled: float = 3.0  # deviations of a block that is left in peace
+    rough: float = 2.5  # deviations of a region that is no plane
+    narrow: float = 3.8  # pixels: the mean length of runs along rows, and along columns, that a plane has
+    trips: int = 3  # from planes to pixels and back
+
+
+class Reason(enum.IntEnum):
+    """Why a pixel belongs to a plane, or to none."""
+
+    PLANE = 0
+    """It belongs to one."""
+    MISSING = 1
+    """Nothing was measured."""
+    UNCLAIMED = 2
+    """No plane nearby fits it."""
+    SMALL = 3
+    """Its region has too few pixels."""
+    ROUGH = 4
+    """Its region is no plane: the residual is too large."""
+    NARROW = 5
+    """Its region is a strip of a pixel or two, as depth edges make."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Segmentation:
+    """The planes of a frame, and which pixel belongs to which.
+
+    Attributes
+    ----------
+    camera : Camera
+    labels : (H, W) int32
+        0 none, 1..N; row i of the arrays below belongs to label i + 1.
+    planes : (N, 4) float64
+        nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
+    alpha : (N, 3) float64
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label.
+    alpha_covariance : (N, 3, 3) float64
+        Of α, 1/m². From the residual or the sensor's noise, whichever is larger, as if pixels farther
+        apart than the noise is correlated were independent.
+    sizes : (N,) int32
+        Pixels.
+    rmse : (N,) float64
+        Root mean square residual in inverse depth, 1/m.
+    reason : (H, W) uint8
+        `Reason`.
+    sigma : float
+        Typical standard deviation of the frame's inverse depth, 1/m.
+    """
+
+    camera: Camera
+    labels: NDArray[np.int32]
+    planes: Floats
+    alpha: Floats
+    alpha_covariance: Floats
+    sizes: NDArray[np.int32]
+    rmse: Floats
+    reason: NDArray[np.uint8]
+    sigma: float
+
+    def __len__(self) -> int:
+        """Number of planes."""
+        return len(self.planes)
+
+    def __repr__(self) -> str:
+        height, width = self.labels.shape
+        share = f"{self.share:.0%} of the measured pixels"
+        return f"<Segmentation: {len(self)} planes, {share} of {height} x {width}>"
+
+    @property
+    def share(self) -> float:
+        """Share of the measured pixels that belong to a plane."""
+        return int(np.count_nonzero(self.labels)) / max(1, int((self.reason != Reason.MISSING).sum()))
+
+    @property
+    def rmse_metric(self) -> Floats:
+        """(N,) float64: `rmse` in metres along the normal, d·Z̄·rmse, to first order."""
+        return self.planes[:, 3] * self.mean_depth * self.rmse
+
+    @property
+    def mean_depth(self) -> Floats:
+        """(N,) float64: Z in metres where the mean inverse depth of the plane's pixels is."""
+        sums = np.bincount(self.labels.ravel(), weights=self.fitted_inverse_depth().ravel())[1:]
+        return np.asarray(self.sizes / sums)
+
+    @property
+    def plane_covariance(self) -> Floats:
+        """(N, 4, 4) float64: covariance of (n, d), by first-order propagation from α."""
+        n, d = self.planes[:, :3], self.planes[:, 3]
+        # ∂n/∂α = -d (I - n nᵀ), ∂d/∂α = d² n, from d = 1/‖α‖ and n = -α d.
+        jacobian = np.empty((len(self), 4, 3))
+        jacobian[:, :3] = -d[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
+        jacobian[:, 3] = d[:, None] ** 2 * n
+        return np.asarray(jacobian @ self.alpha_covariance @ jacobian.transpose(0, 2, 1))
+
+    def fitted_inverse_depth(self) -> Floats:
+        """(H, W) float64, 1/m: the inverse depth of each pixel's plane; 0 where there is none."""
+        a: Floats
+        a, b, c = np.vstack([np.zeros(3), self.alpha])[self.labels].transpose(2, 0, 1)
+        return np.asarray(a * self.camera.tan_x + b * self.camera.tan_y + c)
+
+    def fitted_depth(self) -> Floats:
+        """(H, W) float64, metres: where each pixel's ray meets its plane; NaN where there is none."""
+        q = self.fitted_inverse_depth()
+        depth = np.full(q.shape, np.nan)
+        np.divide(1.0, q, out=depth, where=q > 0.0)
+        return depth
+
+    def labels_from_minus_one(self) -> NDArray[np.int32]:
+        """(H, W) int32: labels 0..N-1, -1 for none, as deplex and clustering libraries have them."""
+        return self.labels - np.int32(1)
+
+    def labels_for_opencv(self) -> NDArray[np.uint8]:
+        """(H, W) uint8: labels 0..N-1, 255 for none, as OpenCV's RgbdPlane has them.
+
+        Raises
+        ------
+        ValueError
+            There are more than 255 planes.
+        """
+        if len(self) > 255:
+            raise ValueError(
+                f"expected at most 255 planes, which is all that uint8 labels hold, got {len(self)}"
+            )
+        return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
+
+    def plot(self, depth: ArrayLike | None = None, axes: "Axes | None" = None) -> "Axes":
+        """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`."""
+        from rgbd_planes.plotting_segments import plot_segments
+
+        return plot_segments(self, depth, axes)
+
+
+def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: int = SMALLEST) -> Segmentation:
+    """Find the planes of a depth frame and the pixels that belong to each.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        Integers in the camera's raw units, or floats in metres; see `as_depth_frame`.
+    camera : Camera
+    noise : float, callable or noise model, optional
+        Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
+        or what has such a function as ``sigma``. By default ``camera.noise``, and where that is None the
+        frame's own residuals say it.
+    min_size : int
+        Pixels that a plane must have.
+
+    Returns
+    -------
+    Segmentation
+        Labels 1..N in the order of their first pixels. An empty or a formless frame has none.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `as_depth_frame`, and for a `noise` or a `min_size` that cannot be.
+
+    Notes
+    -----
+    Blocks of 4x4 pixels, joined by fours where they are one plane, are merged by what joining adds to the
+    sum of squared residuals in inverse depth, which moments give exactly (Papadakis and Willis 2017 split
+    squares in the same space, from above). Then each pixel goes to the plane it fits, the planes are fitted
+    anew to the pixels they own, and this is done again until it has settled. The same bits come out for
+    the same frame, always.
+    """
+    if min_size < 3:
+        raise ValueError(f"min_size must be at least 3 pixels, got {min_size}")
+    frame = as_depth_frame(depth, camera)
+    sigma = _as_function(camera.noise if noise is None else noise)
+    with announced(("segment", frame.raw.dtype)):
+        return segment_frame(frame, camera, sigma, min_size, Rules())
+
+
+def _as_function(noise: Any) -> Callable[[Floats], Floats] | None:
+    sigma = getattr(noise, "sigma", noise)  # of a noise model
+    if sigma is None or callable(sigma):
+        return sigma  # type: ignore[no-any-return]
+    if isinstance(noise, int | float):
+        if not 0.0 < noise < np.inf:
+            raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
+        return lambda q: np.full_like(q, noise)
+    raise TypeError(f"noise must be a number in 1/m, a function of inverse depth or None, got {noise!r}")
+
+
+def segment_frame(
+    frame: DepthFrame,
+    camera: Camera,
+    sigma: Callable[[Floats], Floats] | None,
+    min_size: int,
+    rules: Rules,
+) -> Segmentation:
+    """`segment` by other rules, which is for experiments."""
+    tan_x, tan_y = camera.tan_x, camera.tan_y
+    grid = _grid(camera)
+    room = _rooms.of(camera)
+    rows, columns = grid.shapes[0]
+    block_moments = room.pyramid[: rows * columns].reshape(rows, columns, 10)
+    nearest = segment_blocks.block_moments(
+        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
+        tan_x, tan_y, BLOCK, grid.sums, room.inverse_depth, block_moments,
+    )  # fmt: skip
+    segment_blocks.sum_by_fours(room.pyramid, grid.offsets, grid.shapes)
+    noise = estimate(frame, camera, room.pyramid, grid.offsets, BLOCK, nearest, sigma)
+    spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
+
+    state = np.empty(grid.offsets[-1], np.int8)
+    segment_blocks.join_blocks(
+        room.pyramid, grid.offsets, grid.shapes, *spread,
+        rules.rough_block, rules.steep_block, rules.square_floor, rules.square_spread, state,
+    )  # fmt: skip
+    region = np.empty((rows, columns), np.int64)
+    moments, squares = room.moments, room.squares
+    count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, moments)
+    for trip in range(rules.trips + 1):
+        pair_count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
+        parent = np.empty(count, np.int64)
+        segment_merge.merge(
+            moments[:count], room.pairs, room.contact, pair_count, *spread, noise.growth,
+            rules.region_floor, rules.region_jump, rules.region_spread, parent,
+        )  # fmt: skip
+        number = np.full(count + 1, -1)  # the last entry is what -1, no region, stays
+        least = float(min_size) if trip else 0.0
+        merged = segment_merge.number_regions(parent, moments, least, number, moments)
+        if trip == rules.trips:
+            break
+        count = merged
+        region = number[region]
+        alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
+        segment_pixels.planes(moments[:count], *spread, noise.growth, alpha, slope, waves)
+        segment_pixels.own_pixels(
+            room.inverse_depth, tan_x, tan_y, BLOCK, region, alpha, slope, waves, noise.sigma,
+            rules.reach, rules.close, rules.settled, CUT, block_moments, trip == rules.trips - 1, room.owner,
+            moments[:count], squares[:count],
+        )  # fmt: skip
+    own_squares: NDArray[Any] = np.bincount(
+        number[:count] + 1, weights=squares[:count], minlength=merged + 1
+    )[1:]
+    alpha, slope, waves = np.empty((merged, 3)), np.empty(merged), np.empty(merged)
+    segment_pixels.planes(moments[:merged], *spread, noise.growth, alpha, slope, waves)
+    return _result(
+        camera, room, number, alpha, slope, waves, moments[:merged], own_squares, noise, min_size, rules
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """What the blocks of a camera's frames have in common."""
+
+    shapes: NDArray[np.int64]  # (LEVELS, 2): rows and columns of each level of the pyramid
+    offsets: NDArray[np.int64]  # (LEVELS + 1,): where each begins
+    sums: Floats  # (R, C, 6): what the moments hold of the camera alone
+    centre_u: Floats  # (R, C): tanθx, tanθy in the middle of each block
+    centre_v: Floats
+
+
+@functools.lru_cache(maxsize=8)
+def _grid(camera: Camera) -> _Grid:
+    height, width = camera.shape
+    shapes = [(-(-height // BLOCK), -(-width // BLOCK))]
+    while len(shapes) < LEVELS:
+        rows, columns = shapes[-1]
+        shapes.append((-(-rows // 2), -(-columns // 2)))
+    rows, columns = shapes[0]
+    sums = np.empty((rows, columns, 6))
+    segment_blocks.camera_sums(camera.tan_x, camera.tan_y, BLOCK, sums)
+    middle = np.ix_(
+        np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
+        np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
+    )
+    sizes = np.array(shapes).prod(axis=1)
+    return _Grid(
+        shapes=np.array(shapes),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        sums=sums,
+        centre_u=camera.tan_x[middle],
+        centre_v=camera.tan_y[middle],
+    )
+
+
+class _Room:
+    """Arrays to work in. New ones for every frame would cost a millisecond: the system clears them."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.shape = camera.shape
+        pixels = camera.height * camera.width
+        grid = _grid(camera)
+        blocks = int(grid.shapes[0].prod())
+        self.inverse_depth = np.empty(camera.shape)
+        self.owner = np.empty(camera.shape, np.int32)
+        self.pyramid = np.empty((grid.offsets[-1], 10))
+        self.moments = np.empty((blocks, 10))
+        self.squares = np.empty(blocks)
+        self.pairs = np.empty((4 * blocks, 2), np.int64)
+        self.contact = np.empty((4 * blocks, 3))
+        self.runs = np.empty((8, pixels), np.int32)
+
+
+class _Rooms(threading.local):
+    """One for each thread."""
+
+    room: _Room | None = None
+
+    def of(self, camera: Camera) -> _Room:
+        if self.room is None or self.room.shape != camera.shape:
+            self.room = _Room(camera)
+        return self.room
+
+
+_rooms = _Rooms()
+
+
+def _result(
+    camera: Camera,
+    room: _Room,
+    number_of: NDArray[np.int64],
+    alpha: Floats,
+    slope: Floats,
+    waves: Floats,
+    region_moments: Floats,
+    region_squares: NDArray[Any],
+    noise: FrameNoise,
+    min_size: int,
+    rules: Rules,
+) -> Segmentation:
+    """Split the regions into connected parts, keep those that are planes, and describe them."""
+    tan_x, tan_y, inverse_depth = camera.tan_x, camera.tan_y, room.inverse_depth
+    mean_q = region_moments[:, 3] / np.maximum(region_moments[:, 0], 1.0)
+    table = np.arange(len(noise.sigma) - 1) * noise.sigma[0]
+    deviation = np.sqrt((np.interp(mean_q, table, noise.sigma[1:]) ** 2 + slope) * waves)
+
+    row, start, stop, of, vertical, parent, part, loose = room.runs
+    runs, loose_count = segment_pixels.find_runs(
+        room.owner, number_of, inverse_depth, row, start, stop, of, vertical, parent, loose
+    )
+    moments, squares = np.empty((runs, 10)), np.empty(runs)
+    size, across, down, of_part = np.empty((4, runs), np.int64)
+    count = segment_pixels.measure_parts(
+        row, start, stop, of, vertical, parent, runs, part, inverse_depth, tan_x, tan_y,
+        alpha, deviation, CUT, region_moments, region_squares, moments, squares, size, across, down, of_part,
+    )  # fmt: skip
+    size = size[:count]
+    why = np.full(count, Reason.PLANE, np.uint8)
+    why[size < rules.narrow * np.maximum(across, down)[:count]] = Reason.NARROW
+    why[squares[:count] > rules.rough**2 * size] = Reason.ROUGH
+    why[size < min_size] = Reason.SMALL
+    kept = np.flatnonzero(why == Reason.PLANE)
+    number = np.zeros(count, np.int32)
+    number[kept] = np.arange(1, len(kept) + 1)
+
+    sizes = np.empty(len(kept) + 1, np.int32)
+    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
+    segment_pixels.write_labels(
+        row, start, stop, runs, part, number, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
+        inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
+    )  # fmt: skip
+
+    chosen = moments[kept]
+    alpha = np.empty((len(kept), 3))
+    rss = np.empty(len(kept))
+    segment_pixels.final_planes(chosen, alpha, rss)
+    d = 1.0 / np.linalg.norm(alpha, axis=1)
+    return Segmentation(
+        camera=camera,
+        labels=labels,
+        planes=np.column_stack([-alpha * d[:, None], d]),
+        alpha=alpha,
+        alpha_covariance=_covariance(chosen, rss, deviation[of_part[kept]]),
+        sizes=sizes[1:],
+        rmse=np.sqrt(rss / np.maximum(chosen[:, 0], 1.0)),
+        reason=reason,
+        sigma=float(np.median(noise.sigma[1:])),
+    )
+
+
+def _covariance(moments: Floats, rss: Floats, deviation: Floats) -> Floats:
+    """σ² (MᵀM)⁻¹ of each region."""
+    n, u, v, _, uu, uv, _, vv, _, _ = moments.T
+    normal = np.stack([uu, uv, u, uv, vv, v, u, v, n], axis=-1).reshape(-1, 3, 3)
+    variance = np.maximum(rss / np.maximum(n - 3.0, 1.0), deviation**2)
+    return np.asarray(variance[:, None, None] * np.linalg.inv(normal))

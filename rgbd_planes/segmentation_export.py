@@ -1,0 +1,105 @@
+"""Segmented planes for other tools: JSON, label images and PLY.
+
+All in the camera's frame (x right, y down, z forward) and in metres.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rgbd_planes.export import write_ply
+from rgbd_planes.files import write_beside
+from rgbd_planes.images import write_png
+from rgbd_planes.plotting_segments import NO_PLANE, label_colours
+from rgbd_planes.segmentation import Segmentation
+
+if TYPE_CHECKING:
+    from rgbd_planes.polygons import PlanePolygon
+
+
+def to_dict(segmentation: Segmentation, polygons: "Sequence[PlanePolygon] | None" = None) -> dict[str, Any]:
+    """Return the planes as what JSON can hold.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+    polygons : sequence of PlanePolygon, optional
+        Of `plane_polygons`; adds each plane's area, outline, hull and rectangle.
+
+    Returns
+    -------
+    dict
+        camera (`Camera.to_dict`), sigma, and planes: of each its label, plane [nx, ny, nz, d], covariance of
+        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres.
+    """
+    columns = zip(
+        segmentation.planes.tolist(),
+        segmentation.plane_covariance.tolist(),
+        segmentation.sizes.tolist(),
+        segmentation.rmse.tolist(),
+        segmentation.rmse_metric.tolist(),
+        strict=True,
+    )
+    planes: list[dict[str, Any]] = [
+        {
+            "label": label,
+            "plane": plane,
+            "covariance": covariance,
+            "size": size,
+            "rmse": rmse,
+            "rmse_metric": rmse_metric,
+        }
+        for label, (plane, covariance, size, rmse, rmse_metric) in enumerate(columns, start=1)
+    ]
+    for plane, polygon in zip(planes, polygons or (), strict=polygons is not None):
+        plane.update(polygon.to_dict())
+    return {"camera": segmentation.camera.to_dict(), "sigma": segmentation.sigma, "planes": planes}
+
+
+def write_json(
+    path: str | os.PathLike[str],
+    segmentation: Segmentation,
+    polygons: "Sequence[PlanePolygon] | None" = None,
+) -> None:
+    """Write `to_dict` as JSON; whole or not at all."""
+    with write_beside(path) as beside:
+        text = json.dumps(to_dict(segmentation, polygons), allow_nan=False)
+        beside.write_text(text + "\n", encoding="utf-8")
+
+
+def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> None:
+    """Write the labels as a 16-bit PNG, 0 for none."""
+    write_png(path, segmentation.labels.astype(np.uint16))
+
+
+def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, depth: ArrayLike) -> None:
+    """Write the measured points as a PLY file, each in the colour of its plane and with its normal.
+
+    Points on no plane are grey and their normals zero.
+    """
+    measured = segmentation.camera.points(depth).reshape(-1, 3)
+    labels = segmentation.labels.ravel()
+    seen = np.isfinite(measured).all(axis=1)
+    normals = np.vstack([np.zeros(3), segmentation.planes[:, :3]])
+    colours = np.vstack([[NO_PLANE], label_colours(len(segmentation))])
+    write_ply(path, measured[seen], normals=normals[labels[seen]], colours=colours[labels[seen]])
+
+
+def write_polygons_ply(path: str | os.PathLike[str], polygons: "Sequence[PlanePolygon]") -> None:
+    """Write the outlines as a PLY mesh of triangles, each plane in its colour; holes are holes."""
+    colours = label_colours(len(polygons))
+    triangles = [polygon.triangles() for polygon in polygons]
+    corners = [3 * len(own) for own in triangles]
+    points = np.concatenate([*triangles, np.empty((0, 3, 3))]).reshape(-1, 3)
+    normals = np.array([polygon.plane[:3] for polygon in polygons]).reshape(-1, 3)
+    write_ply(
+        path,
+        points,
+        normals=normals.repeat(corners, axis=0),
+        colours=colours.repeat(corners, axis=0),
+        faces=np.arange(len(points)).reshape(-1, 3),
+    )

@@ -1,0 +1,107 @@
+"""The noise of a depth frame, as a segmentation needs it, from the frame itself."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import DepthFrame
+from rgbd_planes.kernels import segment_blocks
+
+Floats = NDArray[np.float64]
+
+FLATNESS = 4e-4
+"""No surface of a room is flatter than this share of its distance, and hardly a sensor is better."""
+
+PIXEL = 0.5
+"""Standard deviation, in pixels, of where within its pixel a measurement lies: at most."""
+
+_ENTRIES = 33
+_FULL = 0.5  # share of a square's pixels that must be measured
+_FEWEST_SQUARES = 10
+
+
+@dataclass(frozen=True, eq=False)
+class FrameNoise:
+    """Standard deviation of inverse depth, and how it grows with slope and with size.
+
+    Attributes
+    ----------
+    sigma : (K + 1,) float64
+        The step of the table, then σ at q = 0, step, 2 step, ... in 1/m.
+    lateral : float
+        Pixels: the slope of a surface from pixel to pixel times this is noise, too.
+    growth : (3,) float64
+        Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
+    """
+
+    sigma: Floats
+    lateral: float
+    growth: Floats
+
+
+def estimate(
+    frame: DepthFrame,
+    camera: Camera,
+    pyramid: Floats,
+    offsets: NDArray[np.int64],
+    block: int,
+    farthest: float,
+    sigma: Callable[[Floats], Floats] | None,
+) -> FrameNoise:
+    """Estimate the noise of a frame from the residuals of its own squares of 8, 16 and 32 pixels.
+
+    Most squares of most frames hold one surface, so a low quantile of their residuals is noise. Where a
+    frame has too few squares to say, the noise is taken to be independent, and half a pixel across.
+
+    Parameters
+    ----------
+    pyramid, offsets
+        Moments of the squares, see `segment_blocks.sum_by_fours`.
+    farthest : float
+        Largest inverse depth of the frame, 1/m.
+    sigma : callable, optional
+        The sensor's standard deviation of inverse depth; estimated where not given.
+    """
+    pitch_x, pitch_y = 1.0 / camera.fx, 1.0 / camera.fy
+    mean_square, slope_square = np.empty((2, offsets[2] - offsets[1]))
+    growth = np.ones(3)
+    lateral = PIXEL
+    typical = 0.0
+    smallest = 0.0
+    for level in range(1, 4):
+        count = segment_blocks.square_residuals(
+            pyramid[offsets[level] : offsets[level + 1]],
+            _FULL * (block << level) ** 2,
+            pitch_x, pitch_y, mean_square, slope_square,
+        )  # fmt: skip
+        if count < _FEWEST_SQUARES:
+            growth[level - 1 :] = growth[max(level - 2, 0)]
+            break
+        square = mean_square[:count]
+        low, typical_square = np.quantile(square, (0.2, 0.35))
+        if level == 1:
+            smallest, typical = low, typical_square
+            steep = slope_square[:count] > 4.0 * typical
+            if np.count_nonzero(steep) > 5 * _FEWEST_SQUARES:
+                excess = np.maximum(square[steep] - typical, 0.0) / slope_square[:count][steep]
+                lateral = min(max(float(np.quantile(excess, 0.2)) ** 0.5, 0.05), PIXEL)
+        elif smallest > 0.0:
+            growth[level - 1] = min(max((low / smallest) ** 0.5, growth[level - 2]), 3.0)
+
+    q = np.linspace(0.0, farthest if farthest > 0.0 else 1.0, _ENTRIES)
+    if sigma is None:
+        table = np.maximum(typical**0.5, _rounding(frame, q))
+    else:
+        table = np.broadcast_to(np.asarray(sigma(q), dtype=np.float64), q.shape)
+    return FrameNoise(np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]), lateral, growth)
+
+
+def _rounding(frame: DepthFrame, q: Floats) -> Floats:
+    """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
+    if frame.raw.dtype.kind != "u":
+        return np.zeros_like(q)
+    step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
+    return np.asarray(step / 12.0**0.5)

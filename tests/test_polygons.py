@@ -1,0 +1,112 @@
+"""Outlines of planes whose shape is known."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rgbd_planes import Camera, scenes, segment
+
+shapely = pytest.importorskip("shapely")
+
+from rgbd_planes.polygons import plane_polygons, rays_through  # noqa: E402
+
+CAMERA = Camera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
+
+
+def board(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """A tilted rectangle of 0.8 x 0.6 m before a far wall: the depth and the corners."""
+    u = np.array([0.8 * np.cos(0.5), 0.0, 0.8 * np.sin(0.5)])
+    v = np.array([0.0, 0.6, 0.0])
+    first = np.array([-0.4, -0.3, 1.3])
+    corners = np.array([first, first + u, first + u + v, first + v])
+    wall = [(-9, -9, 4.0), (9, -9, 4.0), (9, 9, 4.0), (-9, 9, 4.0)]
+    scene = scenes.Scene((scenes.polygon("board", corners), scenes.polygon("wall", wall)), np.eye(4))
+    return scene.render(camera).depth, corners
+
+
+def test_a_rectangle_is_found_where_it_is() -> None:
+    depth, corners = board(CAMERA)
+    found = segment(depth, CAMERA)
+    polygons = plane_polygons(found)
+    assert len(polygons) == len(found) == 2
+    own = min(polygons, key=lambda polygon: polygon.area)
+    assert own.area == pytest.approx(0.48, rel=0.04)
+    assert own.hull.area == pytest.approx(0.48, rel=0.04)
+    sides = np.linalg.norm(np.diff(own.corners(), axis=0), axis=1)
+    assert sorted(sides[:2]) == pytest.approx([0.6, 0.8], rel=0.04)
+    for corner in corners:
+        assert np.linalg.norm(own.corners() - corner, axis=1).min() < 0.03
+    # The wall has a hole where the board is.
+    wall = max(polygons, key=lambda polygon: polygon.area)
+    assert len(wall.metric.geoms) == 1
+    assert len(wall.metric.geoms[0].interiors) == 1
+    view = (160 / 130 * 4.0) * (120 / 130 * 4.0)
+    shadow = shapely.Polygon((corners / corners[:, 2:] * 4.0)[:, :2]).area
+    assert wall.area == pytest.approx(view - shadow, rel=0.01)
+    assert wall.hull.area == pytest.approx(view, rel=0.01)
+
+
+def test_coordinates_are_in_the_plane() -> None:
+    depth, _ = board(CAMERA)
+    for own in plane_polygons(segment(depth, CAMERA)):
+        assert own.axes @ own.axes.T == pytest.approx(np.eye(2), abs=1e-12)
+        assert own.axes @ own.plane[:3] == pytest.approx([0.0, 0.0], abs=1e-12)
+        assert own.axes[0, 0] > 0
+        assert own.axes[1, 1] > 0
+        for rings in own.rings():
+            for ring in rings:
+                assert ring @ own.plane[:3] + own.plane[3] == pytest.approx(np.zeros(len(ring)), abs=1e-9)
+        triangles = own.triangles()
+        areas = np.linalg.norm(
+            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+        )
+        assert 0.5 * areas.sum() == pytest.approx(own.area, rel=1e-6)
+
+
+def test_outline_without_simplification_covers_every_pixel() -> None:
+    depth, _ = board(CAMERA)
+    found = segment(depth, CAMERA)
+    for own in plane_polygons(found, tolerance=0.0, min_part=0.0):
+        rows, columns = np.nonzero(found.labels == own.label)
+        assert shapely.contains_xy(own.image, columns, rows).all()
+        rows, columns = np.nonzero(found.labels != own.label)
+        assert not shapely.contains_xy(own.image, columns, rows).any()
+        assert own.image.area == pytest.approx(found.sizes[own.label - 1], rel=0.02)
+
+
+def test_tolerance_saves_corners() -> None:
+    depth, _ = board(CAMERA)
+    found = segment(depth, CAMERA)
+    every, few = (plane_polygons(found, tolerance=tolerance) for tolerance in (0.0, 2.0))
+    for one, other in zip(every, few, strict=True):
+        assert shapely.get_num_coordinates(other.image) < 0.3 * shapely.get_num_coordinates(one.image)
+        assert one.image.hausdorff_distance(other.image) < 3.0
+
+
+def test_dictionary_is_json() -> None:
+    depth, _ = board(CAMERA)
+    own = plane_polygons(segment(depth, CAMERA))[0]
+    read = json.loads(json.dumps(own.to_dict()))
+    assert read["label"] == 1
+    assert np.array(read["rectangle"]).shape == (4, 3)
+    assert np.array(read["outline"][0][0]).shape[1] == 3
+
+
+def test_rays_between_pixels() -> None:
+    rays = rays_through(CAMERA, [(79.5, 59.5), (0.0, 0.0), (159.5, -0.5)])
+    assert rays[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+    assert rays[1] == pytest.approx([CAMERA.tan_x[0, 0], CAMERA.tan_y[0, 0], 1.0])
+    assert rays[2] == pytest.approx([80.0 / 130.0, -60.0 / 130.0, 1.0])
+
+
+def test_bad_arguments() -> None:
+    found = segment(np.full(CAMERA.shape, 1.0), CAMERA)
+    with pytest.raises(ValueError, match="tolerance must not be negative"):
+        plane_polygons(found, tolerance=-1.0)
+    with pytest.raises(ValueError, match="min_part must not be negative"):
+        plane_polygons(found, min_part=float("nan"))
+
+
+def test_no_plane_no_polygon() -> None:
+    assert plane_polygons(segment(np.zeros(CAMERA.shape), CAMERA)) == []

@@ -1,0 +1,227 @@
+"""Segmentation: what a frame with known planes gives, and that no frame breaks it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rgbd_planes import Camera, scenes, segment
+from rgbd_planes.metrics import compare_labels, plane_errors
+from rgbd_planes.segmentation import Reason
+
+CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
+
+
+def two_planes(camera: Camera, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse depth of two parallel walls, the right one ``step`` metres nearer, and the labels."""
+    labels = np.where(np.arange(camera.width) < camera.width // 2, 1, 2)
+    labels = np.broadcast_to(labels, camera.shape)
+    return np.where(labels == 1, 1.0, 1.0 / (1.0 - step)), labels.astype(np.int32)
+
+
+@pytest.fixture(scope="module")
+def room():
+    rendering = scenes.room().render(CAMERA)
+    return rendering, rendering.measure(holes=0.05, seed=3)
+
+
+def empty_room() -> scenes.Scene:
+    """Six planes: floor, ceiling, three walls, and a board that stands in the middle."""
+    x, y, z = 1.6, 1.2, 3.5
+    return scenes.Scene(
+        (
+            scenes.polygon("floor", [(-x, y, 0.1), (x, y, 0.1), (x, y, z), (-x, y, z)]),
+            scenes.polygon("ceiling", [(-x, -y, 0.1), (x, -y, 0.1), (x, -y, z), (-x, -y, z)]),
+            scenes.polygon("left wall", [(-x, -y, 0.1), (-x, y, 0.1), (-x, y, z), (-x, -y, z)]),
+            scenes.polygon("right wall", [(x, -y, 0.1), (x, y, 0.1), (x, y, z), (x, -y, z)]),
+            scenes.polygon("back wall", [(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)]),
+            scenes.polygon("board", [(-0.5, -0.3, 2.0), (0.4, -0.3, 2.2), (0.4, 0.5, 2.2), (-0.5, 0.5, 2.0)]),
+        ),
+        np.eye(4),
+    )
+
+
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
+def test_empty_room_with_holes(distortion):
+    camera = Camera(**{**CAMERA.to_dict(), "distortion": distortion})
+    rendering = empty_room().render(camera)
+    depth = rendering.measure(holes=0.05, seed=4)
+    found = segment(depth, camera)
+    assert len(found) == 6
+    scores = compare_labels(found.labels, np.where(depth > 0, rendering.labels, 0)).detection(0.9)
+    assert scores.recall == 1.0
+    assert scores.matched_iou > 0.99
+    truth, own = scores.pairs.T
+    errors = plane_errors(found.planes[own - 1], rendering.planes[truth - 1])
+    assert errors.angle_deg.max() < 0.3
+    assert np.abs(errors.offset).max() < 0.005
+
+
+def test_furnished_room_with_holes(room):
+    # 24 planes, five of them under 200 pixels.
+    rendering, depth = room
+    found = segment(depth, CAMERA)
+    scores = compare_labels(found.labels, np.where(depth > 0, rendering.labels, 0)).detection(0.75)
+    assert scores.recall > 0.75
+    assert scores.precision > 0.85
+    assert scores.matched_iou > 0.94
+
+
+def test_planes_are_the_least_squares_fit_of_their_pixels():
+    rng = np.random.default_rng(5)
+    q, _ = two_planes(CAMERA, 0.05)
+    depth = 1.0 / (q + rng.normal(0.0, 1e-3, q.shape))
+    found = segment(depth, CAMERA)
+    assert len(found) == 2
+    for label in (1, 2):
+        own = found.labels == label
+        rays = np.column_stack([CAMERA.tan_x[own], CAMERA.tan_y[own], np.ones(own.sum())])
+        alpha, *_ = np.linalg.lstsq(rays, 1.0 / depth[own], rcond=None)
+        assert found.alpha[label - 1] == pytest.approx(alpha, rel=1e-3, abs=1e-4)
+    assert np.linalg.norm(found.planes[:, :3], axis=1) == pytest.approx(1.0)
+    assert (found.planes[:, 3] > 0).all()
+    assert found.fitted_inverse_depth()[found.labels == 1].mean() == pytest.approx(1.0, abs=1e-4)
+    assert found.rmse == pytest.approx(1e-3, rel=0.02)
+    assert found.sizes.tolist() == [np.count_nonzero(found.labels == label) for label in (1, 2)]
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.02, 2), (0.0005, 1)])
+def test_parallel_planes_stay_two_where_the_noise_allows(step, expected):
+    rng = np.random.default_rng(6)
+    q, truth = two_planes(CAMERA, step)
+    found = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA)
+    assert len(found) == expected
+    if expected == 2:
+        assert compare_labels(found.labels, truth).detection(0.95).recall == 1.0
+
+
+def test_crease_is_where_the_planes_meet():
+    # Two walls that meet in a vertical edge at column 160, each with four sigma of slope across the noise.
+    u = CAMERA.tan_x
+    q = 0.6 - 0.2 * np.abs(u - CAMERA.tan_x[0, 160])
+    rng = np.random.default_rng(7)
+    found = segment(1.0 / (q + rng.normal(0.0, 1.5e-3, q.shape)), CAMERA)
+    assert len(found) == 2
+    edge = (found.labels == found.labels[0, 0]).sum(axis=1)
+    assert np.abs(edge - 160).mean() < 2.0
+
+
+def test_holes_and_thin_gaps_do_not_cut_a_plane():
+    rng = np.random.default_rng(8)
+    depth = 1.0 / (0.7 + 0.1 * CAMERA.tan_x + rng.normal(0.0, 1e-3, CAMERA.shape))
+    depth[rng.random(depth.shape) < 0.3] = 0.0
+    depth[:, 100:102] = 0.0
+    found = segment(depth, CAMERA)
+    assert len(found) == 1
+    assert ((found.reason == Reason.MISSING) == (depth == 0)).all()
+    assert (found.labels[depth > 0] == 1).mean() > 0.99
+
+
+def test_small_planes_and_the_reason_why_not():
+    rng = np.random.default_rng(9)
+    q = np.full(CAMERA.shape, 0.5)
+    q[100:112, 100:112] = 0.6
+    depth = 1.0 / (q + rng.normal(0.0, 1e-3, q.shape))
+    assert segment(depth, CAMERA, min_size=100).sizes.tolist() == [q.size - 144, 144]
+    found = segment(depth, CAMERA, min_size=200)
+    assert len(found) == 1
+    assert np.isin(found.reason[102:110, 102:110], [Reason.SMALL, Reason.UNCLAIMED]).all()
+
+
+def test_noise_can_be_given():
+    rng = np.random.default_rng(10)
+    q, _ = two_planes(CAMERA, 0.01)
+    depth = 1.0 / (q + rng.normal(0.0, 1e-3, q.shape))
+    assert len(segment(depth, CAMERA)) == 2
+    assert len(segment(depth, CAMERA, noise=1e-2)) == 1
+    assert len(segment(depth, CAMERA, noise=lambda q: 1e-2 * np.ones_like(q))) == 1
+    assert len(segment(depth, CAMERA, noise=SimpleNamespace(sigma=lambda q: 1e-2 + 0.0 * q))) == 1
+    with pytest.raises(ValueError, match="positive standard deviation"):
+        segment(depth, CAMERA, noise=-1.0)
+    with pytest.raises(TypeError, match="a number in 1/m"):
+        segment(depth, CAMERA, noise="kinect")
+    with pytest.raises(ValueError, match="min_size must be at least 3"):
+        segment(depth, CAMERA, min_size=2)
+
+
+def odd_frames():
+    rng = np.random.default_rng(11)
+    yield "empty", np.zeros((240, 320), np.uint16), 0
+    yield "sentinel", np.full((240, 320), 65535, np.uint16), 0
+    yield "flat", np.full((240, 320), 1500, np.uint16), 1
+    yield "flat metres", np.full((240, 320), 1.5), 1
+    yield "one row", np.where(np.arange(240)[:, None] == 100, 1.5, 0.0) * np.ones((1, 320)), 0
+    yield "one pixel", np.where(np.arange(320 * 240).reshape(240, 320) == 9000, 2.0, 0.0), 0
+    yield "not a number", np.full((240, 320), np.nan), 0
+    yield "all noise", rng.integers(500, 6000, (240, 320)).astype(np.uint16), None
+    yield "single tilted", 1.0 / (0.5 + 0.2 * CAMERA.tan_x + 0.1 * CAMERA.tan_y), 1
+
+
+@pytest.mark.parametrize(
+    ("depth", "planes"), [(d, n) for _, d, n in odd_frames()], ids=[name for name, *_ in odd_frames()]
+)
+def test_odd_frames_give_an_answer(depth, planes):
+    camera = CAMERA
+    if depth.max() == 65535:
+        camera = Camera(**{**CAMERA.to_dict(), "invalid_values": (65535,)})
+    found = segment(depth, camera)
+    assert planes is None or len(found) == planes
+    assert np.isfinite(found.planes).all()
+    assert found.labels.dtype == np.int32
+    assert found.labels.max() == len(found)
+
+
+@pytest.mark.parametrize("size", [(16, 16), (3, 3), (1, 1), (5, 200), (237, 319)])
+def test_any_size(size):
+    height, width = size
+    camera = Camera(width=width, height=height, fx=300.0, fy=-300.0, cx=width / 2, cy=height / 2)
+    depth = np.full((height, width), 1.25, np.float32)
+    found = segment(depth, camera)
+    assert found.labels.shape == size
+    if height >= 16:
+        assert (found.labels == 1).all()
+        assert found.planes[0] == pytest.approx([0.0, 0.0, -1.0, 1.25], abs=1e-6)
+
+
+def test_same_bits_every_time(room):
+    _, depth = room
+    first, second = segment(depth, CAMERA), segment(depth, CAMERA)
+    for name in ("labels", "planes", "alpha_covariance", "rmse", "reason"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+def test_labels_for_others(room):
+    found = segment(room[1], CAMERA)
+    assert found.labels_from_minus_one().min() >= -1
+    assert (found.labels_from_minus_one() + 1 == found.labels).all()
+    opencv = found.labels_for_opencv()
+    assert opencv.dtype == np.uint8
+    assert ((opencv == 255) == (found.labels == 0)).all()
+    assert (opencv[found.labels > 0] == found.labels[found.labels > 0] - 1).all()
+
+
+def test_covariance_is_that_of_the_fit():
+    # The observed spread of α over frames is what every single frame predicts.
+    camera = Camera(width=96, height=64, fx=100.0, fy=100.0, cx=47.5, cy=31.5)
+    rng = np.random.default_rng(12)
+    q = 0.7 + 0.05 * camera.tan_x
+    frames = [segment(1.0 / (q + rng.normal(0.0, 2e-3, q.shape)), camera) for _ in range(60)]
+    observed = np.cov([f.alpha[0] for f in frames], rowvar=False)
+    predicted = np.mean([f.alpha_covariance[0] for f in frames], axis=0)
+    assert np.diag(predicted) == pytest.approx(np.diag(observed), rel=0.6)
+    planes = np.cov([f.planes[0] for f in frames], rowvar=False)
+    assert np.diag(frames[0].plane_covariance[0])[:2] == pytest.approx(np.diag(planes)[:2], rel=0.6)
+
+
+def test_plot_draws(room):
+    found = segment(room[1], CAMERA)
+    axes = found.plot(room[1])
+    assert f"{len(found)} planes" in axes.get_title()
+    assert len(axes.images) == 1
+
+
+def test_real_frames(real_frame):
+    depth, camera = real_frame
+    found = segment(depth, camera)
+    assert len(found) >= 3
+    assert (found.labels > 0).sum() > 0.5 * (found.reason != Reason.MISSING).sum()

@@ -1,0 +1,75 @@
+"""Ids stay with their planes while the camera moves."""
+
+import numpy as np
+import pytest
+
+from rgbd_planes import Camera, scenes
+from rgbd_planes.metrics import compare_labels
+from rgbd_planes.tracking import segment_sequence
+
+CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
+
+
+def steps(count: int) -> list[tuple[np.ndarray, scenes.Rendering]]:
+    """A camera that walks through the room, a centimetre or two a frame."""
+    frames = []
+    for i in range(count):
+        scene = scenes.room(eye=(0.35 - 0.015 * i, -1.5, -0.2 + 0.01 * i))
+        rendering = scene.render(CAMERA)
+        frames.append((rendering.measure(holes=0.02, seed=i), rendering))
+    return frames
+
+
+def test_ids_stay_with_the_planes() -> None:
+    frames = steps(8)
+    name_of: dict[int, str] = {}
+    agreeing = checked = 0
+    for (_, rendering), tracked in zip(frames, segment_sequence((f for f, _ in frames), CAMERA), strict=True):
+        assert tracked.labels.max() == tracked.ids.max()
+        assert len(set(tracked.ids.tolist())) == len(tracked.ids)
+        for truth, own in compare_labels(tracked.labels, rendering.labels).detection(0.6).pairs:
+            checked += 1
+            agreeing += name_of.setdefault(int(own), rendering.names[truth - 1]) == rendering.names[truth - 1]
+    assert checked > 60
+    assert agreeing >= 0.97 * checked
+    # Few planes got a second id.
+    assert len(name_of) <= len(set(name_of.values())) + 4
+
+
+def wall_and_board(shown: bool) -> np.ndarray:
+    depth = np.full(CAMERA.shape, 2.0)
+    if shown:
+        depth[30:70, 40:90] = 1.5
+    return depth
+
+
+def test_a_plane_behind_another_is_new_when_it_comes_back() -> None:
+    frames = [wall_and_board(True), wall_and_board(False), wall_and_board(True)]
+    ids = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA)]
+    assert ids == [[1, 2], [1], [1, 3]]
+
+
+def test_missing_frames_do_not_lose_the_ids() -> None:
+    frames = [wall_and_board(True), np.zeros(CAMERA.shape), np.zeros(CAMERA.shape), wall_and_board(True)]
+    kept = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=3)]
+    assert kept == [[1, 2], [], [], [1, 2]]
+    lost = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=1)]
+    assert lost == [[1, 2], [], [], [3, 4]]
+
+
+def test_frames_are_read_one_at_a_time() -> None:
+    read = []
+
+    def frames():
+        for i in range(3):
+            read.append(i)
+            yield wall_and_board(True)
+
+    sequence = segment_sequence(frames(), CAMERA)
+    next(sequence)
+    assert read == [0]
+
+
+def test_bad_memory() -> None:
+    with pytest.raises(ValueError, match="memory must be a number of frames"):
+        segment_sequence([], CAMERA, memory=-1)
