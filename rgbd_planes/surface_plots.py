@@ -10,10 +10,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.colours import MISSING, normal_colours
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.plotting import NotebookFigure, normal_colours
+from rgbd_planes.plotting import NotebookFigure
 
-_MISSING = (0.86, 0.86, 0.86)
 _PANEL_INCHES = 5.2
 
 
@@ -43,7 +43,7 @@ def plot_surfaces(
     figure = NotebookFigure((3 * _PANEL_INCHES, panel + 1.0), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
 
-    viridis = colormaps["viridis_r"].with_extremes(bad=_MISSING)
+    viridis = colormaps["viridis_r"].with_extremes(bad=MISSING)
     near, far = _limits(metres, (0.5, 99.5), (0.0, 1.0))
     image = left.imshow(metres, cmap=viridis, vmin=near, vmax=far, interpolation="nearest")
     left.set_title("Measured depth")
@@ -66,7 +66,7 @@ def plot_surfaces(
         "degrees that the surface faces to the right, or up, from facing the camera", fontsize=9
     )
 
-    magma = colormaps["magma"].with_extremes(bad=_MISSING)
+    magma = colormaps["magma"].with_extremes(bad=MISSING)
     low, high = _limits(np.where(curvature > 0.0, curvature, np.nan), (1.0, 99.5), (1e-3, 1.0))
     image = right.imshow(curvature, cmap=magma, norm=LogNorm(low, high, clip=True), interpolation="nearest")
     right.set_title("Curvature (surface variation)")

@@ -9,15 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import REAL_DATA
+import real_data
 from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
 
-needs_real_data = pytest.mark.skipif(
-    not REAL_DATA.is_dir(), reason=f"no real frames in {REAL_DATA.parent.name}"
-)
+needs_real_data = pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
 
@@ -437,7 +435,7 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
 
 @needs_real_data
 def test_every_real_set_is_a_folder():
-    for root in sorted(file.parent for file in REAL_DATA.glob("*/camera.json")):
+    for root in sorted(file.parent for file in real_data.FOLDER.glob("*/camera.json")):
         about = json.loads((root / "camera.json").read_text())
         if about["depth_scale"] is None and about["disparity"] is None:
             continue  # its depth is relative
@@ -449,7 +447,7 @@ def test_every_real_set_is_a_folder():
 
 @needs_real_data
 def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path):
-    source = REAL_DATA / "kinect1_7scenes_seq" / "depth"
+    source = real_data.FOLDER / "kinect1_7scenes_seq" / "depth"
     files = sorted(source.glob("*.png"))[:5]
     for i, file in enumerate(files):
         (tmp_path / f"frame-{i:06d}.depth.png").symlink_to(file)
@@ -460,7 +458,7 @@ def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path):
     tiles = rp.fit_tiles(sequence[0].depth, sequence.camera, 16)
     assert tiles.fitted.mean() > 0.8
 
-    source = next((REAL_DATA / "tum_fr1_distorted" / "depth").glob("*.png"))
+    source = next((real_data.FOLDER / "tum_fr1_distorted" / "depth").glob("*.png"))
     root = tmp_path / "rgbd_dataset_freiburg1_desk"
     root.mkdir()
     (root / "depth").symlink_to(source.parent)
