@@ -42,7 +42,7 @@ def test_normal_of_a_strip(width, thickness, rng):
         points = rng.standard_normal((40, 3)) * [1.0, width, thickness * width]
         points = points @ np.linalg.qr(rng.standard_normal((3, 3)))[0]
         points -= points.mean(axis=0)
-        wanted = np.linalg.svd(points)[2][-1]
+        wanted = np.linalg.svd(points, full_matrices=False)[2][-1]
         vector = np.array(eigen3.smallest_eigenpair(*entries(points.T @ points))[1:])
         assert np.linalg.norm(vector - wanted * np.sign(vector @ wanted)) < 3e-14 / width**2
 
@@ -58,7 +58,7 @@ def test_smallest_eigenvector_4x4(points, thickness, distance):
     gaps = np.linalg.eigvalsh(scatter)
     one = np.column_stack([points, np.ones(len(points))])
     value, *vector = eigen4.smallest_eigenvector(len(points), *mean, *entries(scatter))
-    singular, vectors = np.linalg.svd(one)[1:]
+    singular, vectors = np.linalg.svd(one, full_matrices=False)[1:]
     if gaps[1] - gaps[0] < 1e-6 * gaps[2] or singular[2] ** 2 - singular[3] ** 2 < 1e-9 * singular[2] ** 2:
         return
     if abs(vectors[-1, 3]) < 1e-6:
@@ -92,7 +92,7 @@ def test_secular_solve_is_the_eigenvector(seed, noise, side):
     if quotient > smallest:
         assert np.isnan([value, *solution]).all()
         return
-    _, singular, vectors = np.linalg.svd(np.column_stack([rays, q]))
+    _, singular, vectors = np.linalg.svd(np.column_stack([rays, q]), full_matrices=False)
     wanted = -vectors[-1, :3] / vectors[-1, 3]
     gap = singular[2] ** 2 - singular[3] ** 2
     bound = 1e-14 * singular[0] ** 2 / gap * np.linalg.norm(wanted) ** 2
