@@ -24,13 +24,12 @@ def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
     division and one square root a pixel.
     """
     for i in range(needed.shape[0]):
-        n_whole, x_whole, y_whole = valid_sums[i], valid_sums[PITCH + i], valid_sums[3 * PITCH + i]
-        c_xx = float(np.int32(n_whole * valid_sums[2 * PITCH + i] - x_whole * x_whole))
-        c_xy = float(np.int32(n_whole * valid_sums[4 * PITCH + i] - x_whole * y_whole))
-        c_yy = float(np.int32(n_whole * valid_sums[5 * PITCH + i] - y_whole * y_whole))
-        n = float(n_whole)
-        x = float(x_whole)
-        y = float(y_whole)
+        n = np.float64(valid_sums[i])
+        x = np.float64(valid_sums[PITCH + i])
+        y = np.float64(valid_sums[3 * PITCH + i])
+        c_xx = n * valid_sums[2 * PITCH + i] - x * x
+        c_xy = n * valid_sums[4 * PITCH + i] - x * y
+        c_yy = n * valid_sums[5 * PITCH + i] - y * y
         q = sums[i]
         c_xq = n * sums[PITCH + i] - x * q
         c_yq = n * sums[2 * PITCH + i] - y * q
@@ -41,7 +40,7 @@ def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
         a = fx * (n * slope_x)
         b = fy * (n * slope_y)
         c = centre - a * tan_x[i] - b * tan_y
-        enough = (n_whole >= needed[i]) & (valid[i] > 0)
+        enough = (valid_sums[i] >= needed[i]) & (valid[i] > np.float32(0.0))
         there = enough & (determinant > 0.0) & (centre > 0.0)
         inverse_norm = -1.0 / math.sqrt(a * a + b * b + c * c)
         inverse_norm = inverse_norm if there else math.nan
@@ -64,7 +63,7 @@ def surface_row(
     ----------
     sums, squares, valid_sums
         Σq, Σqx, Σqy; Σq²; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy but for a constant.
-    needed : (N,) int32
+    needed : (N,) float32
         Fewer valid pixels give NaN.
     x_pixel, y_pixel : (N,) float64
         The centre pixel in these coordinates.
@@ -76,7 +75,7 @@ def surface_row(
     inverse_fx = 1.0 / fx
     inverse_fy = 1.0 / fy
     for i in range(needed.shape[0]):
-        n = float(valid_sums[i])
+        n = np.float64(valid_sums[i])
         share = 1.0 / n
         x = share * valid_sums[PITCH + i]
         y = share * valid_sums[3 * PITCH + i]
@@ -155,18 +154,18 @@ def separable(
     slots = window + 1  # for the window's rows and the one that leaves
     rows = np.zeros((slots, 2 * PITCH))
     square_rows = np.zeros((slots, PITCH))
-    valid_rows = np.zeros((slots, 3 * PITCH), np.int32)
-    valid = np.zeros((slots, 3 * PITCH), np.int32)
+    valid_rows = np.zeros((slots, 3 * PITCH), np.float32)
+    valid = np.zeros((slots, 3 * PITCH), np.float32)
     missing = np.zeros(slots, np.int64)
     wild = np.zeros(slots, np.int64)
     q = np.zeros(2 * PITCH)
     work = np.zeros((3, 2 * PITCH))
-    valid_work = np.zeros((3, 3 * PITCH), np.int32)
+    valid_work = np.zeros((3, 3 * PITCH), np.float32)
     sums = np.zeros(3 * PITCH)
     squared = np.zeros(PITCH)
     squares = np.zeros(PITCH)
-    valid_sums = np.zeros(6 * PITCH, np.int32)
-    needed = np.empty(strip, np.int32)
+    valid_sums = np.zeros(6 * PITCH, np.float32)
+    needed = np.empty(strip, np.float32)
     at_centre = np.zeros(strip)
     tan_y_row = np.empty(strip)
     sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
@@ -259,12 +258,12 @@ def distorted(
     channels = 10
     rows = np.zeros((slots, channels * PITCH))
     wild = np.zeros(slots, np.int64)
-    valid = np.zeros((slots, PITCH), np.int32)
+    valid = np.zeros((slots, PITCH), np.float32)
     q = np.zeros(PITCH)
     row_channels = np.zeros(channels * PITCH)
     work = np.zeros((3, channels * PITCH))
     sums = np.zeros(channels * PITCH)
-    needed = np.empty(strip, np.int32)
+    needed = np.empty(strip, np.float32)
     x_pixel, y_pixel = np.empty(strip), np.empty(strip)
     sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
     steps = sliding.plan_steps(window, sizes, between)
@@ -321,7 +320,7 @@ def distorted(
 def ray_channels(q, valid, tan_x, tan_y, x_reference, y_reference, channels):
     """q, qx, qy; 1, x, xx, y, xy, yy; q² of a row's valid pixels; zeros where missing."""
     for i in range(tan_x.shape[0]):
-        there = float(valid[i])
+        there = np.float64(valid[i])
         x = there * (tan_x[i] - x_reference)
         y = there * (tan_y[i] - y_reference)
         channels[i] = q[i]

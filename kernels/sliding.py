@@ -1,19 +1,20 @@
 """Sums over the window around every pixel of a row, at a cost that hardly depends on the window's size.
 
 Least squares of q on m = (tanθx, tanθy, 1) needs, for each window, Σq, Σq·x, Σq·y of the inverse depth and,
-because pixels are missing and the frame ends, Σ1, Σx, Σy, Σxx, Σxy, Σyy over the pixels that are there. x and y
-count from the window's centre.
+because pixels are missing and the frame ends, Σ1, Σx, Σy, Σxx, Σxy, Σyy over the pixels that are there. x
+and y count from the window's centre.
 
-Along a row a window of w columns is put together from two of k and one of 1 or 3 between them, w = k + c + k, and
-those of k in the same way: a few steps for any w. Down the columns the sums move with the window, one row in
-and one out. Without lens distortion x and y are whole pixels, and the sums over the valid pixels whole numbers:
-exact. Those of the inverse depth are made anew from the window's rows at every BAND-th row of the frame, and
-when a row with a wild value leaves the window, so that rounding errors cannot pile up. Threads share out bands, so
-every window's sums are added in the same order for any number of threads.
+Along a row a window of w columns is put together from two of k and one of 1 or 3 between them, w = k + c +
+k, and those of k in the same way: a few steps for any w. Down the columns the sums move with the window,
+one row in and one out. Without lens distortion x and y are whole pixels, and the sums over the valid pixels
+whole numbers, exact in float32 for windows of up to 31: none reaches 2**24. Those of the inverse depth are
+made anew from the window's rows at every BAND-th row of the frame, and when a row with a wild value leaves
+the window, so that rounding errors cannot pile up. Threads share out bands, so every window's sums are
+added in the same order for any number of threads.
 
-The frame is handled in strips of columns. The channels of a strip's row (q, q·x, ...) lie one after the other at a
-fixed PITCH, so that the compiler sees their distance and vectorises every loop. Rows and columns that a window
-reaches beyond the frame are missing pixels, zero in every channel.
+The frame is handled in strips of columns. The channels of a strip's row (q, q·x, ...) lie one after the
+other at a fixed PITCH, so that the compiler sees their distance and vectorises every loop. Rows and columns
+that a window reaches beyond the frame are missing pixels, zero in every channel.
 """
 
 import numpy as np
@@ -71,7 +72,7 @@ def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, 
             inverse_depth = scale / values[i]
         inverse_depth = inverse_depth if is_valid else 0.0
         q_inside[i] = inverse_depth
-        valid_inside[i] = 1 if is_valid else 0
+        valid_inside[i] = np.float32(1.0) if is_valid else np.float32(0.0)
         missing += 0 if is_valid else 1
         wild += 1 if inverse_depth > WILD else 0
     return missing, wild
@@ -199,10 +200,10 @@ def valid_sums_along_row(steps, sizes, between, valid, count, work, sums):
     ----------
     steps, sizes, between
         From `plan_steps`.
-    valid : (3 * PITCH,) int32
+    valid : (3 * PITCH,) float32
         1 or 0 for ``count`` columns, and zeros, which are Σx and Σxx over one column.
-    work : (3, 3 * PITCH) int32
-    sums : (3 * PITCH,) int32, written
+    work : (3, 3 * PITCH) float32
+    sums : (3 * PITCH,) float32, written
     """
     three = sums if steps == 1 and between[0] == 1 else work[2]
     three_valid_columns(valid, count, three)
@@ -215,7 +216,7 @@ def valid_sums_along_row(steps, sizes, between, valid, count, work, sums):
             part = three
             size = 3
             continue
-        shift = np.int32((size + c) // 2)
+        shift = np.float32((size + c) // 2)
         new_size = 2 * size + c
         if c == 1:
             join_valid_columns(shift, part, valid[size:], part[size + 1 :], count - new_size + 1, target)
@@ -280,7 +281,7 @@ def add_depth_row(y, row, count, sums):
 @kernel(reduction=True)
 def add_valid_row(y, row, count, sums):
     """Add a row at y to the window's sums of 1, x, xx, y, xy, yy over valid pixels."""
-    weight = np.int32(y)
+    weight = np.float32(y)
     for i in range(count):
         sums[i] += row[i]
         sums[PITCH + i] += row[PITCH + i]
@@ -304,8 +305,8 @@ def move_depth_sums(half, old, new, count, sums):
 @kernel(reduction=True)
 def move_valid_sums(half, old, new, count, sums):
     """Move the window's sums over valid pixels one row down, as `move_depth_sums`; exact."""
-    weight = np.int32(half)
-    square = np.int32(half * half)
+    weight = np.float32(half)
+    square = np.float32(half * half)
     for i in range(count):
         rest = sums[i] - old[i]
         rest_x = sums[PITCH + i] - old[PITCH + i]

@@ -64,7 +64,8 @@ def normals(
     -----
     A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
     beside it by more than noise explains: by the factor that the ratio of two such variances exceeds once
-    in a thousand times for independent normal noise. There is no threshold to set. It takes about three times as long.
+    in a thousand times for independent normal noise. There is no threshold to set. It takes about four
+    times as long.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 

@@ -142,7 +142,7 @@ def test_every_window_size(window, rng):
 
 @pytest.mark.parametrize("holes", ["none", "patches", "some"])
 @pytest.mark.parametrize("distortion", ["pinhole", "five"])
-@pytest.mark.parametrize("shape", [(150, 24), (9, 1500)], ids=["tall", "wide"])
+@pytest.mark.parametrize("shape", [(150, 24), (9, 1400)], ids=["tall", "wide"])
 def test_frames_larger_than_a_band_and_a_strip(shape, distortion, holes, rng):
     height, width = shape
     coefficients = tuple(0.1 * k for k in DISTORTIONS[distortion])
@@ -151,7 +151,7 @@ def test_frames_larger_than_a_band_and_a_strip(shape, distortion, holes, rng):
     pixels = [tuple(pixel) for pixel in rng.integers(shape, size=(400, 2))]
     # Where bands and strips meet.
     pixels += [(row, column) for row in (62, 63, 64, 65, 127, 128) for column in (0, 11, 23) if row < height]
-    pixels += [(row, c) for row in (0, 4, 8) for c in (498, 499, 500, 501, 749, 750, 751, 999) if c < width]
+    pixels += [(row, c) for row in (0, 4, 8) for c in (465, 466, 467, 468, 932, 933, 934, 935) if c < width]
     for window in (5, 7):
         assert compare(depth, camera, window, pixels) > 100
 
