@@ -10,6 +10,19 @@ def tile_camera(tile, noise, *, left=0.0, top=0.0, focal=525.0):
     return rp.Camera(tile, tile, focal, focal, 319.5 - left, 239.5 - top, noise=noise)
 
 
+def repeat(camera, times):
+    """A camera that sees what ``camera`` sees ``times`` x ``times`` times side by side.
+
+    No lens does that: it lets one frame hold many measurements of the same pixels.
+    """
+    size = times * camera.width, times * camera.height
+    no_bend = (1e-300, 0.0, 0.0, 0.0)  # distorted, as far as the library knows, so that it uses the tables
+    many = rp.Camera(*size, 1.0, 1.0, 0.0, 0.0, no_bend, noise=camera.noise)
+    tables = tuple(np.tile(table, (times, times)) for table in (camera.tan_x, camera.tan_y))
+    object.__setattr__(many, "_tables_made", tables)
+    return many
+
+
 def plane_through_middle(camera, depth, incidence, direction=0.6):
     """α of the plane that the ray through the middle of the image meets at this depth and angle (degrees)."""
     ray = np.array([camera.tan_x.mean(), camera.tan_y.mean(), 1.0])
