@@ -130,6 +130,11 @@ class RoughTest:
         limit = table.expected * chdtri(table.freedom, level) / table.freedom
         self._limit = np.where(counts > 3, limit, np.inf)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to test."""
+        return self._noise is None
+
     def mark(self, method: str, arrays: "Arrays", start: int, stop: int) -> None:
         """Mark tiles ``start`` to ``stop`` of one frame: flat arrays, as in `fitting.solve_planes`."""
         if self._noise is None:
