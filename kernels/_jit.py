@@ -31,7 +31,7 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def kernel(*, reduction: bool = False) -> Callable[[Function], Function]:
+def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Function], Function]:
     """Compile a function with Numba, lazily, cached on disk where a cache can be written.
 
     Parameters
@@ -39,8 +39,11 @@ def kernel(*, reduction: bool = False) -> Callable[[Function], Function]:
     reduction : bool
         Let the compiler reorder sums so that they vectorise. NaN and infinity keep their meaning. Never
         for the solves, whose order of operations is their accuracy.
+    inline : bool
+        Make the function part of every kernel that calls it, so that the compiler sees the sizes of the
+        arrays that it gets.
     """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": inline}
     if reduction:
         options["fastmath"] = {"contract", "reassoc"}
 

@@ -1,14 +1,18 @@
-"""Moments of every tile of a grid in one pass over the frame: the ``direct`` implementation.
+"""Moments of the tiles of a grid in one pass over the frame: the ``direct`` implementation.
 
 A pixel is a triple (u, v, w): (tanθx, tanθy, q) with q = 1/Z in range space, (X, Y, Z) in the standard
 one. A tile's moments are the ten sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over its valid pixels,
 of coordinates taken relative to a reference point of the tile, so that nothing cancels later.
 
-Rows are added to one accumulator per image column, and columns are folded into tiles after the tile's
-last row. So the inner loop runs along the image row, vectorises without tails at tile borders, and for a
-camera without lens distortion, where tanθx depends on the column alone and tanθy on the row alone,
-multiplies by tanθx once per column instead of once per pixel. Two rows are read at a time because the
-accumulators' loads and stores would otherwise cost more than the arithmetic.
+A strip is a run of neighbouring tiles of one tile row. Its rows are added to one accumulator per image column,
+and columns are folded into tiles after the last row. So the inner loop runs along the image row, vectorises
+without tails at tile borders, and for a camera without lens distortion, where tanθx depends on the column
+alone and tanθy on the row alone, multiplies by tanθx once per column instead of once per pixel. Two rows are read
+at a time: the accumulators' loads and stores would otherwise cost more than the arithmetic, and one division
+gives the inverse of two depths, 1/a = b/(ab) and 1/b = a/(ab).
+
+Missing pixels are counted in whole numbers of 16 bits, four times as many to a vector as the sums: their number
+in the low bits with the sum of their rows k above, and the sum of k².
 """
 
 import numpy as np
@@ -16,8 +20,26 @@ import numpy as np
 from ._jit import kernel
 from .depth import depth, inverse_depth
 
-# Columns handled at a time: their accumulators stay in the first-level cache.
-COLUMNS = 256
+# Columns of a strip: their accumulators stay in the first-level cache. A multiple of 8, for whole vectors, but not
+# of 512, or all accumulators of a column would compete for the same few lines of that cache.
+COLUMNS = 648
+# Tiles of a block: no fewer than a strip can have.
+TILES = 328
+# Rows whose pixels are counted at a time: so many that n <= BAND and Σk share 16 bits, and Σk² fits into them.
+BAND = 32
+COUNT_BITS = 6
+COUNT_MASK = (1 << COUNT_BITS) - 1
+# What a pixel in row k of a band adds. The last is for no row: nothing.
+ROW_CODES = np.array([*(1 + (k << COUNT_BITS) for k in range(BAND)), 0], np.uint16)
+ROW_SQUARES = np.array([*(k * k for k in range(BAND)), 0], np.uint16)
+NOTHING = np.uint16(0)
+
+
+@kernel()
+def tiles_in_strip(tile_width):
+    """How many tiles make a strip: eight or a multiple where possible, for whole vectors of tiles and columns."""
+    tiles = max(1, COLUMNS // tile_width)
+    return tiles if tiles < 8 else tiles // 8 * 8
 
 
 @kernel()
@@ -34,392 +56,597 @@ def first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, hig
     return raw.dtype.type(0)
 
 
-@kernel(reduction=True)
-def range_moments_separable(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y,
-    tile_height, tile_width, full, tile_row_start, tile_row_stop, reference, moments,
-):  # fmt: skip
-    """Range-space moments of the tiles in some tile rows, for a camera without lens distortion.
+@kernel(inline=True)
+def spread_to_columns(values, tile_start, tile_stop, tile_width, left, right, columns):
+    """Give every column between ``left`` and ``right`` the value of its tile."""
+    for tile in range(tile_start, tile_stop):
+        value = values[tile - tile_start]
+        # Four at a time: what goes beyond the tile is overwritten by the next.
+        for column in range(max(tile * tile_width, left), min((tile + 1) * tile_width, right), 4):
+            i = column - left
+            columns[i] = value
+            columns[i + 1] = value
+            columns[i + 2] = value
+            columns[i + 3] = value
 
-    The entries that hold camera terms only are those of the full tile, ``full``, less the sums over the
-    missing pixels: A_valid = A_full - Σ_missing m mᵀ. Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the
-    frame (the paper's eq. tan_theta_scattermatrix).
+
+@kernel(reduction=True, inline=True)
+def add_range_rows(
+    raw, lowest, highest, scale, offset, tan_y, v0, row_start, row_stop, left, count,
+    reference_q, sums, counts, add,
+):  # fmt: skip
+    """Add a band of at most `BAND` image rows to the sums of their columns.
+
+    Parameters
+    ----------
+    left, count
+        The first column and the number of columns.
+    reference_q : (COLUMNS,) float64
+        Reference inverse depth of each column's tile.
+    sums : (6, COLUMNS) float64
+        Σq, Σqv, Σqq of the valid pixels, added to; 1, Σv, Σvv of the missing ones, added to if ``add``, else
+        written.
+    counts : (2, COLUMNS) uint16
+        Room for the band's missing pixels.
+    """
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    codes, squares = counts[0], counts[1]
+    for i in range(count):
+        codes[i] = NOTHING
+        squares[i] = NOTHING
+    for row in range(row_start, row_stop, 2):
+        # An odd last row is paired with itself, of which nothing counts.
+        is_pair = row + 1 < row_stop
+        other = row + 1 if is_pair else row
+        a = raw[row, left : left + count]
+        b = raw[other, left : left + count]
+        va = tan_y[row] - v0
+        vb = tan_y[other] - v0
+        k = row - row_start
+        k_other = k + 1 if is_pair else BAND
+        code_a, code_b = ROW_CODES[k], ROW_CODES[k_other]
+        square_a, square_b = ROW_SQUARES[k], ROW_SQUARES[k_other]
+        for i in range(count):
+            valid_a = (a[i] >= lowest) & (a[i] <= highest)
+            valid_b = (b[i] >= lowest) & (b[i] <= highest)
+            if offset is None:
+                za = np.float64(a[i] if valid_a else lowest)
+                zb = np.float64(b[i] if valid_b else lowest)
+                inverse = scale / (za * zb)
+                qa = zb * inverse
+                qb = za * inverse
+            else:
+                qa = scale * a[i] + offset
+                qb = scale * b[i] + offset
+            qa = qa - reference_q[i] if valid_a else 0.0
+            qb = qb - reference_q[i] if valid_b & is_pair else 0.0
+            sum_q[i] += qa + qb
+            sum_qv[i] += qa * va + qb * vb
+            sum_qq[i] += qa * qa + qb * qb
+            codes[i] += (NOTHING if valid_a else code_a) + (NOTHING if valid_b else code_b)
+            squares[i] += (NOTHING if valid_a else square_a) + (NOTHING if valid_b else square_b)
+
+    v = tan_y[row_start] - v0
+    step = (tan_y[row_stop - 1] - tan_y[row_start]) / max(row_stop - 1 - row_start, 1)
+    count_rows(codes, squares, count, v, step, add, sums[3], sums[4], sums[5])
+
+
+@kernel(inline=True)
+def count_rows(codes, squares, count, v, step, add, ones, sum_v, sum_vv):
+    """Turn counted pixels of rows v + k·step into the sums of 1, v and v²; they are added to if ``add``."""
+    for i in range(count):
+        n = np.float64(codes[i] & COUNT_MASK)
+        sum_k = np.float64(codes[i] >> COUNT_BITS)
+        sum_kk = np.float64(squares[i])
+        n_v = n * v + sum_k * step
+        n_vv = n * (v * v) + sum_k * (2.0 * v * step) + sum_kk * (step * step)
+        ones[i] = ones[i] + n if add else n
+        sum_v[i] = sum_v[i] + n_v if add else n_v
+        sum_vv[i] = sum_vv[i] + n_vv if add else n_vv
+
+
+@kernel()
+def fold_range_columns(sums, left, right, tan_x, u0, tile_start, tile_stop, tile_width, first, add, moments):
+    """Sum the columns ``left`` to ``right`` over their tiles, into ``moments`` from entry ``first``.
+
+    The camera terms are those of the missing pixels. Without leave to reorder: tiles are too narrow for these
+    sums to vectorise, and trying costs more.
+    """
+    sum_q, sum_qv, sum_qq, lost, lost_v, lost_vv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    for tile in range(tile_start, tile_stop):
+        centre = u0[tile]
+        s_q = s_qu = s_qv = s_qq = 0.0
+        l_1 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
+        for column in range(max(tile * tile_width, left), min((tile + 1) * tile_width, right)):
+            u = tan_x[column] - centre
+            i = column - left
+            s_q += sum_q[i]
+            s_qu += sum_q[i] * u
+            s_qv += sum_qv[i]
+            s_qq += sum_qq[i]
+            l_1 += lost[i]
+            l_u += lost[i] * u
+            l_v += lost_v[i]
+            l_uu += lost[i] * (u * u)
+            l_uv += lost_v[i] * u
+            l_vv += lost_vv[i]
+        t = first + tile - tile_start
+        if add:
+            l_1 += moments[0, t]
+            l_u += moments[1, t]
+            l_v += moments[2, t]
+            s_q += moments[3, t]
+            l_uu += moments[4, t]
+            l_uv += moments[5, t]
+            s_qu += moments[6, t]
+            l_vv += moments[7, t]
+            s_qv += moments[8, t]
+            s_qq += moments[9, t]
+        moments[0, t] = l_1
+        moments[1, t] = l_u
+        moments[2, t] = l_v
+        moments[3, t] = s_q
+        moments[4, t] = l_uu
+        moments[5, t] = l_uv
+        moments[6, t] = s_qu
+        moments[7, t] = l_vv
+        moments[8, t] = s_qv
+        moments[9, t] = s_qq
+
+
+@kernel(inline=True)
+def range_strip_separable(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
+    row_start, row_stop, tile_start, tile_stop, first, sums, counts, columns, reference_q, moments,
+):  # fmt: skip
+    """Range-space sums of a strip of tiles, for a camera without lens distortion.
+
+    Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). The
+    other entries are summed over the missing pixels: A_valid = A_full - Σ_missing m mᵀ.
 
     Parameters
     ----------
     raw : (H, W) array
         The frame; a pixel is valid if ``lowest <= raw <= highest``.
-    scale, offset, is_disparity
-        q = scale / raw, or scale * raw + offset if ``is_disparity``.
+    scale, offset
+        q = scale / raw, or scale * raw + offset unless ``offset`` is None.
     tan_x, tan_y : (W,) and (H,) float64
-    full : (6, R, C) float64
-        n, Σu, Σv, Σuu, Σuv, Σvv of the full tile about ``reference``.
-    reference : (3, R, C) float64
-        Reference point; the third row, the inverse depth, is written here.
-    moments : (10, R, C) float64, written
+    u0 : (C,) float64
+    v0 : float
+        Reference point of each tile of the tile row.
+    row_start, row_stop
+        Image rows of the tiles.
+    sums, counts, columns
+        Room for the sums of columns.
+    reference_q, moments : (TILES,) and (10, TILES) float64, written
+        From entry ``first``.
     """
-    height, width = raw.shape
-    tile_columns = moments.shape[2]
-    tiles_at_once = max(1, COLUMNS // tile_width)
-    sums = np.empty((6, max(COLUMNS, tile_width)))
-    sum_q, sum_qv, sum_qq, lost, lost_v, lost_vv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    reference_q = np.empty(max(COLUMNS, tile_width))
-
-    for tile_row in range(tile_row_start, tile_row_stop):
-        row_start = tile_row * tile_height
-        row_stop = min(row_start + tile_height, height)
-        v0 = reference[1, tile_row, 0]
-        for first_tile in range(0, tile_columns, tiles_at_once):
-            last_tile = min(first_tile + tiles_at_once, tile_columns)
-            left = first_tile * tile_width
-            right = min(last_tile * tile_width, width)
-
-            for tile in range(first_tile, last_tile):
-                column_start = tile * tile_width
-                column_stop = min(column_start + tile_width, width)
-                value = first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest)
-                q0 = inverse_depth(value, scale, offset, is_disparity)
-                reference[2, tile_row, tile] = q0
-                reference_q[column_start - left : column_stop - left] = q0
-
-            sums[:, : right - left] = 0.0
-            for row in range(row_start, row_stop, 2):
-                # An odd last row is paired with itself, at weight zero.
-                second = 1.0 if row + 1 < row_stop else 0.0
-                a = raw[row, left:right]
-                b = raw[min(row + 1, row_stop - 1), left:right]
-                va = tan_y[row] - v0
-                vb = tan_y[min(row + 1, row_stop - 1)] - v0
-                vva = va * va
-                vvb = vb * vb
-                for column in range(right - left):
-                    valid_a = (a[column] >= lowest) & (a[column] <= highest)
-                    valid_b = (b[column] >= lowest) & (b[column] <= highest)
-                    if is_disparity:
-                        qa = scale * a[column] + offset
-                        qb = scale * b[column] + offset
-                    else:
-                        qa = scale / a[column]
-                        qb = scale / b[column]
-                    qa = qa - reference_q[column] if valid_a else 0.0
-                    qb = (qb - reference_q[column]) * second if valid_b else 0.0
-                    lost_a = 0.0 if valid_a else 1.0
-                    lost_b = 0.0 if valid_b else second
-                    sum_q[column] += qa + qb
-                    sum_qv[column] += qa * va + qb * vb
-                    sum_qq[column] += qa * qa + qb * qb
-                    lost[column] += lost_a + lost_b
-                    lost_v[column] += lost_a * va + lost_b * vb
-                    lost_vv[column] += lost_a * vva + lost_b * vvb
-
-            for tile in range(first_tile, last_tile):
-                column_start = tile * tile_width
-                column_stop = min(column_start + tile_width, width)
-                u0 = reference[0, tile_row, tile]
-                s_q = s_qu = s_qv = s_qq = 0.0
-                l_1 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
-                for column in range(column_start, column_stop):
-                    u = tan_x[column] - u0
-                    i = column - left
-                    s_q += sum_q[i]
-                    s_qu += sum_q[i] * u
-                    s_qv += sum_qv[i]
-                    s_qq += sum_qq[i]
-                    l_1 += lost[i]
-                    l_u += lost[i] * u
-                    l_v += lost_v[i]
-                    l_uu += lost[i] * (u * u)
-                    l_uv += lost_v[i] * u
-                    l_vv += lost_vv[i]
-                moments[0, tile_row, tile] = full[0, tile_row, tile] - l_1
-                moments[1, tile_row, tile] = full[1, tile_row, tile] - l_u
-                moments[2, tile_row, tile] = full[2, tile_row, tile] - l_v
-                moments[3, tile_row, tile] = s_q
-                moments[4, tile_row, tile] = full[3, tile_row, tile] - l_uu
-                moments[5, tile_row, tile] = full[4, tile_row, tile] - l_uv
-                moments[6, tile_row, tile] = s_qu
-                moments[7, tile_row, tile] = full[5, tile_row, tile] - l_vv
-                moments[8, tile_row, tile] = s_qv
-                moments[9, tile_row, tile] = s_qq
+    width = raw.shape[1]
+    for tile in range(tile_start, tile_stop):
+        start = tile * tile_width
+        stop = min(start + tile_width, width)
+        value = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
+        reference_q[first + tile - tile_start] = (
+            inverse_depth(value, scale, 0.0, False)
+            if offset is None
+            else inverse_depth(value, scale, offset, True)
+        )
+    last = min(tile_stop * tile_width, width)
+    # More than one turn only where a tile is wider than a strip.
+    for left in range(tile_start * tile_width, last, COLUMNS):
+        right = min(left + COLUMNS, last)
+        # Whole vectors: the sums of a few columns more are not looked at.
+        count = min((right - left + 7) // 8 * 8, width - left)
+        spread_to_columns(reference_q[first:], tile_start, tile_stop, tile_width, left, right, columns[0])
+        for entry in range(3):
+            for i in range(count):
+                sums[entry, i] = 0.0
+        for band in range(row_start, row_stop, BAND):
+            add_range_rows(
+                raw, lowest, highest, scale, offset, tan_y, v0, band, min(band + BAND, row_stop), left, count,
+                columns[0], sums, counts, band > row_start,
+            )  # fmt: skip
+        fold_range_columns(
+            sums, left, right, tan_x, u0, tile_start, tile_stop, tile_width,
+            first, left > tile_start * tile_width, moments,
+        )  # fmt: skip
 
 
-@kernel(reduction=True)
-def range_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y,
-    tile_height, tile_width, full, tile_row_start, tile_row_stop, reference, moments,
+@kernel(reduction=True, inline=True)
+def add_range_rows_of_rays(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
+):
+    """Add image rows to the sums of their columns, for rays that differ from pixel to pixel.
+
+    ``columns`` (3, COLUMNS) holds each column's reference point; ``sums`` (10, COLUMNS) are in the order of the
+    moments, those without q over the missing pixels.
+    """
+    lost, lost_u, lost_v, sum_q, lost_uu = sums[0], sums[1], sums[2], sums[3], sums[4]
+    lost_uv, sum_qu, lost_vv, sum_qv, sum_qq = sums[5], sums[6], sums[7], sums[8], sums[9]
+    u0, v0, q0 = columns[0], columns[1], columns[2]
+    for row in range(row_start, row_stop, 2):
+        is_pair = row + 1 < row_stop
+        other = row + 1 if is_pair else row
+        a = raw[row, left : left + count]
+        b = raw[other, left : left + count]
+        tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
+        tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
+        for i in range(count):
+            valid_a = (a[i] >= lowest) & (a[i] <= highest)
+            valid_b = (b[i] >= lowest) & (b[i] <= highest)
+            if offset is None:
+                za = np.float64(a[i] if valid_a else lowest)
+                zb = np.float64(b[i] if valid_b else lowest)
+                inverse = scale / (za * zb)
+                qa = zb * inverse
+                qb = za * inverse
+            else:
+                qa = scale * a[i] + offset
+                qb = scale * b[i] + offset
+            qa = qa - q0[i] if valid_a else 0.0
+            qb = qb - q0[i] if valid_b & is_pair else 0.0
+            ua, ub = tan_xa[i] - u0[i], tan_xb[i] - u0[i]
+            va, vb = tan_ya[i] - v0[i], tan_yb[i] - v0[i]
+            sum_q[i] += qa + qb
+            sum_qu[i] += qa * ua + qb * ub
+            sum_qv[i] += qa * va + qb * vb
+            sum_qq[i] += qa * qa + qb * qb
+            lost_a = 0.0 if valid_a else 1.0
+            lost_b = 0.0 if valid_b | (not is_pair) else 1.0
+            lost[i] += lost_a + lost_b
+            lost_ua, lost_ub = lost_a * ua, lost_b * ub
+            lost_va, lost_vb = lost_a * va, lost_b * vb
+            lost_u[i] += lost_ua + lost_ub
+            lost_v[i] += lost_va + lost_vb
+            lost_uu[i] += lost_ua * ua + lost_ub * ub
+            lost_uv[i] += lost_ua * va + lost_ub * vb
+            lost_vv[i] += lost_va * va + lost_vb * vb
+
+
+@kernel()
+def fold_columns(sums, left, right, tile_start, tile_stop, tile_width, first, add, moments):
+    """Sum the columns ``left`` to ``right`` over their tiles, into ``moments`` from entry ``first``."""
+    for tile in range(tile_start, tile_stop):
+        t = first + tile - tile_start
+        start = max(tile * tile_width, left) - left
+        stop = min((tile + 1) * tile_width, right) - left
+        for entry in range(10):
+            total = moments[entry, t] if add else 0.0
+            for i in range(start, stop):
+                total += sums[entry, i]
+            moments[entry, t] = total
+
+
+@kernel(inline=True)
+def range_strip(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
+    row_start, row_stop, tile_start, tile_stop, first, sums, columns, reference_q, moments,
 ):  # fmt: skip
-    """Range-space moments as in `range_moments_separable`, for any camera: tan_x, tan_y are (H, W)."""
-    height, width = raw.shape
-    tile_columns = moments.shape[2]
-    tiles_at_once = max(1, COLUMNS // tile_width)
-    sums = np.empty((10, max(COLUMNS, tile_width)))
-    sum_q, sum_qu, sum_qv, sum_qq = sums[0], sums[1], sums[2], sums[3]
-    lost, lost_u, lost_v, lost_uu, lost_uv, lost_vv = sums[4], sums[5], sums[6], sums[7], sums[8], sums[9]
-    references = np.empty((3, max(COLUMNS, tile_width)))
-    reference_u, reference_v, reference_q = references[0], references[1], references[2]
-
-    for tile_row in range(tile_row_start, tile_row_stop):
-        row_start = tile_row * tile_height
-        row_stop = min(row_start + tile_height, height)
-        for first_tile in range(0, tile_columns, tiles_at_once):
-            last_tile = min(first_tile + tiles_at_once, tile_columns)
-            left = first_tile * tile_width
-            right = min(last_tile * tile_width, width)
-
-            for tile in range(first_tile, last_tile):
-                column_start = tile * tile_width
-                column_stop = min(column_start + tile_width, width)
-                value = first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest)
-                q0 = inverse_depth(value, scale, offset, is_disparity)
-                reference[2, tile_row, tile] = q0
-                reference_u[column_start - left : column_stop - left] = reference[0, tile_row, tile]
-                reference_v[column_start - left : column_stop - left] = reference[1, tile_row, tile]
-                reference_q[column_start - left : column_stop - left] = q0
-
-            sums[:, : right - left] = 0.0
-            for row in range(row_start, row_stop):
-                values = raw[row, left:right]
-                tan_x_row = tan_x[row, left:right]
-                tan_y_row = tan_y[row, left:right]
-                for column in range(right - left):
-                    valid = (values[column] >= lowest) & (values[column] <= highest)
-                    if is_disparity:
-                        q = scale * values[column] + offset
-                    else:
-                        q = scale / values[column]
-                    q = q - reference_q[column] if valid else 0.0
-                    missing = 0.0 if valid else 1.0
-                    u = tan_x_row[column] - reference_u[column]
-                    v = tan_y_row[column] - reference_v[column]
-                    sum_q[column] += q
-                    sum_qu[column] += q * u
-                    sum_qv[column] += q * v
-                    sum_qq[column] += q * q
-                    lost[column] += missing
-                    lost_u[column] += missing * u
-                    lost_v[column] += missing * v
-                    lost_uu[column] += missing * u * u
-                    lost_uv[column] += missing * u * v
-                    lost_vv[column] += missing * v * v
-
-            for tile in range(first_tile, last_tile):
-                i = tile * tile_width - left
-                j = min((tile + 1) * tile_width, width) - left
-                moments[0, tile_row, tile] = full[0, tile_row, tile] - lost[i:j].sum()
-                moments[1, tile_row, tile] = full[1, tile_row, tile] - lost_u[i:j].sum()
-                moments[2, tile_row, tile] = full[2, tile_row, tile] - lost_v[i:j].sum()
-                moments[3, tile_row, tile] = sum_q[i:j].sum()
-                moments[4, tile_row, tile] = full[3, tile_row, tile] - lost_uu[i:j].sum()
-                moments[5, tile_row, tile] = full[4, tile_row, tile] - lost_uv[i:j].sum()
-                moments[6, tile_row, tile] = sum_qu[i:j].sum()
-                moments[7, tile_row, tile] = full[5, tile_row, tile] - lost_vv[i:j].sum()
-                moments[8, tile_row, tile] = sum_qv[i:j].sum()
-                moments[9, tile_row, tile] = sum_qq[i:j].sum()
+    """Range-space sums as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W), v0 is (C,)."""
+    width = raw.shape[1]
+    for tile in range(tile_start, tile_stop):
+        start = tile * tile_width
+        stop = min(start + tile_width, width)
+        value = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
+        reference_q[first + tile - tile_start] = (
+            inverse_depth(value, scale, 0.0, False)
+            if offset is None
+            else inverse_depth(value, scale, offset, True)
+        )
+    last = min(tile_stop * tile_width, width)
+    for left in range(tile_start * tile_width, last, COLUMNS):
+        right = min(left + COLUMNS, last)
+        count = min((right - left + 7) // 8 * 8, width - left)
+        spread_to_columns(u0[tile_start:], tile_start, tile_stop, tile_width, left, right, columns[0])
+        spread_to_columns(v0[tile_start:], tile_start, tile_stop, tile_width, left, right, columns[1])
+        spread_to_columns(reference_q[first:], tile_start, tile_stop, tile_width, left, right, columns[2])
+        for entry in range(10):
+            for i in range(count):
+                sums[entry, i] = 0.0
+        add_range_rows_of_rays(
+            raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
+        )
+        fold_columns(
+            sums,
+            left,
+            right,
+            tile_start,
+            tile_stop,
+            tile_width,
+            first,
+            left > tile_start * tile_width,
+            moments,
+        )
 
 
-@kernel(reduction=True)
-def standard_moments_separable(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y,
-    tile_height, tile_width, tile_row_start, tile_row_stop, reference, moments,
+@kernel(reduction=True, inline=True)
+def add_standard_rows(
+    raw, lowest, highest, scale, offset, tan_y, v0, row_start, row_stop, left, count,
+    reference_z, sums, counts, add,
 ):  # fmt: skip
-    """Moments of (X, Y, Z) of the tiles in some tile rows, for a camera without lens distortion.
+    """Add a band of at most `BAND` image rows to the sums of their columns.
 
-    Every entry depends on the frame (the paper's eq. XYZ_scattermatrix). With z = Z - Z0, u = tanθx - u0
-    and v = tanθy - v0, a point relative to the reference Z0·(u0, v0, 1) is
+    ``sums`` (9, COLUMNS) are Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv, added to, and Σ1, Σv, Σvv, added to if ``add``, else
+    written; z is relative to ``reference_z``. See `add_range_rows` for the rest.
+    """
+    sum_z, sum_zv, sum_zvv, sum_zz, sum_zzv, sum_zzvv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    codes, squares = counts[0], counts[1]
+    metres = 1.0 / scale
+    for i in range(count):
+        codes[i] = NOTHING
+        squares[i] = NOTHING
+    for row in range(row_start, row_stop, 2):
+        is_pair = row + 1 < row_stop
+        other = row + 1 if is_pair else row
+        a = raw[row, left : left + count]
+        b = raw[other, left : left + count]
+        va = tan_y[row] - v0
+        vb = tan_y[other] - v0
+        vva = va * va
+        vvb = vb * vb
+        k = row - row_start
+        k_other = k + 1 if is_pair else BAND
+        code_a, code_b = ROW_CODES[k], ROW_CODES[k_other]
+        square_a, square_b = ROW_SQUARES[k], ROW_SQUARES[k_other]
+        for i in range(count):
+            valid_a = (a[i] >= lowest) & (a[i] <= highest)
+            valid_b = (b[i] >= lowest) & (b[i] <= highest)
+            if offset is None:
+                za = metres * a[i]
+                zb = metres * b[i]
+            else:
+                qa = scale * a[i] + offset if valid_a else 1.0
+                qb = scale * b[i] + offset if valid_b else 1.0
+                depths = 1.0 / (qa * qb)
+                za = qb * depths
+                zb = qa * depths
+            za = za - reference_z[i] if valid_a else 0.0
+            zb = zb - reference_z[i] if valid_b & is_pair else 0.0
+            zza = za * za
+            zzb = zb * zb
+            sum_z[i] += za + zb
+            sum_zv[i] += za * va + zb * vb
+            sum_zvv[i] += za * vva + zb * vvb
+            sum_zz[i] += zza + zzb
+            sum_zzv[i] += zza * va + zzb * vb
+            sum_zzvv[i] += zza * vva + zzb * vvb
+            codes[i] += (code_a if valid_a else NOTHING) + (code_b if valid_b else NOTHING)
+            squares[i] += (square_a if valid_a else NOTHING) + (square_b if valid_b else NOTHING)
+
+    v = tan_y[row_start] - v0
+    step = (tan_y[row_stop - 1] - tan_y[row_start]) / max(row_stop - 1 - row_start, 1)
+    count_rows(codes, squares, count, v, step, add, sums[6], sums[7], sums[8])
+
+
+@kernel(reduction=True, inline=True)
+def standard_columns(sums, z0, v0, tan_x, u0, left, count):
+    """Turn a strip's sums of columns into those of 1, X, Y, Z and their products, in the order of the moments.
+
+    With z = Z - Z0, u = tanθx - u0 and v = tanθy - v0, a point relative to the reference Z0·(u0, v0, 1) is
 
         X = z·tanθx + Z0·u,    Y = z·tanθy + Z0·v,    Z = z,
 
-    so eight sums down a column give the ten of X, Y and Z, whatever the column's tanθx.
-
-    Parameters
-    ----------
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, moments
-        As in `range_moments_separable`; depth is Z = raw / scale, or 1 / (scale * raw + offset).
-    reference : (3, R, C) float64
-        u0 and v0 of the tile on entry in the first two rows, X0, Y0, Z0 on return.
+    so nine sums down a column give the ten of X, Y and Z, whatever the column's tanθx.
     """
-    height, width = raw.shape
-    tile_columns = moments.shape[2]
-    tiles_at_once = max(1, COLUMNS // tile_width)
-    sums = np.empty((8, max(COLUMNS, tile_width)))
-    sum_1, sum_v, sum_vv, sum_z = sums[0], sums[1], sums[2], sums[3]
-    sum_zv, sum_zz, sum_zzv, sum_zzvv = sums[4], sums[5], sums[6], sums[7]
-    sum_zvv = np.empty(max(COLUMNS, tile_width))
-    reference_z = np.empty(max(COLUMNS, tile_width))
-    metres = 1.0 / scale
-
-    for tile_row in range(tile_row_start, tile_row_stop):
-        row_start = tile_row * tile_height
-        row_stop = min(row_start + tile_height, height)
-        v0 = reference[1, tile_row, 0]
-        for first_tile in range(0, tile_columns, tiles_at_once):
-            last_tile = min(first_tile + tiles_at_once, tile_columns)
-            left = first_tile * tile_width
-            right = min(last_tile * tile_width, width)
-
-            for tile in range(first_tile, last_tile):
-                column_start = tile * tile_width
-                column_stop = min(column_start + tile_width, width)
-                value = first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest)
-                z0 = depth(value, scale, offset, is_disparity)
-                reference[2, tile_row, tile] = z0
-                reference_z[column_start - left : column_stop - left] = z0
-
-            sums[:, : right - left] = 0.0
-            sum_zvv[: right - left] = 0.0
-            for row in range(row_start, row_stop, 2):
-                # An odd last row is paired with itself, at weight zero.
-                second = 1.0 if row + 1 < row_stop else 0.0
-                a = raw[row, left:right]
-                b = raw[min(row + 1, row_stop - 1), left:right]
-                va = tan_y[row] - v0
-                vb = tan_y[min(row + 1, row_stop - 1)] - v0
-                vva = va * va
-                vvb = vb * vb
-                for column in range(right - left):
-                    valid_a = (a[column] >= lowest) & (a[column] <= highest)
-                    valid_b = (b[column] >= lowest) & (b[column] <= highest)
-                    if is_disparity:
-                        za = 1.0 / (scale * a[column] + offset)
-                        zb = 1.0 / (scale * b[column] + offset)
-                    else:
-                        za = metres * a[column]
-                        zb = metres * b[column]
-                    za = za - reference_z[column] if valid_a else 0.0
-                    zb = (zb - reference_z[column]) * second if valid_b else 0.0
-                    one_a = 1.0 if valid_a else 0.0
-                    one_b = second if valid_b else 0.0
-                    zza = za * za
-                    zzb = zb * zb
-                    sum_1[column] += one_a + one_b
-                    sum_v[column] += one_a * va + one_b * vb
-                    sum_vv[column] += one_a * vva + one_b * vvb
-                    sum_z[column] += za + zb
-                    sum_zv[column] += za * va + zb * vb
-                    sum_zvv[column] += za * vva + zb * vvb
-                    sum_zz[column] += zza + zzb
-                    sum_zzv[column] += zza * va + zzb * vb
-                    sum_zzvv[column] += zza * vva + zzb * vvb
-
-            for tile in range(first_tile, last_tile):
-                u0 = reference[0, tile_row, tile]
-                z0 = reference[2, tile_row, tile]
-                n = s_x = s_y = s_z = s_xx = s_xy = s_xz = s_yy = s_yz = s_zz = 0.0
-                for column in range(tile * tile_width, min((tile + 1) * tile_width, width)):
-                    i = column - left
-                    t = tan_x[column]
-                    p = z0 * (t - u0)  # X = z·t + p
-                    # Sums of Y = z·(v0 + v) + z0·v, of zY and of YY, in this column.
-                    c_y = v0 * sum_z[i] + sum_zv[i] + z0 * sum_v[i]
-                    c_zy = v0 * sum_zz[i] + sum_zzv[i] + z0 * sum_zv[i]
-                    c_yy = (
-                        v0 * (v0 * sum_zz[i] + 2.0 * sum_zzv[i])
-                        + sum_zzvv[i]
-                        + 2.0 * z0 * (v0 * sum_zv[i] + sum_zvv[i])
-                        + z0 * z0 * sum_vv[i]
-                    )
-                    n += sum_1[i]
-                    s_x += t * sum_z[i] + p * sum_1[i]
-                    s_y += c_y
-                    s_z += sum_z[i]
-                    s_xx += t * (t * sum_zz[i] + 2.0 * p * sum_z[i]) + p * p * sum_1[i]
-                    s_xy += t * c_zy + p * c_y
-                    s_xz += t * sum_zz[i] + p * sum_z[i]
-                    s_yy += c_yy
-                    s_yz += c_zy
-                    s_zz += sum_zz[i]
-                reference[0, tile_row, tile] = u0 * z0
-                reference[1, tile_row, tile] = v0 * z0
-                moments[0, tile_row, tile] = n
-                moments[1, tile_row, tile] = s_x
-                moments[2, tile_row, tile] = s_y
-                moments[3, tile_row, tile] = s_z
-                moments[4, tile_row, tile] = s_xx
-                moments[5, tile_row, tile] = s_xy
-                moments[6, tile_row, tile] = s_xz
-                moments[7, tile_row, tile] = s_yy
-                moments[8, tile_row, tile] = s_yz
-                moments[9, tile_row, tile] = s_zz
+    for i in range(count):
+        s_z, s_zv, s_zvv = sums[0, i], sums[1, i], sums[2, i]
+        s_zz, s_zzv, s_zzvv = sums[3, i], sums[4, i], sums[5, i]
+        n, s_v, s_vv = sums[6, i], sums[7, i], sums[8, i]
+        t = tan_x[left + i]
+        x = z0[i] * (t - u0[i])  # X = z·t + x
+        # Sums of Y = z·(v0 + v) + z0·v, of zY and of YY.
+        c_y = v0 * s_z + s_zv + z0[i] * s_v
+        c_zy = v0 * s_zz + s_zzv + z0[i] * s_zv
+        c_yy = (
+            v0 * (v0 * s_zz + 2.0 * s_zzv) + s_zzvv + 2.0 * z0[i] * (v0 * s_zv + s_zvv) + z0[i] * z0[i] * s_vv
+        )
+        sums[0, i] = n
+        sums[1, i] = t * s_z + x * n
+        sums[2, i] = c_y
+        sums[3, i] = s_z
+        sums[4, i] = t * (t * s_zz + 2.0 * x * s_z) + x * x * n
+        sums[5, i] = t * c_zy + x * c_y
+        sums[6, i] = t * s_zz + x * s_z
+        sums[7, i] = c_yy
+        sums[8, i] = c_zy
+        sums[9, i] = s_zz
 
 
-@kernel(reduction=True)
-def standard_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y,
-    tile_height, tile_width, tile_row_start, tile_row_stop, reference, moments,
+@kernel(inline=True)
+def standard_strip_separable(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
+    row_start, row_stop, tile_start, tile_stop, first, sums, counts, columns, reference, moments,
 ):  # fmt: skip
-    """Moments of (X, Y, Z) as in `standard_moments_separable`, for any camera: tan_x, tan_y are (H, W)."""
-    height, width = raw.shape
-    tile_columns = moments.shape[2]
-    tiles_at_once = max(1, COLUMNS // tile_width)
-    sums = np.empty((10, max(COLUMNS, tile_width)))
-    sum_1, sum_x, sum_y, sum_z = sums[0], sums[1], sums[2], sums[3]
-    sum_xx, sum_xy, sum_xz, sum_yy, sum_yz, sum_zz = sums[4], sums[5], sums[6], sums[7], sums[8], sums[9]
-    references = np.empty((3, max(COLUMNS, tile_width)))
-    reference_x, reference_y, reference_z = references[0], references[1], references[2]
+    """Moments of (X, Y, Z) of a strip of tiles, for a camera without lens distortion.
+
+    Every entry depends on the frame (the paper's eq. XYZ_scattermatrix). As `range_strip_separable`, but
+    depth is Z = raw / scale, or 1 / (scale * raw + offset), ``reference`` (3, TILES), all of it, is written,
+    and the moments are complete.
+    """
+    width = raw.shape[1]
+    standard_reference(
+        raw,
+        lowest,
+        highest,
+        scale,
+        offset,
+        tile_width,
+        row_start,
+        row_stop,
+        tile_start,
+        tile_stop,
+        first,
+        reference,
+    )
+    last = min(tile_stop * tile_width, width)
+    for left in range(tile_start * tile_width, last, COLUMNS):
+        right = min(left + COLUMNS, last)
+        count = min((right - left + 7) // 8 * 8, width - left)
+        spread_to_columns(u0[tile_start:], tile_start, tile_stop, tile_width, left, right, columns[0])
+        spread_to_columns(reference[2, first:], tile_start, tile_stop, tile_width, left, right, columns[2])
+        for entry in range(6):
+            for i in range(count):
+                sums[entry, i] = 0.0
+        for band in range(row_start, row_stop, BAND):
+            add_standard_rows(
+                raw, lowest, highest, scale, offset, tan_y, v0, band, min(band + BAND, row_stop), left, count,
+                columns[2], sums, counts, band > row_start,
+            )  # fmt: skip
+        standard_columns(sums, columns[2], v0, tan_x, columns[0], left, count)
+        fold_columns(
+            sums,
+            left,
+            right,
+            tile_start,
+            tile_stop,
+            tile_width,
+            first,
+            left > tile_start * tile_width,
+            moments,
+        )
+    for tile in range(tile_start, tile_stop):
+        t = first + tile - tile_start
+        reference[0, t] = reference[2, t] * u0[tile]
+        reference[1, t] = reference[2, t] * v0
+
+
+@kernel(inline=True)
+def standard_reference(
+    raw,
+    lowest,
+    highest,
+    scale,
+    offset,
+    tile_width,
+    row_start,
+    row_stop,
+    tile_start,
+    tile_stop,
+    first,
+    reference,
+):
+    """Write each tile's reference depth, Z0, into the third row of ``reference``."""
+    for tile in range(tile_start, tile_stop):
+        start = tile * tile_width
+        stop = min(start + tile_width, raw.shape[1])
+        value = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
+        reference[2, first + tile - tile_start] = (
+            depth(value, scale, 0.0, False) if offset is None else depth(value, scale, offset, True)
+        )
+
+
+@kernel(reduction=True, inline=True)
+def add_standard_rows_of_rays(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
+):
+    """Add image rows to the sums of their columns, for rays that differ from pixel to pixel.
+
+    ``columns`` (3, COLUMNS) holds each column's reference point (X0, Y0, Z0); ``sums`` (10, COLUMNS) are in the
+    order of the moments.
+    """
+    sum_1, sum_x, sum_y, sum_z, sum_xx = sums[0], sums[1], sums[2], sums[3], sums[4]
+    sum_xy, sum_xz, sum_yy, sum_yz, sum_zz = sums[5], sums[6], sums[7], sums[8], sums[9]
+    x0, y0, z0 = columns[0], columns[1], columns[2]
     metres = 1.0 / scale
+    for row in range(row_start, row_stop, 2):
+        is_pair = row + 1 < row_stop
+        other = row + 1 if is_pair else row
+        a = raw[row, left : left + count]
+        b = raw[other, left : left + count]
+        tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
+        tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
+        for i in range(count):
+            valid_a = (a[i] >= lowest) & (a[i] <= highest)
+            valid_b = (b[i] >= lowest) & (b[i] <= highest)
+            if offset is None:
+                za = metres * a[i]
+                zb = metres * b[i]
+            else:
+                qa = scale * a[i] + offset if valid_a else 1.0
+                qb = scale * b[i] + offset if valid_b else 1.0
+                depths = 1.0 / (qa * qb)
+                za = qb * depths
+                zb = qa * depths
+            counts_b = valid_b & is_pair
+            xa = za * tan_xa[i] - x0[i] if valid_a else 0.0
+            xb = zb * tan_xb[i] - x0[i] if counts_b else 0.0
+            ya = za * tan_ya[i] - y0[i] if valid_a else 0.0
+            yb = zb * tan_yb[i] - y0[i] if counts_b else 0.0
+            za = za - z0[i] if valid_a else 0.0
+            zb = zb - z0[i] if counts_b else 0.0
+            sum_1[i] += (1.0 if valid_a else 0.0) + (1.0 if counts_b else 0.0)
+            sum_x[i] += xa + xb
+            sum_y[i] += ya + yb
+            sum_z[i] += za + zb
+            sum_xx[i] += xa * xa + xb * xb
+            sum_xy[i] += xa * ya + xb * yb
+            sum_xz[i] += xa * za + xb * zb
+            sum_yy[i] += ya * ya + yb * yb
+            sum_yz[i] += ya * za + yb * zb
+            sum_zz[i] += za * za + zb * zb
 
-    for tile_row in range(tile_row_start, tile_row_stop):
-        row_start = tile_row * tile_height
-        row_stop = min(row_start + tile_height, height)
-        for first_tile in range(0, tile_columns, tiles_at_once):
-            last_tile = min(first_tile + tiles_at_once, tile_columns)
-            left = first_tile * tile_width
-            right = min(last_tile * tile_width, width)
 
-            for tile in range(first_tile, last_tile):
-                column_start = tile * tile_width
-                column_stop = min(column_start + tile_width, width)
-                value = first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest)
-                z0 = depth(value, scale, offset, is_disparity)
-                reference[0, tile_row, tile] *= z0
-                reference[1, tile_row, tile] *= z0
-                reference[2, tile_row, tile] = z0
-                reference_x[column_start - left : column_stop - left] = reference[0, tile_row, tile]
-                reference_y[column_start - left : column_stop - left] = reference[1, tile_row, tile]
-                reference_z[column_start - left : column_stop - left] = z0
-
-            sums[:, : right - left] = 0.0
-            for row in range(row_start, row_stop):
-                values = raw[row, left:right]
-                tan_x_row = tan_x[row, left:right]
-                tan_y_row = tan_y[row, left:right]
-                for column in range(right - left):
-                    valid = (values[column] >= lowest) & (values[column] <= highest)
-                    if is_disparity:
-                        z = 1.0 / (scale * values[column] + offset)
-                    else:
-                        z = metres * values[column]
-                    one = 1.0 if valid else 0.0
-                    x = z * tan_x_row[column] - reference_x[column] if valid else 0.0
-                    y = z * tan_y_row[column] - reference_y[column] if valid else 0.0
-                    z = z - reference_z[column] if valid else 0.0
-                    sum_1[column] += one
-                    sum_x[column] += x
-                    sum_y[column] += y
-                    sum_z[column] += z
-                    sum_xx[column] += x * x
-                    sum_xy[column] += x * y
-                    sum_xz[column] += x * z
-                    sum_yy[column] += y * y
-                    sum_yz[column] += y * z
-                    sum_zz[column] += z * z
-
-            for tile in range(first_tile, last_tile):
-                i = tile * tile_width - left
-                j = min((tile + 1) * tile_width, width) - left
-                for entry in range(10):
-                    moments[entry, tile_row, tile] = sums[entry, i:j].sum()
+@kernel(inline=True)
+def standard_strip(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
+    row_start, row_stop, tile_start, tile_stop, first, sums, columns, reference, moments,
+):  # fmt: skip
+    """Moments as in `standard_strip_separable`, for any camera: tan_x, tan_y are (H, W), v0 is (C,)."""
+    width = raw.shape[1]
+    standard_reference(
+        raw,
+        lowest,
+        highest,
+        scale,
+        offset,
+        tile_width,
+        row_start,
+        row_stop,
+        tile_start,
+        tile_stop,
+        first,
+        reference,
+    )
+    for tile in range(tile_start, tile_stop):
+        t = first + tile - tile_start
+        reference[0, t] = reference[2, t] * u0[tile]
+        reference[1, t] = reference[2, t] * v0[tile]
+    last = min(tile_stop * tile_width, width)
+    for left in range(tile_start * tile_width, last, COLUMNS):
+        right = min(left + COLUMNS, last)
+        count = min((right - left + 7) // 8 * 8, width - left)
+        for axis in range(3):
+            spread_to_columns(
+                reference[axis, first:], tile_start, tile_stop, tile_width, left, right, columns[axis]
+            )
+        for entry in range(10):
+            for i in range(count):
+                sums[entry, i] = 0.0
+        add_standard_rows_of_rays(
+            raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
+        )
+        fold_columns(
+            sums,
+            left,
+            right,
+            tile_start,
+            tile_stop,
+            tile_width,
+            first,
+            left > tile_start * tile_width,
+            moments,
+        )
 
 
 @kernel(reduction=True)
-def full_tile_moments(tan_x, tan_y, tile_height, tile_width, reference, full):
+def full_tile_moments(tan_x, tan_y, tile_height, tile_width, centre, full):
     """Camera terms of every tile, as if no pixel were missing: computed once for a camera.
 
     Parameters
     ----------
     tan_x, tan_y : (H, W) float64
-    reference : (3, R, C) float64
-        The mean ray of each tile is written into the first two rows.
+    centre : (2, R, C) float64, written
+        The mean ray of each tile, its reference point.
     full : (6, R, C) float64, written
         n, Σu, Σv, Σuu, Σuv, Σvv of u = tanθx - u0, v = tanθy - v0 (the paper's
         eq. tan_theta_scattermatrix-1).
@@ -443,8 +670,8 @@ def full_tile_moments(tan_x, tan_y, tile_height, tile_width, reference, full):
                     s_uu += u * u
                     s_uv += u * v
                     s_vv += v * v
-            reference[0, tile_row, tile] = u0
-            reference[1, tile_row, tile] = v0
+            centre[0, tile_row, tile] = u0
+            centre[1, tile_row, tile] = v0
             full[0, tile_row, tile] = (row_stop - row_start) * (column_stop - column_start)
             full[1, tile_row, tile] = s_u
             full[2, tile_row, tile] = s_v

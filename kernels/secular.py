@@ -20,59 +20,83 @@ import math
 from ._jit import kernel
 
 
+@kernel(inline=True)
+def newton_step(
+    eigenvalue, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, right_u, right_v, right_1, ba, bb, bc, rss
+):  # fmt: skip
+    """α_λ in centred coordinates (a, b, p) and the step from λ towards the root.
+
+    The step is NaN where A' - λB is not positive definite. (ba, bb, bc) is B α₀' and the right-hand side that
+    of (A' - λB) α' = b'.
+    """
+    # (A' - λB) by LDLᵀ, eliminating the constant first: its pivot n is the largest.
+    d1 = n - eigenvalue
+    m_u = s_u + eigenvalue * u0
+    m_v = s_v + eigenvalue * v0
+    l_u = m_u / d1
+    l_v = m_v / d1
+    e_uu = s_uu - eigenvalue * (1.0 + u0 * u0) - l_u * m_u
+    e_uv = s_uv - eigenvalue * (u0 * v0) - l_u * m_v
+    e_vv = s_vv - eigenvalue * (1.0 + v0 * v0) - l_v * m_v
+    determinant = e_uu * e_vv - e_uv * e_uv
+    f_u = right_u - l_u * right_1
+    f_v = right_v - l_v * right_1
+    a = (e_vv * f_u - e_uv * f_v) / determinant
+    b = (e_uu * f_v - e_uv * f_u) / determinant
+    p = right_1 / d1 - l_u * a - l_v * b
+    value = rss - eigenvalue * (1.0 + a * ba + b * bb + p * bc)
+    c = p - u0 * a - v0 * b
+    step = value / (1.0 + a * a + b * b + c * c)
+    definite = (d1 > 0.0) & (e_uu > 0.0) & (determinant > 0.0)
+    return a, b, p, step if definite else math.nan
+
+
 @kernel()
-def smallest_eigenvector(n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, q0, s_q, s_uq, s_vq, a0, b0, c0, rss):
-    """Smallest eigenvalue λ and α of the eigenvector (α, -1).
+def smallest_eigenvectors(moments, reference, count, work, solution, eigenvalue):
+    """Smallest eigenvalue λ and α of the eigenvector (α, -1) of many tiles at a time.
+
+    The tiles go through Newton's method side by side; one that has converged stays where it is, so that its
+    result does not depend on its neighbours.
 
     Parameters
     ----------
-    n, s_u, s_v, s_uu, s_uv, s_vv, s_q, s_uq, s_vq
-        Moments relative to the reference (u0, v0, q0).
-    a0, b0, c0, rss
-        The explicit solution q = a·tanθx + b·tanθy + c and its sum of squared residuals.
-
-    Returns
-    -------
-    eigenvalue, a, b, c : float
-        NaN where the plane passes through the camera's centre.
+    moments, reference : (10, N) and (3, N) float64
+        Of ``count`` tiles.
+    work : (4, N) float64
+        Room.
+    solution : (3, N) float64
+        On entry the explicit solution q = a·tanθx + b·tanθy + c, on return α.
+    eigenvalue : (N,) float64
+        The explicit solution's sum of squared residuals on entry, λ on return: NaN, and α meaningless, where
+        the plane passes through the camera's centre or NaN came in.
     """
-    # The identity and the vectors in centred coordinates: c' = c + a·u0 + b·v0.
-    b_uu = 1.0 + u0 * u0
-    b_uv = u0 * v0
-    b_vv = 1.0 + v0 * v0
-    p0 = c0 + a0 * u0 + b0 * v0
-    # B α₀', then b' = right-hand side of (A' - λB) α' = b' with q, not q - q0.
-    ba = b_uu * a0 + b_uv * b0 - u0 * p0
-    bb = b_uv * a0 + b_vv * b0 - v0 * p0
-    bc = p0 - u0 * a0 - v0 * b0
-    right_u = s_uq + q0 * s_u
-    right_v = s_vq + q0 * s_v
-    right_1 = s_q + q0 * n
-
-    a, b, p = a0, b0, p0
-    eigenvalue = rss / (1.0 + a0 * ba + b0 * bb + p0 * bc)
+    u0, v0, q0 = reference[0], reference[1], reference[2]
+    n, s_u, s_v, s_q = moments[0], moments[1], moments[2], moments[3]
+    s_uu, s_uv, s_uq, s_vv, s_vq = moments[4], moments[5], moments[6], moments[7], moments[8]
+    rss, ba, bb, bc = work[0], work[1], work[2], work[3]
+    for i in range(count):
+        # B α₀' with p the value at the reference: centred coordinates have c' = c + a·u0 + b·v0.
+        a, b = solution[0, i], solution[1, i]
+        p = solution[2, i] + a * u0[i] + b * v0[i]
+        ba[i] = (1.0 + u0[i] * u0[i]) * a + u0[i] * v0[i] * b - u0[i] * p
+        bb[i] = u0[i] * v0[i] * a + (1.0 + v0[i] * v0[i]) * b - v0[i] * p
+        bc[i] = p - u0[i] * a - v0[i] * b
+        rss[i] = eigenvalue[i]
+        # The Rayleigh quotient of (α₀, -1).
+        eigenvalue[i] = rss[i] / (1.0 + a * ba[i] + b * bb[i] + p * bc[i])
     for _ in range(20):
-        # (A' - λB) by LDLᵀ, eliminating the constant first: its pivot n is the largest.
-        d1 = n - eigenvalue
-        m_u = s_u + eigenvalue * u0
-        m_v = s_v + eigenvalue * v0
-        l_u = m_u / d1
-        l_v = m_v / d1
-        e_uu = s_uu - eigenvalue * b_uu - l_u * m_u
-        e_uv = s_uv - eigenvalue * b_uv - l_u * m_v
-        e_vv = s_vv - eigenvalue * b_vv - l_v * m_v
-        determinant = e_uu * e_vv - e_uv * e_uv
-        if not (d1 > 0.0 and e_uu > 0.0 and determinant > 0.0):
-            return math.nan, math.nan, math.nan, math.nan
-        f_u = right_u - l_u * right_1
-        f_v = right_v - l_v * right_1
-        a = (e_vv * f_u - e_uv * f_v) / determinant
-        b = (e_uu * f_v - e_uv * f_u) / determinant
-        p = right_1 / d1 - l_u * a - l_v * b
-        value = rss - eigenvalue * (1.0 + a * ba + b * bb + p * bc)
-        c = p - u0 * a - v0 * b
-        step = value / (1.0 + a * a + b * b + c * c)
-        if abs(step) <= 1e-14 * eigenvalue:
+        moving = 0
+        for i in range(count):
+            a, b, p, step = newton_step(
+                eigenvalue[i], n[i], s_u[i], s_v[i], s_uu[i], s_uv[i], s_vv[i], u0[i], v0[i],
+                s_uq[i] + q0[i] * s_u[i], s_vq[i] + q0[i] * s_v[i], s_q[i] + q0[i] * n[i],
+                ba[i], bb[i], bc[i], rss[i],
+            )  # fmt: skip
+            solution[0, i] = a
+            solution[1, i] = b
+            solution[2, i] = p - u0[i] * a - v0[i] * b
+            # Comparisons with NaN are false: a tile without a solution is NaN and does not move.
+            moving += 1 if abs(step) > 1e-14 * eigenvalue[i] else 0
+            eigenvalue[i] += 0.0 if abs(step) <= 1e-14 * eigenvalue[i] else step
+        if moving == 0:
             break
-        eigenvalue += step
-    return eigenvalue, a, b, p - u0 * a - v0 * b

@@ -1,14 +1,18 @@
-"""From moments to planes, tile by tile: the five methods' solves.
+"""From moments to planes: the five methods' solves, for a strip of tiles at a time.
 
-Each kernel works on tiles ``start`` to ``stop``. Moments are (10, T) and the reference point (3, T), as
-``moments`` describes. A status says why a tile has no plane; its numbers are then NaN.
+A strip is up to `moments.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
+which ``count`` columns are filled. The loops run over the tiles and vectorise. Planes are written from entry
+``first`` of flat output arrays. A status says why a tile has no plane; its numbers are then NaN.
 """
 
 import math
 
+import numpy as np
+
 from . import eigen4, secular
 from ._jit import kernel
 from .eigen3 import smallest_eigenpair
+from .moments import TILES
 
 # Values of rgbd_planes.TileStatus.
 OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
@@ -19,28 +23,31 @@ COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
 
+# The methods by number, in the order of rgbd_planes' own list.
+RANGE_EXPLICIT, RANGE_IMPLICIT, STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(5)
 
-@kernel()
-def explicit(moments, reference, valid_needed, start, stop, coefficients, residual, status):
+# Rows of room that a strip's solve needs.
+WORK = 16
+
+
+@kernel(inline=True)
+def explicit(moments, reference, count, solution, residual):
     """Least squares of w on (u, v, 1): the paper's eq. explicit_fit_std and eq. RGBD_explicit_fit.
 
     Centred on the valid pixels' mean, MᵀM leaves a 2x2 system.
 
     Parameters
     ----------
-    valid_needed : (T,) float64
-        Fewer valid pixels give TOO_FEW.
-    coefficients : (3, T) float64, written
+    solution : (3, N) float64, written
         a, b, c of w = a·u + b·v + c.
-    residual : (T,) float64, written
-        Sum of squared residuals.
-    status : (T,) uint8, written
+    residual : (N,) float64, written
+        Sum of squared residuals; NaN where the pixels are collinear.
     """
-    for i in range(start, stop):
-        n = moments[0, i]
-        mean_u = moments[1, i] / n
-        mean_v = moments[2, i] / n
-        mean_w = moments[3, i] / n
+    for i in range(count):
+        mean = 1.0 / moments[0, i]
+        mean_u = moments[1, i] * mean
+        mean_v = moments[2, i] * mean
+        mean_w = moments[3, i] * mean
         c_uu = moments[4, i] - moments[1, i] * mean_u
         c_uv = moments[5, i] - moments[1, i] * mean_v
         c_uw = moments[6, i] - moments[1, i] * mean_w
@@ -51,83 +58,85 @@ def explicit(moments, reference, valid_needed, start, stop, coefficients, residu
         trace = c_uu + c_vv
         a = (c_vv * c_uw - c_uv * c_vw) / determinant
         b = (c_uu * c_vw - c_uv * c_uw) / determinant
-        coefficients[0, i] = a
-        coefficients[1, i] = b
-        coefficients[2, i] = (
+        solution[0, i] = a
+        solution[1, i] = b
+        solution[2, i] = (
             (reference[2, i] + mean_w) - a * (reference[0, i] + mean_u) - b * (reference[1, i] + mean_v)
         )
-        residual[i] = max(c_ww - a * c_uw - b * c_vw, 0.0)
-        determined = determinant > COLLINEAR * trace * trace
-        status[i] = TOO_FEW if n < valid_needed[i] else (OK if determined else DEGENERATE)
+        left = c_ww - a * c_uw - b * c_vw
+        left = left if left > 0.0 else 0.0
+        residual[i] = left if determinant > COLLINEAR * trace * trace else math.nan
 
 
-@kernel()
-def range_implicit(moments, reference, start, stop, coefficients, residual, eigenvalue, status):
-    """Turn explicit range-space solutions into the implicit ones (eq. tan_theta_scattermatrix).
-
-    ``coefficients`` and ``residual`` hold the explicit solution on entry and α and its sum of squared
-    residuals in inverse depth on return; ``eigenvalue`` is written.
-    """
-    for i in range(start, stop):
-        if status[i] != OK:
-            continue
-        value, a, b, c = secular.smallest_eigenvector(
-            moments[0, i], moments[1, i], moments[2, i], moments[4, i], moments[5, i], moments[7, i],
-            reference[0, i], reference[1, i], reference[2, i], moments[3, i], moments[6, i], moments[8, i],
-            coefficients[0, i], coefficients[1, i], coefficients[2, i], residual[i],
-        )  # fmt: skip
-        if not math.isfinite(value):
-            status[i] = DEGENERATE
-        coefficients[0, i] = a
-        coefficients[1, i] = b
-        coefficients[2, i] = c
-        eigenvalue[i] = value
-        residual[i] = value * (1.0 + a * a + b * b + c * c)
-
-
-@kernel()
+@kernel(inline=True)
 def range_planes(
-    moments, reference, coefficients, residual, own_residual, max_error, start, stop,
+    implicit, moments, reference, needed, max_error, count, work, first,
     planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
     """Planes of q = α·m: d = 1/‖α‖ and n = -α/‖α‖, facing the camera.
 
     Parameters
     ----------
-    residual, own_residual : (T,) float64
-        Sum of squared residuals in inverse depth, and in the method's own units.
+    implicit : bool
+        Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix).
+    needed : (T,) float64
+        Fewer valid pixels give TOO_FEW.
     max_error : float
         Tiles with a larger ``rmse_metric`` get ROUGH.
-    planes, alpha, rmse, rmse_metric, valid_count, status : (T, 4), (T, 3), (T,)..., written
+    planes, alpha, rmse, rmse_metric, valid_count, status : (T, 4), (T, 3), (T,)..., written from ``first``
     """
-    for i in range(start, stop):
+    solution, residual, own, metric, distance, reason = work[:3], work[3], work[4], work[5], work[6], work[7]
+    explicit(moments, reference, count, solution, residual)
+    if implicit:
+        for i in range(count):
+            own[i] = residual[i] if moments[0, i] >= needed[first + i] else math.nan
+        secular.smallest_eigenvectors(moments, reference, count, work[8:], solution, own)
+        for i in range(count):
+            a, b, c = solution[0, i], solution[1, i], solution[2, i]
+            residual[i] = own[i] * (1.0 + a * a + b * b + c * c)
+    else:
+        for i in range(count):
+            own[i] = residual[i]
+    for i in range(count):
         n = moments[0, i]
-        a = coefficients[0, i]
-        b = coefficients[1, i]
-        c = coefficients[2, i]
+        mean = 1.0 / n
+        a, b, c = solution[0, i], solution[1, i], solution[2, i]
         d = 1.0 / math.sqrt(a * a + b * b + c * c)
-        fitted = status[i] == OK and d < math.inf
-        nan = 0.0 if fitted else math.nan
-        planes[i, 0] = nan - a * d
-        planes[i, 1] = nan - b * d
-        planes[i, 2] = nan - c * d
-        planes[i, 3] = nan + d
-        alpha[i, 0] = nan + a
-        alpha[i, 1] = nan + b
-        alpha[i, 2] = nan + c
-        mean_q = reference[2, i] + moments[3, i] / n
-        # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile.
-        error = nan + d / mean_q * math.sqrt(residual[i] / n)
-        rmse[i] = nan + math.sqrt(own_residual[i] / n)
-        rmse_metric[i] = error
-        valid_count[i] = int(n)
-        if fitted:
-            status[i] = ROUGH if error > max_error else OK
-        elif status[i] == OK:
-            status[i] = DEGENERATE
+        mean_q = reference[2, i] + moments[3, i] * mean
+        # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile. NaN without a plane.
+        error = d / mean_q * math.sqrt(residual[i] * mean)
+        enough = n >= needed[first + i]
+        fitted = enough & (d < math.inf) & (error == error)
+        nothing = 0.0 if fitted else math.nan
+        solution[0, i] = a + nothing
+        solution[1, i] = b + nothing
+        solution[2, i] = c + nothing
+        distance[i] = d + nothing
+        own[i] = math.sqrt(own[i] * mean) + nothing
+        metric[i] = error + nothing
+        rough = ROUGH if error > max_error else OK
+        reason[i] = (rough if fitted else DEGENERATE) if enough else TOO_FEW
+    for i in range(count):
+        d = distance[i]
+        planes[first + i, 0] = -solution[0, i] * d
+        planes[first + i, 1] = -solution[1, i] * d
+        planes[first + i, 2] = -solution[2, i] * d
+        planes[first + i, 3] = d
+    for i in range(count):
+        alpha[first + i, 0] = solution[0, i]
+        alpha[first + i, 1] = solution[1, i]
+        alpha[first + i, 2] = solution[2, i]
+    for i in range(count):
+        rmse[first + i] = own[i]
+    for i in range(count):
+        rmse_metric[first + i] = metric[i]
+    for i in range(count):
+        valid_count[first + i] = np.int32(moments[0, i])
+    for i in range(count):
+        status[first + i] = np.uint8(np.int32(reason[i]))
 
 
-@kernel()
+@kernel(inline=True)
 def write_plane(x, y, z, d, near, i, planes, alpha):
     """Write the plane x·X + y·Y + z·Z + d = 0 of any sign and norm; return its norm, or 0 if degenerate."""
     norm = math.sqrt(x * x + y * y + z * z)
@@ -144,36 +153,40 @@ def write_plane(x, y, z, d, near, i, planes, alpha):
     return norm
 
 
-@kernel()
+@kernel(inline=True)
 def standard_planes(
-    method, moments, reference, valid_needed, coefficients, residual, max_error, start, stop,
+    method, moments, reference, needed, max_error, count, work, first,
     planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
-    """Planes from the moments of (X, Y, Z).
+    """Planes from the moments of (X, Y, Z); see `range_planes` for the arrays.
 
-    ``method`` 0 is explicit (from ``coefficients``, ``residual`` and ``status`` of `explicit`), 1 implicit
-    (smallest eigenvector of eq. XYZ_scattermatrix, all four coefficients of norm 1) and 2 PCA (smallest
-    eigenvector of the centred 3x3 scatter matrix).
+    ``method`` 0 is explicit, 1 implicit (smallest eigenvector of eq. XYZ_scattermatrix, all four coefficients
+    of norm 1) and 2 PCA (smallest eigenvector of the centred 3x3 scatter matrix).
     """
-    for i in range(start, stop):
+    solution, residual = work[:3], work[3]
+    if method == 0:
+        explicit(moments, reference, count, solution, residual)
+    for i in range(count):
         n = moments[0, i]
-        valid_count[i] = int(n)
-        planes[i, :] = math.nan
-        alpha[i, :] = math.nan
-        rmse[i] = math.nan
-        rmse_metric[i] = math.nan
-        if n < valid_needed[i]:
-            status[i] = TOO_FEW
+        t = first + i
+        valid_count[t] = np.int32(n)
+        planes[t, :] = math.nan
+        alpha[t, :] = math.nan
+        rmse[t] = math.nan
+        rmse_metric[t] = math.nan
+        if n < needed[t]:
+            status[t] = TOO_FEW
             continue
+        status[t] = DEGENERATE
         mean_x = reference[0, i] + moments[1, i] / n
         mean_y = reference[1, i] + moments[2, i] / n
         mean_z = reference[2, i] + moments[3, i] / n
         if method == 0:
-            if status[i] == DEGENERATE:
+            if math.isnan(residual[i]):
                 continue
-            a = coefficients[0, i]
-            b = coefficients[1, i]
-            norm = write_plane(a, b, -1.0, coefficients[2, i], mean_z, i, planes, alpha)
+            a = solution[0, i]
+            b = solution[1, i]
+            norm = write_plane(a, b, -1.0, solution[2, i], mean_z, t, planes, alpha)
             own = error = math.sqrt(residual[i] / n)
             error /= math.sqrt(1.0 + a * a + b * b)
         else:
@@ -187,23 +200,52 @@ def standard_planes(
             minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
             trace = c_xx + c_yy + c_zz
             if not minors > COLLINEAR * trace * trace:
-                status[i] = DEGENERATE
                 continue
             if method == 1:
                 value, x, y, z = eigen4.smallest_eigenvector(
                     n, mean_x, mean_y, mean_z, c_xx, c_xy, c_xz, c_yy, c_yz, c_zz
                 )
-                norm = write_plane(x, y, z, -1.0, mean_z, i, planes, alpha)
+                norm = write_plane(x, y, z, -1.0, mean_z, t, planes, alpha)
                 own = math.sqrt(value / n)
                 error = own * math.sqrt(1.0 + 1.0 / (x * x + y * y + z * z))
             else:
                 value, x, y, z = smallest_eigenpair(c_xx, c_xy, c_xz, c_yy, c_yz, c_zz)
                 d = -(x * mean_x + y * mean_y + z * mean_z)
-                norm = write_plane(x, y, z, d, mean_z, i, planes, alpha)
+                norm = write_plane(x, y, z, d, mean_z, t, planes, alpha)
                 own = error = math.sqrt(value / n)
         if norm == 0.0:
-            status[i] = DEGENERATE
             continue
-        rmse[i] = own
-        rmse_metric[i] = error
-        status[i] = ROUGH if error > max_error else OK
+        rmse[t] = own
+        rmse_metric[t] = error
+        status[t] = ROUGH if error > max_error else OK
+
+
+@kernel()
+def fit_moments(
+    method, moments, reference, needed, max_error, start, stop,
+    planes, alpha, rmse, rmse_metric, valid_count, status,
+):  # fmt: skip
+    """Planes from moments that are there: entries ``start`` to ``stop`` of (10, T), in range space or in (X, Y, Z).
+
+    ``method`` is a number, see `RANGE_EXPLICIT`.
+    """
+    room = np.empty((13 + WORK, TILES))
+    block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    for first in range(start, stop, TILES):
+        count = min(TILES, stop - first)
+        for entry in range(10):
+            for i in range(count):
+                block_moments[entry, i] = moments[entry, first + i]
+        for axis in range(3):
+            for i in range(count):
+                block_reference[axis, i] = reference[axis, first + i]
+        if method <= RANGE_IMPLICIT:
+            range_planes(
+                method == RANGE_IMPLICIT, block_moments, block_reference, needed, max_error, count, work, first,
+                planes, alpha, rmse, rmse_metric, valid_count, status,
+            )  # fmt: skip
+        else:
+            standard_planes(
+                method - STANDARD_EXPLICIT, block_moments, block_reference, needed, max_error, count, work, first,
+                planes, alpha, rmse, rmse_metric, valid_count, status,
+            )  # fmt: skip

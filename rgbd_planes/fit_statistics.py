@@ -137,6 +137,11 @@ class RoughTest:
             return
         self._limit = _limits(self._noise, level, largest)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to test."""
+        return self._noise is None
+
     def mark(self, method: str, arrays: "Arrays", start: int, stop: int) -> None:
         """Mark tiles ``start`` to ``stop`` of one frame: flat arrays, as in `fitting.solve_planes`."""
         if self._noise is None:

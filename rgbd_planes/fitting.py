@@ -12,7 +12,11 @@ from rgbd_planes.kernels import naive, solve, summed_area
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
+# In the order of their numbers in `kernels.solve`.
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+
+# What the kernels write, in the order of their arguments.
+RESULTS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -48,28 +52,11 @@ def solve_planes(
 ) -> None:
     """Fill in the planes of tiles ``start`` to ``stop`` of one frame from their moments.
 
-    ``arrays`` are those of `plane_fits.allocate`, flat: (T, ...) each, and (10, T), (3, T), (5, T).
+    ``arrays`` are those of `plane_fits.allocate`, flat: (T, ...) each, and (10, T), (3, T).
     """
-    moments, reference, work = arrays["_moments"], arrays["_reference"], arrays["_work"]
-    coefficients, residual, own_residual = work[:3], work[3], work[4]
-    planes, alpha, status = arrays["planes"], arrays["alpha"], arrays["status"]
-    rmse, rmse_metric, valid_count = arrays["rmse"], arrays["rmse_metric"], arrays["valid_count"]
-    if method in ("range_explicit", "range_implicit", "standard_explicit"):
-        solve.explicit(moments, reference, needed, start, stop, coefficients, residual, status)
-    if method.startswith("standard"):
-        solve.standard_planes(
-            ("standard_explicit", "standard_implicit", "standard_pca").index(method),
-            moments, reference, needed, coefficients, residual, max_error, start, stop,
-            planes, alpha, rmse, rmse_metric, valid_count, status,
-        )  # fmt: skip
-        return
-    if method == "range_implicit":
-        solve.range_implicit(moments, reference, start, stop, coefficients, residual, own_residual, status)
-    else:
-        own_residual = residual
-    solve.range_planes(
-        moments, reference, coefficients, residual, own_residual, max_error, start, stop,
-        planes, alpha, rmse, rmse_metric, valid_count, status,
+    solve.fit_moments(
+        METHODS.index(method), arrays["_moments"], arrays["_reference"], needed, max_error, start, stop,
+        *(arrays[name] for name in RESULTS),
     )  # fmt: skip
 
 

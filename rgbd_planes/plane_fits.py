@@ -65,8 +65,6 @@ class PlaneFits:
     # with S' = (R, C) or (K,).
     _moments: Float
     _reference: Float
-    # Explicit solution, two sums of squared residuals: room that a fit needs and a later one uses again.
-    _work: Float
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -173,5 +171,4 @@ def allocate(leading: tuple[int, ...], cells: tuple[int, ...]) -> dict[str, npt.
         "status": np.empty(shape, np.uint8),
         "_moments": np.empty((*leading, 10, *cells)),
         "_reference": np.zeros((*leading, 3, *cells)),
-        "_work": np.empty((*leading, 5, *cells)),
     }

@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.fit_statistics import RoughTest
 from rgbd_planes.fitting import (
     METHODS,
+    RESULTS,
     Arrays,
     WindowMoments,
     check_choice,
@@ -23,7 +25,7 @@ from rgbd_planes.fitting import (
     solve_planes,
     valid_needed,
 )
-from rgbd_planes.kernels import moments
+from rgbd_planes.kernels import grid, moments
 from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
 
@@ -132,7 +134,7 @@ class TilePlanes(PlaneFits):
         """Write an NPZ file, camera included, that `load` reads; whole or not at all."""
         from rgbd_planes.files import write_beside
 
-        arrays = {name.lstrip("_"): getattr(self, name) for name in _SAVED}
+        arrays = {name.lstrip("_"): getattr(self, name) for name in _ARRAYS}
         about = json.dumps({"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method})
         with write_beside(path) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, about=np.array(about), **arrays)
@@ -144,21 +146,17 @@ class TilePlanes(PlaneFits):
             if "about" not in file:
                 raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}")
             about = json.loads(str(file["about"]))
-            arrays = {name: file[name.lstrip("_")] for name in _SAVED}
+            arrays = {name: file[name.lstrip("_")] for name in _ARRAYS}
         height, width = about["tile"]
-        shape = arrays["status"].shape
-        work = np.empty((*shape[:-2], 5, *shape[-2:]))
         return cls(
             camera=Camera.from_dict(about["camera"]),
             method=about["method"],
             tile=(height, width),
-            _work=work,
             **arrays,
         )
 
 
-_SAVED = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status", "_moments", "_reference")
-_ARRAYS = (*_SAVED, "_work")
+_ARRAYS = ("_moments", "_reference", *RESULTS)
 
 
 class TileFitter:
@@ -219,20 +217,22 @@ class TileFitter:
         self._max_error = check_error(max_error)
         self._num_threads = num_threads
 
-        rows, columns = len(_sizes(camera.height, self.tile[0])), len(_sizes(camera.width, self.tile[1]))
-        self._grid = rows, columns
-        self._full = np.empty((6, rows, columns))
-        self._centre = np.zeros((3, rows, columns))
-        with announced("full_tile_moments"):
-            moments.full_tile_moments(camera.tan_x, camera.tan_y, *self.tile, self._centre, self._full)
-        self._needed = valid_needed(self._full[0], max_missing).ravel()
+        self._grid = len(_sizes(camera.height, self.tile[0])), len(_sizes(camera.width, self.tile[1]))
+        self._centre, self._full = _camera_terms(camera, self.tile)
+        self._needed = valid_needed(self._full[0], max_missing)
         self._rough_test = RoughTest(camera.noise, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
-            self._rays = (
+            self._kernel: Any = (
+                grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
+            )
+            rays = (
                 (camera.tan_x_columns, camera.tan_y_rows)
                 if camera.is_separable
                 else (camera.tan_x, camera.tan_y)
             )
+            self._of_camera = (
+                *rays, *self.tile, self._centre, self._full, self._needed, METHODS.index(method), self._max_error
+            )  # fmt: skip
         else:
             self._windows = _windows(camera, self.tile)
             self._window_moments = WindowMoments(camera, method, implementation)
@@ -258,7 +258,7 @@ class TileFitter:
         arrays = self._arrays((), out)
         threads = choose_num_threads(self._num_threads, frame.raw.size)
         with announced((self.method, self.implementation, self.camera.is_separable, frame.raw.dtype)):
-            self._fit_frame(frame, arrays, threads)
+            run_in_ranges(self._work(frame, arrays), self._grid[0], threads)
         return self._result(arrays) if out is None else out
 
     def fit_batch(
@@ -280,15 +280,21 @@ class TileFitter:
         if len(frames) == 0:
             raise ValueError("expected at least one frame, got none")
         arrays = self._arrays((len(frames),), out)
-        opened = [as_depth_frame(frame, self.camera) for frame in frames]
+        rows = self._grid[0]
 
         def fit_some(start: int, stop: int) -> None:
-            for i in range(start, stop):
-                self._fit_frame(opened[i], {name: array[i] for name, array in arrays.items()}, 1)
+            """Fit tile rows ``start`` to ``stop``, counted through all frames."""
+            for i in range(start // rows, -(-stop // rows)):
+                work = self._work(
+                    as_depth_frame(frames[i], self.camera), {name: array[i] for name, array in arrays.items()}
+                )
+                work(max(start - i * rows, 0), min(stop - i * rows, rows))
 
-        pixels = len(opened) * opened[0].raw.size
-        with announced((self.method, self.implementation, self.camera.is_separable, opened[0].raw.dtype)):
-            run_in_ranges(fit_some, len(opened), choose_num_threads(self._num_threads, pixels))
+        pixels = len(frames) * self.camera.width * self.camera.height
+        with announced(
+            (self.method, self.implementation, self.camera.is_separable, np.asarray(frames[0]).dtype)
+        ):
+            run_in_ranges(fit_some, len(frames) * rows, choose_num_threads(self._num_threads, pixels))
         return self._result(arrays) if out is None else out
 
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
@@ -308,54 +314,47 @@ class TileFitter:
     def _result(self, arrays: Arrays) -> TilePlanes:
         return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
 
-    def _fit_frame(self, frame: DepthFrame, arrays: Arrays, threads: int) -> None:
-        """Fit one frame into arrays of shape (R, C, ...)."""
-        rows, columns = self._grid
-        count = rows * columns
-        flat: dict[str, npt.NDArray[Any]] = {}
-        for name, array in arrays.items():
-            leading = name in ("_moments", "_reference", "_work")  # (10, R, C), others (R, C, 4) or (R, C)
-            flat[name] = array.reshape((len(array), count) if leading else (count, *array.shape[2:]))
-        work = (
-            self._direct(frame, arrays)
-            if self.implementation == "direct"
-            else self._windowed(frame, arrays, flat)
+    def _work(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
+        """Return what fits tile rows ``start`` to ``stop`` of a frame into arrays of shape (R, C, ...)."""
+        fit = (
+            self._direct(frame, arrays) if self.implementation == "direct" else self._windowed(frame, arrays)
         )
+        if self._rough_test.is_empty:
+            return fit
+        columns = self._grid[1]
+        flat = _flat(arrays)
 
-        def fit_rows(start: int, stop: int) -> None:
-            work(start, stop)
-            solve_planes(self.method, flat, self._needed, self._max_error, start * columns, stop * columns)
+        def fit_and_test(start: int, stop: int) -> None:
+            fit(start, stop)
             self._rough_test.mark(self.method, flat, start * columns, stop * columns)
 
-        run_in_ranges(fit_rows, rows, threads)
+        return fit_and_test
 
     def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
-        arrays["_reference"][:2] = self._centre[:2]
-        in_range_space = self.method.startswith("range")
-        kernel: Any
-        if self.camera.is_separable:
-            kernel = moments.range_moments_separable if in_range_space else moments.standard_moments_separable
-        else:
-            kernel = moments.range_moments if in_range_space else moments.standard_moments
-        full = (self._full,) if in_range_space else ()
+        # Numba compiles for a depth image or for a disparity image.
+        offset = frame.offset if frame.is_disparity else None
+        results = [arrays[name] for name in _ARRAYS]
 
-        def work(start: int, stop: int) -> None:
-            kernel(
-                frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-                *self._rays, *self.tile, *full, start, stop, arrays["_reference"], arrays["_moments"],
+        def fit(start: int, stop: int) -> None:
+            self._kernel(
+                frame.raw, frame.lowest, frame.highest, frame.scale, offset, *self._of_camera,
+                start, stop, *results,
             )  # fmt: skip
 
-        return work
+        return fit
 
-    def _windowed(self, frame: DepthFrame, arrays: Arrays, flat: Arrays) -> Callable[[int, int], None]:
-        arrays["_reference"][:] = 0.0
+    def _windowed(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
+        flat = _flat(arrays)
+        flat["_reference"][:] = 0.0
         source = self._window_moments.prepare(frame)
         columns = self._grid[1]
 
-        def work(start: int, stop: int) -> None:
-            source(self._windows, self._full_windows, start * columns, stop * columns, flat["_moments"])
+        def fit(start: int, stop: int) -> None:
+            start, stop = start * columns, stop * columns
+            source(self._windows, self._full_windows, start, stop, flat["_moments"])
+            solve_planes(self.method, flat, self._needed.ravel(), self._max_error, start, stop)
 
-        return work
+        return fit
 
 
 def fit_tiles(
@@ -414,6 +413,43 @@ def _check_tile(tile: int | tuple[int, int], camera: Camera) -> tuple[int, int]:
             f"got {tile!r}"
         )
     return height, width
+
+
+@lru_cache(maxsize=4)
+def _camera_terms(
+    camera: Camera, tile: tuple[int, int]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """The mean ray of each tile, (2, R, C), and the six camera terms of the full tile about it, (6, R, C)."""
+    heights, widths = _sizes(camera.height, tile[0]), _sizes(camera.width, tile[1])
+    centre = np.empty((2, len(heights), len(widths)))
+    full = np.empty((6, len(heights), len(widths)))
+    if camera.is_separable:
+        u0, s_u, s_uu = _sums(camera.tan_x_columns, widths)
+        v0, s_v, s_vv = _sums(camera.tan_y_rows, heights)
+        centre[0], centre[1] = u0, v0[:, None]
+        sums = ((heights, widths), (heights, s_u), (s_v, widths), (heights, s_uu), (s_v, s_u), (s_vv, widths))
+        for term, (of_row, of_column) in zip(full, sums, strict=True):
+            np.multiply(of_row[:, None], of_column, out=term)
+    else:
+        with announced("full_tile_moments"):
+            moments.full_tile_moments(camera.tan_x, camera.tan_y, *tile, centre, full)
+    centre.flags.writeable = full.flags.writeable = False
+    return centre, full
+
+
+def _sums(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """Mean of each run of ``sizes`` values, and the sums of the deviations from it and of their squares."""
+    starts = np.cumsum(sizes) - sizes
+    mean = np.add.reduceat(values, starts) / sizes
+    deviation = values - np.repeat(mean, sizes)
+    return np.stack([mean, np.add.reduceat(deviation, starts), np.add.reduceat(deviation**2, starts)])
+
+
+def _flat(arrays: Arrays) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of one frame with the tiles in one dimension: (T, ...), and (10, T), (3, T)."""
+    count = arrays["status"].size
+    flat = {name: array.reshape(count, *array.shape[2:]) for name, array in arrays.items() if name in RESULTS}
+    return flat | {name: arrays[name].reshape(-1, count) for name in ("_moments", "_reference")}
 
 
 def _sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
