@@ -24,6 +24,7 @@ _NAMES = {
     "WindowPlanes": "windows",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "measurement_noise": "point_noise",
     "segment_quadtree": "quadtree",
 }
 _MODULES = ("presets", "scenes")
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from rgbd_planes import scenes as scenes
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.point_noise import measurement_noise as measurement_noise
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
