@@ -29,6 +29,7 @@ _NAMES = {
     "fit_sequence": "batch",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "measurement_noise": "point_noise",
     "merge": "merging",
     "normals": "surfaces",
     "open_sequence": "sequences",
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.noise_estimation import estimate_noise as estimate_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.point_noise import measurement_noise as measurement_noise
     from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation import Segmentation as Segmentation
