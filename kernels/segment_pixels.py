@@ -44,14 +44,6 @@ def contenders(region, row, column, block, tan_x, tan_y, candidate, centre):
     """
     rows, columns = region.shape
     height, width = tan_x.shape
-    candidate[0] = region[row, column]
-    if 0 < row < rows - 1 and 0 < column < columns - 1:
-        alike = True
-        for r in range(row - 1, row + 2):
-            for c in range(column - 1, column + 2):
-                alike &= region[r, c] == candidate[0]
-        if alike:  # most of the image
-            return 1 if candidate[0] >= 0 else 0
     count = 0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
@@ -166,6 +158,52 @@ def find_lines(count, candidate, centre, alpha, line):
 
 
 @kernel()
+def find_alone(region, alone):
+    """Mark the blocks whose eight neighbours are of their own region, inside the image."""
+    rows, columns = region.shape
+    alone[:] = False
+    for row in range(1, rows - 1):
+        above, own, below = region[row - 1], region[row], region[row + 1]
+        for column in range(1, columns - 1):
+            a = own[column]
+            alone[row, column] = (
+                (own[column - 1] == a) & (own[column + 1] == a)
+                & (above[column - 1] == a) & (above[column] == a) & (above[column + 1] == a)
+                & (below[column - 1] == a) & (below[column] == a) & (below[column + 1] == a)
+            )  # fmt: skip
+
+
+@kernel()
+def write_block(label, inverse_depth, top, left, block, a):
+    """Label a block's measured pixels."""
+    for y in range(top, min(top + block, label.shape[0])):
+        for x in range(left, min(left + block, label.shape[1])):
+            label[y, x] = a if inverse_depth[y, x] > 0.0 else -1
+
+
+@kernel()
+def is_far_from_others(a, count, candidate, alpha, tan_x, tan_y, top, left, block, distance):
+    """Whether region a's plane is farther than ``distance`` from all other contenders' all over a block.
+
+    Planes are, so it is enough to look at the corners.
+    """
+    bottom = min(top + block, tan_x.shape[0]) - 1
+    right = min(left + block, tan_x.shape[1]) - 1
+    for i in range(count):
+        b = candidate[i]
+        if b == a:
+            continue
+        d_u, d_v, d_1 = alpha[b, 0] - alpha[a, 0], alpha[b, 1] - alpha[a, 1], alpha[b, 2] - alpha[a, 2]
+        nearer = d_u * tan_x[top, left] + d_v * tan_y[top, left] + d_1 > 0.0
+        for y in (top, bottom):
+            for x in (left, right):
+                d = d_u * tan_x[y, x] + d_v * tan_y[y, x] + d_1
+                if not (d if nearer else -d) > distance:
+                    return False
+    return True
+
+
+@kernel()
 def own_pixels(
     inverse_depth, tan_x, tan_y, block, region, alpha, slope_variance, spread, sigma, reach, close, settled,
     cut, block_moments, is_last, label, moments, squares,
@@ -202,7 +240,6 @@ def own_pixels(
     rows, columns = region.shape
     limit = reach * reach
     close_square = close * close
-    settled_square = settled * settled
     side = block + 2
     candidate = np.empty(NEIGHBOURS, np.int64)
     centre = np.empty((NEIGHBOURS, 3))
@@ -214,38 +251,48 @@ def own_pixels(
     q, u, v = np.empty(side * side), np.empty(side * side), np.empty(side * side)
     n, sums = np.empty(side * side), np.empty(side * side)
     before = region.copy()
+    alone = np.empty((rows, columns), np.bool_)
+    find_alone(before, alone)
     moments[:] = 0.0
     squares[:] = 0.0
     for row in range(rows):
         top = row * block
         for column in range(columns):
             left = column * block
-            bottom, right = min(top + block, height), min(left + block, width)
+            a = before[row, column]
             pixels = block_moments[row, column, 0]
-            count = 0
-            if pixels > 0.0:
-                count = contenders(before, row, column, block, tan_x, tan_y, candidate, centre)
-            if count == 0:
+            if alone[row, column] and (a < 0 or pixels == 0.0):
                 if is_last:
-                    label[top:bottom, left:right] = -1
+                    write_block(label, inverse_depth, top, left, block, -1)
                 continue
-            sensor = sensor_variance(block_moments[row, column, 3] / pixels, sigma)
-            if count == 1:
-                a = candidate[0]
-                error = misfit(block_moments[row, column], alpha[a]) / (
-                    (sensor + slope_variance[a]) * spread[a]
-                )
-                if error <= settled_square * pixels:
+            if pixels == 0.0:
+                if is_last:
+                    write_block(label, inverse_depth, top, left, block, -1)
+                region[row, column] = -1
+                continue
+            m = block_moments[row, column]
+            sensor = sensor_variance(m[3] / pixels, sigma)
+            count = 1
+            candidate[0] = a
+            if not alone[row, column]:
+                count = contenders(before, row, column, block, tan_x, tan_y, candidate, centre)
+                if count == 1:
+                    a = candidate[0]
+            if a >= 0:
+                total = (sensor + slope_variance[a]) * spread[a]
+                error = misfit(m, alpha[a]) / total
+                if error <= settled * settled * pixels and is_far_from_others(
+                    a, count, candidate, alpha, tan_x, tan_y, top, left, block, reach * math.sqrt(total)
+                ):
                     if is_last:
-                        for y in range(top, bottom):
-                            for x in range(left, right):
-                                label[y, x] = a if inverse_depth[y, x] > 0.0 else -1
+                        write_block(label, inverse_depth, top, left, block, a)
                     for k in range(10):
-                        moments[a, k] += block_moments[row, column, k]
+                        moments[a, k] += m[k]
                     squares[a] += max(error, 0.0)
                     region[row, column] = a
                     continue
 
+            bottom, right = min(top + block, height), min(left + block, width)
             gather(inverse_depth, tan_x, tan_y, top - 1, left - 1, side, q, u, v, sums, n)
             find_lines(count, candidate, centre, alpha, line)
             for i in range(count):

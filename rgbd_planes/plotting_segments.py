@@ -43,12 +43,20 @@ def label_image(segmentation: "Segmentation", depth: ArrayLike | None = None) ->
     image = palette[segmentation.labels]
     if depth is not None:
         frame = as_depth_frame(depth, segmentation.camera)
-        # Lit from the upper left, in inverse depth, where noise is alike near and far.
-        q = np.nan_to_num(frame.inverse_depth)
-        slope = np.diff(q, axis=1, prepend=q[:, :1]) + np.diff(q, axis=0, prepend=q[:1])
-        image = image * np.clip(1.0 + 0.08 * slope / segmentation.sigma, 0.65, 1.15)[..., None]
+        image = image * _relief(frame.inverse_depth, segmentation.sigma)[..., None]
     image[segmentation.reason == Reason.MISSING] = MISSING
     return np.asarray(np.clip(image, 0.0, 1.0))
+
+
+def _relief(inverse_depth: Floats, sigma: float) -> Floats:
+    """(H, W) brightness of a surface lit from the upper left; smoothed, for it is not to show the noise."""
+    from scipy.ndimage import uniform_filter
+
+    measured = np.isfinite(inverse_depth).astype(np.float64)
+    # In inverse depth, where noise is alike near and far; the mean over the measured pixels of 5x5.
+    smooth = uniform_filter(np.nan_to_num(inverse_depth), 5) / np.maximum(uniform_filter(measured, 5), 0.04)
+    slope = np.diff(smooth, axis=1, prepend=smooth[:, :1]) + np.diff(smooth, axis=0, prepend=smooth[:1])
+    return np.asarray(np.clip(1.0 + 0.12 * slope / sigma, 0.7, 1.12))
 
 
 def plot_segments(

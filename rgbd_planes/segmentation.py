@@ -47,7 +47,7 @@ class Rules:
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left in peace
     rough: float = 2.5  # deviations of a region that is no plane
-    narrow: float = 3.8  # pixels: the mean length of runs along rows, and along columns, that a plane has
+    narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
     trips: int = 3  # from planes to pixels and back
 
 

@@ -4,6 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.metrics import compare_labels, plane_errors
@@ -181,6 +184,27 @@ def test_any_size(size):
     if height >= 16:
         assert (found.labels == 1).all()
         assert found.planes[0] == pytest.approx([0.0, 0.0, -1.0, 1.25], abs=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    depth=arrays(
+        np.uint16,
+        st.tuples(st.integers(1, 40), st.integers(1, 40)),
+        elements=st.sampled_from([0, 1, 700, 1000, 1001, 1004, 1400, 65535]),
+    ),
+    min_size=st.integers(3, 80),
+)
+def test_any_frame_gives_consistent_numbers(depth, min_size):
+    height, width = depth.shape
+    camera = Camera(width=width, height=height, fx=40.0, fy=-50.0, cx=3.0, cy=20.0, depth_scale=1000.0)
+    found = segment(depth, camera, min_size=min_size)
+    assert np.bincount(found.labels.ravel(), minlength=len(found) + 1)[1:].tolist() == found.sizes.tolist()
+    assert ((found.reason == Reason.PLANE) == (found.labels > 0)).all()
+    assert ((found.reason == Reason.MISSING) == (depth == 0)).all()
+    for name in ("planes", "alpha", "alpha_covariance", "rmse"):
+        assert np.isfinite(getattr(found, name)).all()
+    assert (found.planes[:, 3] > 0).all()
 
 
 def test_same_bits_every_time(room):
