@@ -83,7 +83,7 @@ def fit_sequence(
     scheduler: str | None = None,
     progress: Callable[[Progress], object] | None = None,
 ) -> BatchReport:
-    """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile.
+    """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile or a segment.
 
     Where `out` holds a part of this very table, from a call that was interrupted, the rest is done. A frame
     that cannot be read or fitted is skipped and reported. Memory does not grow with the sequence.
@@ -93,11 +93,12 @@ def fit_sequence(
     sequence : FrameSequence
     out : folder
         Made if need be; `pandas.read_parquet` and others read the folder as one table. Columns: frame, name,
-        timestamp; row and column of the tile; top, left, height, width in pixels; status, valid_count; nx,
-        ny, nz, d; rmse, rmse_metric; where the cameras have a noise model also p_value and the covariance of
-        the plane, cov_nx_nx, cov_nx_ny, ..., cov_d_d.
+        timestamp; row and column of a tile, label of a segment; top, left, height, width in pixels; status,
+        valid_count; nx, ny, nz, d; rmse, rmse_metric; of tiles, where the cameras have a noise model,
+        p_value; then, and of segments always, the covariance of the plane, cov_nx_nx, cov_nx_ny, ...,
+        cov_d_d. A segment's place is the rectangle around it, its valid_count its pixels.
     settings : FitSettings, optional
-        The arguments of `fit_tiles`.
+        Tiles or segments, and the arguments of `fit_tiles`.
     num_threads : int, optional
         All cores, if not given. The table is the same for any number.
     scheduler : str, optional

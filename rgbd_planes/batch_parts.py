@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter, TilePlanes
 
@@ -48,10 +49,13 @@ class FitSettings:
 
     Attributes
     ----------
+    segments : bool
+        The planes of `rgbd_planes.segment`, one row a plane, instead of one row a tile.
     tile, method, max_missing, max_error, significance
-        As `rgbd_planes.fit_tiles` takes them.
+        Of tiles, as `rgbd_planes.fit_tiles` takes them.
     """
 
+    segments: bool = False
     tile: int | tuple[int, int] = 16
     method: str = "range_explicit"
     max_missing: float = 0.5
@@ -60,7 +64,8 @@ class FitSettings:
 
     def check(self, camera: Camera) -> None:
         """Raise what fitting a frame of this camera would raise for these settings."""
-        _fitter(camera, self)
+        if not self.segments:
+            _fitter(camera, self)
 
 
 class Problem(NamedTuple):
@@ -117,6 +122,7 @@ def fit_part(
     rows: list[tuple[int, Columns]] = []
     problems: list[Problem] = []
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
+    columns = _segment_columns if settings.segments else _tile_columns
     for i, entry in enumerate(sequence.entries):
         if stopped():
             raise StoppedError
@@ -124,7 +130,7 @@ def fit_part(
         try:
             frame = sequence[i]
             middle = time.perf_counter()
-            rows.append((i, _columns(frame, settings)))
+            rows.append((i, columns(frame, settings)))
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
@@ -133,7 +139,7 @@ def fit_part(
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle
     begin = time.perf_counter()
-    content, status = _write(sequence, first, rows, problems)
+    content, status = _write(sequence, first, settings, rows, problems)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), seconds)
 
@@ -162,31 +168,63 @@ def _places(shape: tuple[int, int], size: tuple[int, int], tile: tuple[int, int]
     return {"row": row, "column": column, "top": top, "left": left, "height": height, "width": width}
 
 
-def _columns(frame: Frame, settings: FitSettings) -> Columns:
+def _tile_columns(frame: Frame, settings: FitSettings) -> Columns:
     """One row a tile: columns after frame, name and timestamp."""
     tiles: TilePlanes = _fitter(frame.camera, settings).fit(frame.depth)
     rows, columns = tiles.shape
-    planes = tiles.planes.reshape(-1, 4)
     made = {
         **_places((rows, columns), frame.camera.shape, tiles.tile),
         "status": tiles.status.ravel(),
         "valid_count": tiles.valid_count.ravel(),
-        **{name: planes[:, i] for i, name in enumerate(_PLANE)},
+        **_plane_columns(tiles.planes),
         "rmse": tiles.rmse.ravel(),
         "rmse_metric": tiles.rmse_metric.ravel(),
     }
     if frame.camera.noise is not None:
-        covariance = tiles.plane_covariance.reshape(-1, 4, 4)
         made["p_value"] = tiles.p_value.ravel()
-        made |= {name: covariance[:, i, j] for name, (i, j) in _COVARIANCES.items()}
+        made |= _covariance_columns(tiles.plane_covariance)
     return made
 
 
-def _dtypes(noise: bool) -> dict[str, type]:
-    """Columns of `_columns`, in order."""
-    statistics = ["p_value", *_COVARIANCES] if noise else []
+def _segment_columns(frame: Frame, settings: FitSettings) -> Columns:
+    """One row a segment: columns after frame, name and timestamp."""
+    from scipy.ndimage import find_objects
+
+    segments = segment(frame.depth, frame.camera)
+    boxes = np.array(
+        [
+            (rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start)
+            for rows, columns in find_objects(segments.labels, max_label=len(segments))
+        ],
+        np.int32,
+    ).reshape(-1, 4)
     return {
-        **dict.fromkeys(["row", "column", "top", "left", "height", "width"], np.int32),
+        "label": np.arange(1, len(segments) + 1, dtype=np.int32),
+        **{name: boxes[:, i] for i, name in enumerate(("top", "left", "height", "width"))},
+        "status": np.full(len(segments), TileStatus.OK, np.uint8),
+        "valid_count": segments.sizes,
+        **_plane_columns(segments.planes),
+        "rmse": segments.rmse,
+        "rmse_metric": segments.rmse_metric,
+        **_covariance_columns(segments.plane_covariance),
+    }
+
+
+def _plane_columns(planes: NDArray[np.float64]) -> Columns:
+    return dict(zip(_PLANE, planes.reshape(-1, 4).T, strict=True))
+
+
+def _covariance_columns(covariance: NDArray[np.float64]) -> Columns:
+    matrices = covariance.reshape(-1, 4, 4)
+    return {name: matrices[:, i, j] for name, (i, j) in _COVARIANCES.items()}
+
+
+def _dtypes(settings: FitSettings, noise: bool) -> dict[str, type]:
+    """Columns of `_tile_columns` or `_segment_columns`, in order."""
+    which = ["label"] if settings.segments else ["row", "column"]
+    statistics = list(_COVARIANCES) if settings.segments else ["p_value", *_COVARIANCES] if noise else []
+    return {
+        **dict.fromkeys([*which, "top", "left", "height", "width"], np.int32),
         "status": np.uint8,
         "valid_count": np.int32,
         **dict.fromkeys([*_PLANE, "rmse", "rmse_metric", *statistics], np.float64),
@@ -196,6 +234,7 @@ def _dtypes(noise: bool) -> dict[str, type]:
 def _write(
     sequence: FrameSequence,
     first: int,
+    settings: FitSettings,
     rows: list[tuple[int, Columns]],
     problems: list[Problem],
 ) -> tuple[bytes, dict[str, int]]:
@@ -204,7 +243,7 @@ def _write(
 
     columns: Columns = {
         name: np.concatenate([np.empty(0, dtype), *(made[name] for _, made in rows)], dtype=dtype)
-        for name, dtype in _dtypes(sequence.camera.noise is not None).items()
+        for name, dtype in _dtypes(settings, sequence.camera.noise is not None).items()
     }
     which = np.repeat([i for i, _ in rows], [len(made["status"]) for _, made in rows]).astype(np.int32)
     counts = np.bincount(columns["status"], minlength=len(_STATUSES))

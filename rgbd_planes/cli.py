@@ -172,7 +172,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
-    """Fit every frame of a data set or a recording into a Parquet table, one row a tile.
+    """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
 
     example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet --tile 16
 
@@ -189,6 +189,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         "seven_scenes, tum",
     )
     parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")
+    parser.add_argument(
+        "--segments", action="store_true", help="one row a segment, not a tile; no options of tiles"
+    )
     _add_fit_options(parser)
     parser.add_argument(
         "--noise",
@@ -213,6 +216,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         if arguments.noise is not None:
             sequence = sequence.with_noise(getattr(noise, arguments.noise)())
         settings = FitSettings(
+            segments=arguments.segments,
             tile=arguments.tile,
             method=arguments.method,
             max_missing=arguments.max_missing,

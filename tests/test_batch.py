@@ -129,6 +129,31 @@ def test_a_noise_model_adds_covariances_and_p_values(recording, tmp_path):
     assert "cov_d_d" in rows_of(tmp_path / "c")
 
 
+def test_one_row_a_segment(recording, tmp_path):
+    pytest.importorskip("pandas")
+    sequence = rp.open_sequence(recording)[:6]
+    (recording / "depth" / "2.png").write_bytes(b"")
+    report = rp.fit_sequence(sequence, tmp_path / "out", FitSettings(segments=True), num_threads=2)
+    table = parquet.read_table(tmp_path / "out").to_pandas()
+    assert report.rows == len(table) > 10
+    for i in good(sequence, (2,)):
+        rows = table[table.frame == i]
+        expected = rp.segment(sequence[i].depth, CAMERA)
+        assert list(rows.label) == list(range(1, len(expected) + 1))
+        assert np.array_equal(rows[["nx", "ny", "nz", "d"]], expected.planes)
+        assert np.array_equal(rows.valid_count, expected.sizes)
+        assert np.array_equal(rows.rmse_metric, expected.rmse_metric)
+        assert np.array_equal(rows.cov_nz_d, expected.plane_covariance[:, 2, 3])
+        for row in rows.itertuples():
+            y, x = np.nonzero(expected.labels == row.label)
+            assert (row.top, row.left) == (y.min(), x.min())
+            assert (row.height, row.width) == (np.ptp(y) + 1, np.ptp(x) + 1)
+    assert [problem.frame for problem in report.problems] == [2]
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "c"), "--segments"]
+    assert cli.main(arguments) == 1
+    assert "label" in parquet.read_schema(tmp_path / "c" / "part-000000.parquet").names
+
+
 def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     (recording / "depth" / "0.png").unlink()
     (recording / "depth" / "7.png").write_bytes((recording / "depth" / "7.png").read_bytes()[:200])

@@ -5,17 +5,15 @@ import math
 import pickle
 import struct
 import zlib
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import real_data
+from bags import messages, type_store, write_bag
 from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
-
-needs_real_data = pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
 
@@ -246,70 +244,6 @@ def test_open_sequence_says_what_is_wrong(tmp_path):
         sequences.tum(tmp_path / "x.mp4")
 
 
-def messages(store, frames, encoding="16UC1", padding=0, big_endian=False):
-    """Images as ROS messages of a type store."""
-    types = store.types
-    ros1 = "seq" in types["std_msgs/msg/Header"].__annotations__
-
-    def header(i, stamped=True):
-        time = types["builtin_interfaces/msg/Time"](100 + i if stamped else 0, 500_000_000 if stamped else 0)
-        fields = {"stamp": time, "frame_id": "depth"} | ({"seq": i} if ros1 else {})
-        return types["std_msgs/msg/Header"](**fields)
-
-    made = []
-    for i, frame in enumerate(frames):
-        rows = frame.astype(frame.dtype.newbyteorder(">" if big_endian else "<")).view(np.uint8)
-        rows = np.pad(rows.reshape(len(frame), -1), ((0, 0), (0, padding)))
-        made.append(
-            types["sensor_msgs/msg/Image"](
-                header=header(i, stamped=i != 2), height=len(frame), width=frame.shape[1], encoding=encoding,
-                is_bigendian=int(big_endian), step=rows.shape[1], data=rows.ravel(),
-            )
-        )  # fmt: skip
-    info = SimpleNamespace(
-        k=[7.0, 0, 3.5, 0, 7.5, 2.5, 0, 0, 1], p=[7.1, 0, 3.5, 0, 0, 7.6, 2.5, 0, 0, 0, 1, 0]
-    )
-    letters = str.upper if ros1 else str
-    arrays = {
-        letters("d"): np.array([0.01, 0.0, 0.0, 0.0, 0.0]), letters("k"): np.array(info.k),
-        letters("r"): np.eye(3).ravel(), letters("p"): np.array(info.p, np.float64),
-    }  # fmt: skip
-    camera_info = types["sensor_msgs/msg/CameraInfo"](
-        header=header(0), height=6, width=8, distortion_model="plumb_bob", binning_x=0, binning_y=0,
-        roi=types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False), **arrays,
-    )  # fmt: skip
-    return made, camera_info
-
-
-def write_bag(path, topics):
-    """A bag of {topic: [(nanoseconds, message), ...]}: ROS 1 where the name ends in .bag, ROS 2 elsewhere."""
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-
-    store, ros1 = type_store(path)
-    if ros1:
-        writer = Writer1(path)
-        writer.set_compression(Writer1.CompressionFormat.BZ2)
-    else:
-        plugin = StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
-        writer = Writer2(path, version=9, storage_plugin=plugin)
-    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    with writer:
-        for topic, timed in topics.items():
-            kind = timed[0][1].__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for time, message in timed:
-                writer.write(connection, time, serialize(message, kind))
-
-
-def type_store(path):
-    from rosbags.typesys import Stores, get_typestore
-
-    ros1 = path.suffix == ".bag"
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE), ros1
-
-
 RAW = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, distortion=(0.01, 0, 0, 0, 0), depth_scale=1000.0)
 RECTIFIED = rp.Camera(8, 6, 7.1, 7.6, 3.5, 2.5, depth_scale=1000.0)
 
@@ -433,9 +367,9 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
         rp.open_sequence(path, CAMERA)
 
 
-@needs_real_data
+@pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
 def test_every_real_set_is_a_folder():
-    for root in sorted(file.parent for file in real_data.FOLDER.glob("*/camera.json")):
+    for root in real_data.sets():
         about = json.loads((root / "camera.json").read_text())
         if about["depth_scale"] is None and about["disparity"] is None:
             continue  # its depth is relative
@@ -445,7 +379,7 @@ def test_every_real_set_is_a_folder():
         assert sequence[-1].depth.shape == sequence.camera.shape
 
 
-@needs_real_data
+@pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
 def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path):
     source = real_data.FOLDER / "kinect1_7scenes_seq" / "depth"
     files = sorted(source.glob("*.png"))[:5]

@@ -1,0 +1,121 @@
+"""Every code block of the documentation runs, in the order of its page."""
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bags import messages, type_store, write_bag
+
+import rgbd_planes as rp
+from rgbd_planes import cli, images, presets, scenes
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OPTIONAL = {
+    "import pandas": "pandas",
+    "rgbd-planes batch": "pyarrow",
+    "fit_sequence": "pyarrow",
+    "rosbag(": "rosbags",
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The files that the pages speak of."""
+    root = tmp_path_factory.mktemp("docs")
+    camera = presets.primesense()
+    depth = scenes.room().render(camera).measure(holes=0.05, patches=0.03, seed=1)
+    images.write_png(root / "depth.png", depth)
+    camera.save(root / "camera.json")
+    (root / "frames").mkdir()
+    images.write_png(root / "frames" / "1.png", depth)
+    sequence = root / "rgbd_dataset_freiburg1_xyz"
+    (sequence / "depth").mkdir(parents=True)
+    freiburg = scenes.room().render(presets.tum_freiburg1())
+    for i in range(4):
+        images.write_png(sequence / "depth" / f"{i}.png", freiburg.measure(holes=0.05, seed=i))
+    (sequence / "depth.txt").write_text("".join(f"{130.5 + i} depth/{i}.png\n" for i in range(4)))
+    with contextlib.suppress(ModuleNotFoundError):
+        import rosbags  # noqa: F401
+
+        made, info = messages(type_store(root / "recording.bag")[0], [depth])
+        topics = {"/camera/depth/image_raw": [(1, made[0])], "/camera/depth/camera_info": [(1, info)]}
+        write_bag(root / "recording.bag", topics)
+    return root
+
+
+def blocks(page):
+    return BLOCK.findall(page.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda page: page.stem)
+def test_the_code_blocks_run(page, files, monkeypatch):
+    monkeypatch.chdir(files)
+    text = page.read_text(encoding="utf-8")
+    for words, library in OPTIONAL.items():
+        if words in text:
+            pytest.importorskip(library)
+    namespace = {"__name__": "__main__"}
+    for language, code in blocks(page):
+        assert language in ("python", "bash", "text"), f"a block of {language} is not run"
+        if language == "python":
+            with contextlib.redirect_stdout(io.StringIO()):
+                exec(compile(code, str(page), "exec"), namespace)
+        elif language == "bash":
+            for line in code.splitlines():
+                program, *arguments = shlex.split(line)
+                assert program == "rgbd-planes"
+                assert cli.main(arguments) == 0
+
+
+def printed(page, number, files, monkeypatch):
+    """What the blocks of a page print as far as the given one."""
+    monkeypatch.chdir(files)
+    out, namespace = io.StringIO(), {}
+    with contextlib.redirect_stdout(out):
+        for _, code in blocks(ROOT / "docs" / page)[:number]:
+            exec(code, namespace)
+    return out.getvalue()
+
+
+def test_what_the_page_on_calibration_says_comes_out(files, monkeypatch):
+    lines = printed("howto/calibration.md", 3, files, monkeypatch).splitlines()
+    assert lines[0].endswith("is it a colour image?")
+    assert lines[1].endswith("is it transposed?")
+    number = r"([\d.]+)"
+    right, wrong = (
+        re.search(rf"at {number} degrees, largest residual {number}", line).groups() for line in lines[2:4]
+    )
+    assert float(right[0]) == pytest.approx(90.0, abs=0.1)
+    assert abs(float(wrong[0]) - 90.0) > 3.0
+    assert float(right[1]) < 1e-4
+    assert float(wrong[1]) < 1e-4
+    exact, bent = (float(re.search(rf"up to {number} mm", line)[1]) for line in lines[4:6])
+    assert exact < 0.005
+    assert 0.5 < bent < 1.0
+
+
+def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
+    ours, explicit, pca = (
+        float(value)
+        for value in re.findall(r"([\d.]+) degrees", printed("howto/methods.md", 1, files, monkeypatch))
+    )
+    assert pca > 2 * ours
+    assert explicit > 2 * ours
+
+
+def test_every_status_and_format_is_explained():
+    red = (ROOT / "docs/howto/red-tiles.md").read_text()
+    assert all(f"`{status.name}`" in red for status in rp.TileStatus)
+    shown = (ROOT / "docs/howto/methods.md").read_text()
+    from rgbd_planes.fitting import METHODS
+
+    assert all(f"| `{method}`" in shown for method in METHODS)
+    batch = (ROOT / "docs/howto/batch.md").read_text()
+    rows = rp.fit_tiles(np.ones((4, 4)), rp.Camera(4, 4, 4.0, 4.0, 1.5, 1.5), tile=2).to_table()
+    assert all(name in batch for name in rows)
