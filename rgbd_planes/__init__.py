@@ -31,6 +31,7 @@ _NAMES = {
     "normals": "surfaces",
     "open_sequence": "sequences",
     "segment_quadtree": "quadtree",
+    "warmup": "warm",
 }
 _MODULES = ("noise", "presets", "scenes", "sequences", "uncertainty")
 
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
+    from rgbd_planes.warm import warmup as warmup
     from rgbd_planes.windows import WindowPlanes as WindowPlanes
     from rgbd_planes.windows import fit_windows as fit_windows
 
