@@ -15,6 +15,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.fit_statistics import RoughTest
 from rgbd_planes.fitting import (
     METHODS,
     RESULTS,
@@ -29,7 +30,6 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import grid, moments
 from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.fit_statistics import RoughTest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.fitting import METHODS, check_choice
@@ -16,7 +15,7 @@ _DISTORTION = (1e-3, 0.0, 0.0, 0.0, 0.0)
 def warmup(
     camera: Camera | None = None,
     methods: str | Sequence[str] = "range_explicit",
-    dtypes: npt.DTypeLike | Sequence[npt.DTypeLike] = ("uint16", "float32"),
+    dtypes: str | Sequence[str] = ("uint16", "float32"),
 ) -> None:
     """Compile what fits tiles, or load it from the cache, so that the first frame is as fast as the next.
 
@@ -29,7 +28,7 @@ def warmup(
         without a camera it is depth without distortion.
     methods : str or sequence of str
         See `TileFitter`.
-    dtypes : dtype or sequence of dtypes
+    dtypes : str or sequence of str
         Of the frames to come.
     """
     distorted = camera is not None and camera.is_distorted
@@ -41,5 +40,5 @@ def warmup(
     for method in [methods] if isinstance(methods, str) else methods:
         check_choice("method", method, METHODS)
         fitter = TileFitter(small, 4, method, num_threads=1)
-        for dtype in [dtypes] if isinstance(dtypes, (str, type, np.dtype)) else dtypes:
+        for dtype in [dtypes] if isinstance(dtypes, str) else dtypes:
             fitter.fit(np.ones(small.shape, dtype))

@@ -127,7 +127,7 @@ def test_batch_bits_do_not_depend_on_threads_or_neighbours(method, distortion, t
 
 def test_warmup_leaves_nothing_to_compile(caplog):
     rp.warmup()
-    rp.warmup(make_camera((0.01, 0.0, 0.0, 0.0, 0.0)), ["range_explicit", "standard_pca"], np.uint16)
+    rp.warmup(make_camera((0.01, 0.0, 0.0, 0.0, 0.0)), ["range_explicit", "standard_pca"], "uint16")
     rp.warmup(rp.Camera(8, 8, 8.0, 8.0, 4.0, 4.0, disparity=(-0.01, 3.0)), dtypes="uint16")
     with pytest.raises(ValueError, match="method must be one of"):
         rp.warmup(methods="pca")
