@@ -8,10 +8,7 @@ import numpy as np
 from . import moments as tile_moments
 from . import solve
 from ._jit import kernel
-from .moments import COLUMNS, TILES, tiles_in_strip
-
-# Which of the ten moments each of a tile's six camera terms is.
-ENTRY = np.array([0, 1, 2, 4, 5, 7])
+from .moments import TILES, tiles_in_strip
 
 
 @kernel()
@@ -34,25 +31,23 @@ def fit_range_tiles(
         The ray (tanθx, tanθy) that each tile's moments are relative to.
     full : (6, R, C) float64
         n, Σu, Σv, Σuu, Σuv, Σvv of the full tiles.
-    needed : (R, C) float64
+    needed : (T,) float64
     method
         `solve.RANGE_EXPLICIT` or `solve.RANGE_IMPLICIT`.
     max_error
         As in `solve.range_planes`.
-    moments, reference : (10, R, C) and (3, R, C) float64, written
-    planes, alpha, rmse, rmse_metric, valid_count, status : (R, C, 4), (R, C, 3), (R, C)..., written
+    moments, reference : (10, T) and (3, T) float64, written
+        Of the T = R * C tiles.
+    planes, alpha, rmse, rmse_metric, valid_count, status : (T, 4), (T, 3), (T,)..., written
     """
     height = raw.shape[0]
-    tile_columns = status.shape[1]
+    tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
-    sums = np.empty((10, COLUMNS))
-    counts = np.empty((2, COLUMNS), np.uint16)
-    columns = np.zeros((3, COLUMNS + 8))
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
 
     first = tile_row_start * tile_columns
-    filled = 0
+    filled = np.int64(0)
     for tile_row in range(tile_row_start, tile_row_stop):
         row_start = tile_row * tile_height
         row_stop = min(row_start + tile_height, height)
@@ -63,24 +58,32 @@ def fit_range_tiles(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[0, tile_row], centre[1, tile_row, 0],
                     row_start, row_stop, tile_start, tile_stop, filled,
-                    sums, counts, columns, block_reference[2], block_moments,
+                    block_reference[2], block_moments,
                 )  # fmt: skip
             else:
                 tile_moments.range_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[0, tile_row], centre[1, tile_row],
                     row_start, row_stop, tile_start, tile_stop, filled,
-                    sums, columns, block_reference[2], block_moments,
+                    block_reference[2], block_moments,
                 )  # fmt: skip
+            add_camera_terms(
+                centre,
+                full,
+                filled,
+                tile_row,
+                tile_start,
+                tile_stop - tile_start,
+                block_moments,
+                block_reference,
+            )
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
-                add_camera_terms(centre, full, first, filled, block_moments, block_reference)
                 store(first, filled, block_moments, block_reference, moments, reference)
                 solve.range_planes(
-                    method == solve.RANGE_IMPLICIT, block_moments, block_reference, needed.reshape(-1), max_error, filled, work, first,
-                    planes.reshape(-1, 4), alpha.reshape(-1, 3), rmse.reshape(-1), rmse_metric.reshape(-1),
-                    valid_count.reshape(-1), status.reshape(-1),
+                    method == solve.RANGE_IMPLICIT, block_moments, block_reference, needed, max_error, filled, work, first,
+                    planes, alpha, rmse, rmse_metric, valid_count, status,
                 )  # fmt: skip
                 first += filled
                 filled = 0
@@ -97,16 +100,13 @@ def fit_standard_tiles(
     ``method`` is `solve.STANDARD_EXPLICIT`, `solve.STANDARD_IMPLICIT` or `solve.STANDARD_PCA`; there are no camera terms, and ``full`` is not used.
     """
     height = raw.shape[0]
-    tile_columns = status.shape[1]
+    tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
-    sums = np.empty((10, COLUMNS))
-    counts = np.empty((2, COLUMNS), np.uint16)
-    columns = np.zeros((3, COLUMNS + 8))
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
 
     first = tile_row_start * tile_columns
-    filled = 0
+    filled = np.int64(0)
     for tile_row in range(tile_row_start, tile_row_stop):
         row_start = tile_row * tile_height
         row_stop = min(row_start + tile_height, height)
@@ -117,50 +117,50 @@ def fit_standard_tiles(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[0, tile_row], centre[1, tile_row, 0],
                     row_start, row_stop, tile_start, tile_stop, filled,
-                    sums, counts, columns, block_reference, block_moments,
+                    block_reference, block_moments,
                 )  # fmt: skip
             else:
                 tile_moments.standard_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[0, tile_row], centre[1, tile_row],
                     row_start, row_stop, tile_start, tile_stop, filled,
-                    sums, columns, block_reference, block_moments,
+                    block_reference, block_moments,
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 store(first, filled, block_moments, block_reference, moments, reference)
                 solve.standard_planes(
-                    method - solve.STANDARD_EXPLICIT, block_moments, block_reference, needed.reshape(-1),
+                    method - solve.STANDARD_EXPLICIT, block_moments, block_reference, needed,
                     max_error, filled, work, first,
-                    planes.reshape(-1, 4), alpha.reshape(-1, 3), rmse.reshape(-1), rmse_metric.reshape(-1),
-                    valid_count.reshape(-1), status.reshape(-1),
+                    planes, alpha, rmse, rmse_metric, valid_count, status,
                 )  # fmt: skip
                 first += filled
                 filled = 0
 
 
 @kernel(inline=True)
-def add_camera_terms(centre, full, first, count, moments, reference):
-    """Turn a block's sums over missing pixels into those over valid ones, and give it its reference points."""
-    camera_terms = full.reshape(6, -1)
-    for term in range(6):
-        entry = ENTRY[term]
-        for i in range(count):
-            moments[entry, i] = camera_terms[term, first + i] - moments[entry, i]
-    rays = centre.reshape(2, -1)
-    for axis in range(2):
-        for i in range(count):
-            reference[axis, i] = rays[axis, first + i]
+def add_camera_terms(centre, full, first, tile_row, tile_start, count, moments, reference):
+    """Turn a strip's sums over missing pixels into those over valid ones, and give it its reference points."""
+    for i in range(count):
+        t = first + i
+        tile = tile_start + i
+        moments[0, t] = full[0, tile_row, tile] - moments[0, t]
+        moments[1, t] = full[1, tile_row, tile] - moments[1, t]
+        moments[2, t] = full[2, tile_row, tile] - moments[2, t]
+        moments[4, t] = full[3, tile_row, tile] - moments[4, t]
+        moments[5, t] = full[4, tile_row, tile] - moments[5, t]
+        moments[7, t] = full[5, tile_row, tile] - moments[7, t]
+        reference[0, t] = centre[0, tile_row, tile]
+        reference[1, t] = centre[1, tile_row, tile]
 
 
 @kernel(inline=True)
 def store(first, count, block_moments, block_reference, moments, reference):
     """Keep a block's moments and reference points."""
-    flat_moments, flat_reference = moments.reshape(10, -1), reference.reshape(3, -1)
     for entry in range(10):
         for i in range(count):
-            flat_moments[entry, first + i] = block_moments[entry, i]
+            moments[entry, first + i] = block_moments[entry, i]
     for axis in range(3):
         for i in range(count):
-            flat_reference[axis, first + i] = block_reference[axis, i]
+            reference[axis, first + i] = block_reference[axis, i]

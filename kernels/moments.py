@@ -194,10 +194,10 @@ def fold_range_columns(sums, left, right, tan_x, u0, tile_start, tile_stop, tile
         moments[9, t] = s_qq
 
 
-@kernel(inline=True)
+@kernel()
 def range_strip_separable(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, sums, counts, columns, reference_q, moments,
+    row_start, row_stop, tile_start, tile_stop, first, reference_q, moments,
 ):  # fmt: skip
     """Range-space sums of a strip of tiles, for a camera without lens distortion.
 
@@ -216,11 +216,12 @@ def range_strip_separable(
         Reference point of each tile of the tile row.
     row_start, row_stop
         Image rows of the tiles.
-    sums, counts, columns
-        Room for the sums of columns.
     reference_q, moments : (TILES,) and (10, TILES) float64, written
         From entry ``first``.
     """
+    sums = np.empty((10, COLUMNS))
+    counts = np.empty((2, COLUMNS), np.uint16)
+    columns = np.zeros((3, COLUMNS + 8))
     width = raw.shape[1]
     for tile in range(tile_start, tile_stop):
         start = tile * tile_width
@@ -317,12 +318,14 @@ def fold_columns(sums, left, right, tile_start, tile_stop, tile_width, first, ad
             moments[entry, t] = total
 
 
-@kernel(inline=True)
+@kernel()
 def range_strip(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, sums, columns, reference_q, moments,
+    row_start, row_stop, tile_start, tile_stop, first, reference_q, moments,
 ):  # fmt: skip
     """Range-space sums as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W), v0 is (C,)."""
+    sums = np.empty((10, COLUMNS))
+    columns = np.zeros((3, COLUMNS + 8))
     width = raw.shape[1]
     for tile in range(tile_start, tile_stop):
         start = tile * tile_width
@@ -418,7 +421,7 @@ def add_standard_rows(
     count_rows(codes, squares, count, v, step, add, sums[6], sums[7], sums[8])
 
 
-@kernel(reduction=True, inline=True)
+@kernel(reduction=True)
 def standard_columns(sums, z0, v0, tan_x, u0, left, count):
     """Turn a strip's sums of columns into those of 1, X, Y, Z and their products, in the order of the moments.
 
@@ -452,10 +455,10 @@ def standard_columns(sums, z0, v0, tan_x, u0, left, count):
         sums[9, i] = s_zz
 
 
-@kernel(inline=True)
+@kernel()
 def standard_strip_separable(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, sums, counts, columns, reference, moments,
+    row_start, row_stop, tile_start, tile_stop, first, reference, moments,
 ):  # fmt: skip
     """Moments of (X, Y, Z) of a strip of tiles, for a camera without lens distortion.
 
@@ -463,6 +466,9 @@ def standard_strip_separable(
     depth is Z = raw / scale, or 1 / (scale * raw + offset), ``reference`` (3, TILES), all of it, is written,
     and the moments are complete.
     """
+    sums = np.empty((10, COLUMNS))
+    counts = np.empty((2, COLUMNS), np.uint16)
+    columns = np.zeros((3, COLUMNS + 8))
     width = raw.shape[1]
     standard_reference(
         raw,
@@ -510,7 +516,7 @@ def standard_strip_separable(
         reference[1, t] = reference[2, t] * v0
 
 
-@kernel(inline=True)
+@kernel()
 def standard_reference(
     raw,
     lowest,
@@ -586,12 +592,14 @@ def add_standard_rows_of_rays(
             sum_zz[i] += za * za + zb * zb
 
 
-@kernel(inline=True)
+@kernel()
 def standard_strip(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, sums, columns, reference, moments,
+    row_start, row_stop, tile_start, tile_stop, first, reference, moments,
 ):  # fmt: skip
     """Moments as in `standard_strip_separable`, for any camera: tan_x, tan_y are (H, W), v0 is (C,)."""
+    sums = np.empty((10, COLUMNS))
+    columns = np.zeros((3, COLUMNS + 8))
     width = raw.shape[1]
     standard_reference(
         raw,

@@ -37,6 +37,7 @@ _NAMES = {
     "segment": "segmentation",
     "segment_quadtree": "quadtree",
     "segment_sequence": "tracking",
+    "warmup": "warm",
 }
 _MODULES = ("export", "metrics", "noise", "presets", "scenes", "sequences", "uncertainty")
 
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
     from rgbd_planes.tracking import segment_sequence as segment_sequence
+    from rgbd_planes.warm import warmup as warmup
     from rgbd_planes.windows import WindowPlanes as WindowPlanes
     from rgbd_planes.windows import fit_windows as fit_windows
 

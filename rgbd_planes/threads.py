@@ -6,13 +6,16 @@ bits for any number of threads, no threading layer of Numba's to choose, to lock
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
+from typing import TypeVar
 
 # Handing a range to a waiting thread and collecting it costs about 50 µs: the time of this many pixels.
 PIXELS_PER_THREAD = 1_000_000
 
 Work = Callable[[int, int], object]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @cache
@@ -35,6 +38,11 @@ def choose_num_threads(num_threads: int | None, pixels: int) -> int:
     if num_threads is not None:
         return num_threads
     return max(1, min(os.cpu_count() or 1, pixels // PIXELS_PER_THREAD))
+
+
+def submit(work: Callable[[Item], Result], item: Item, num_threads: int) -> Future[Result]:
+    """Have ``work(item)`` done by one of ``num_threads`` threads."""
+    return _pool(num_threads).submit(work, item)
 
 
 def run_in_ranges(work: Work, count: int, num_threads: int) -> None:

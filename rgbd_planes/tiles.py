@@ -2,7 +2,9 @@
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
@@ -27,7 +29,7 @@ from rgbd_planes.fitting import (
 )
 from rgbd_planes.kernels import grid, moments
 from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
-from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
+from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges, submit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -219,7 +221,7 @@ class TileFitter:
 
         self._grid = len(_sizes(camera.height, self.tile[0])), len(_sizes(camera.width, self.tile[1]))
         self._centre, self._full = _camera_terms(camera, self.tile)
-        self._needed = valid_needed(self._full[0], max_missing)
+        self._needed = valid_needed(self._full[0], max_missing).ravel()
         self._rough_test = RoughTest(camera.noise, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             self._kernel: Any = (
@@ -297,6 +299,40 @@ class TileFitter:
             run_in_ranges(fit_some, len(frames) * rows, choose_num_threads(self._num_threads, pixels))
         return self._result(arrays) if out is None else out
 
+    def fit_stream(self, frames: Iterable[npt.ArrayLike]) -> Iterator[TilePlanes]:
+        """Fit the tiles of frames one after the other, as they come, in constant memory.
+
+        Parameters
+        ----------
+        frames : iterable of (H, W) array_like
+            Of any length, even without end: a generator that reads a camera or files.
+
+        Yields
+        ------
+        TilePlanes
+            Of one frame, in order. With ``num_threads`` above 1 so many frames are fitted at a time, and read
+            ahead: a frame must then not be overwritten before its planes have come. Otherwise each frame is
+            done with before the next is asked for.
+        """
+        ahead = 1 if self._num_threads is None else self._num_threads
+        if ahead == 1:
+            for frame in frames:
+                yield self.fit(frame)
+            return
+        waiting: deque[Future[TilePlanes]] = deque()
+        for frame in frames:
+            waiting.append(submit(self._fit_alone, frame, ahead))
+            if len(waiting) == ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+    def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
+        """Fit a frame in this thread."""
+        arrays = self._arrays((), None)
+        self._work(as_depth_frame(depth, self.camera), arrays)(0, self._grid[0])
+        return self._result(arrays)
+
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
         if out is None:
             return allocate(frames, self._grid)
@@ -316,13 +352,11 @@ class TileFitter:
 
     def _work(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         """Return what fits tile rows ``start`` to ``stop`` of a frame into arrays of shape (R, C, ...)."""
-        fit = (
-            self._direct(frame, arrays) if self.implementation == "direct" else self._windowed(frame, arrays)
-        )
-        if self._rough_test.is_empty:
-            return fit
         columns = self._grid[1]
         flat = _flat(arrays)
+        fit = self._direct(frame, flat) if self.implementation == "direct" else self._windowed(frame, flat)
+        if self._rough_test.is_empty:
+            return fit
 
         def fit_and_test(start: int, stop: int) -> None:
             fit(start, stop)
@@ -330,10 +364,10 @@ class TileFitter:
 
         return fit_and_test
 
-    def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
+    def _direct(self, frame: DepthFrame, flat: Arrays) -> Callable[[int, int], None]:
         # Numba compiles for a depth image or for a disparity image.
         offset = frame.offset if frame.is_disparity else None
-        results = [arrays[name] for name in _ARRAYS]
+        results = flat.values()
 
         def fit(start: int, stop: int) -> None:
             self._kernel(
@@ -343,8 +377,7 @@ class TileFitter:
 
         return fit
 
-    def _windowed(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
-        flat = _flat(arrays)
+    def _windowed(self, frame: DepthFrame, flat: Arrays) -> Callable[[int, int], None]:
         flat["_reference"][:] = 0.0
         source = self._window_moments.prepare(frame)
         columns = self._grid[1]
@@ -352,7 +385,7 @@ class TileFitter:
         def fit(start: int, stop: int) -> None:
             start, stop = start * columns, stop * columns
             source(self._windows, self._full_windows, start, stop, flat["_moments"])
-            solve_planes(self.method, flat, self._needed.ravel(), self._max_error, start, stop)
+            solve_planes(self.method, flat, self._needed, self._max_error, start, stop)
 
         return fit
 
@@ -446,10 +479,14 @@ def _sums(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.
 
 
 def _flat(arrays: Arrays) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of one frame with the tiles in one dimension: (T, ...), and (10, T), (3, T)."""
+    """The arrays of one frame in the order of `_ARRAYS`, tiles in one dimension: (10, T), (3, T), (T, ...)."""
     count = arrays["status"].size
-    flat = {name: array.reshape(count, *array.shape[2:]) for name, array in arrays.items() if name in RESULTS}
-    return flat | {name: arrays[name].reshape(-1, count) for name in ("_moments", "_reference")}
+    return {
+        "_moments": arrays["_moments"].reshape(10, count),
+        "_reference": arrays["_reference"].reshape(3, count),
+        "planes": arrays["planes"].reshape(count, 4),
+        "alpha": arrays["alpha"].reshape(count, 3),
+    } | {name: arrays[name].reshape(count) for name in _ARRAYS[4:]}
 
 
 def _sizes(length: int, tile: int) -> npt.NDArray[np.int64]:

@@ -1,0 +1,167 @@
+"""The same bits from many threads, whatever Numba's threading layer, after a fork, and from a stream."""
+
+import itertools
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
+
+import rgbd_planes as rp
+
+ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
+
+EIGHT_AT_ONCE = """
+import os, threading
+import numpy as np
+import rgbd_planes as rp
+
+camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, depth_scale=1000.0)
+frames = np.random.default_rng(0).integers(1000, 1100, (4, 48, 64)).astype(np.uint16)
+fitters = [rp.TileFitter(camera, 8, num_threads=n) for n in (1, 2, 3)]
+wanted = fitters[0].fit_batch(frames).planes.tobytes()
+wrong, start = [], threading.Barrier(8)
+
+def work(i):
+    start.wait()
+    for k in range(20):
+        fitter = fitters[(i + k) % 3]
+        planes = fitter.fit_batch(frames).planes if k % 2 else np.stack([fitter.fit(f).planes for f in frames])
+        if planes.tobytes() != wanted:
+            wrong.append((i, k))
+
+threads = [threading.Thread(target=work, args=(i,)) for i in range(8)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+child = os.fork() if hasattr(os, "fork") else 0
+if child == 0 and hasattr(os, "fork"):
+    os._exit(0 if fitters[2].fit_batch(frames).planes.tobytes() == wanted else 1)
+status = os.waitpid(child, 0)[1] if child else 0
+print(len(wrong), status)
+"""
+
+
+@pytest.mark.parametrize("layer", ["default", "workqueue", "omp", "tbb", "safe", "threadsafe", "forksafe"])
+def test_eight_threads_on_every_layer_then_a_fork(layer):
+    """In a process of its own, since a threading layer is chosen once; those not installed do not matter."""
+    environment = os.environ | {"NUMBA_THREADING_LAYER": layer, "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run(
+        [sys.executable, "-c", EIGHT_AT_ONCE], env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["0", "0"]
+
+
+@pytest.mark.parametrize("num_threads", [None, 1, 2, 5])
+def test_stream_gives_what_fit_gives(num_threads, rng):
+    camera = make_camera()
+    frames = [as_dtype(make_depth(camera, rng), "uint16") for _ in range(7)]
+    fitter = rp.TileFitter(camera, 8, num_threads=num_threads)
+    streamed = list(fitter.fit_stream(iter(frames)))
+    assert len(streamed) == len(frames)
+    for planes, frame in zip(streamed, frames, strict=True):
+        for name in ARRAYS:
+            np.testing.assert_array_equal(getattr(planes, name), getattr(fitter.fit(frame), name))
+    assert list(fitter.fit_stream(())) == []
+
+
+@pytest.mark.parametrize("num_threads", [None, 3])
+def test_stream_without_end_reads_no_further_ahead_than_its_threads(num_threads):
+    camera = make_camera()
+    read = []
+
+    def endless():
+        for i in itertools.count():
+            read.append(i)
+            yield np.full(camera.shape, 1000 + i % 100, np.uint16)
+
+    stream = rp.TileFitter(camera, 16, num_threads=num_threads).fit_stream(endless())
+    for i in range(20):
+        next(stream)
+        assert len(read) <= i + (num_threads or 1)
+
+
+def test_stream_of_one_reused_buffer(rng):
+    """Without threads of their own the planes of a frame are there before the next is asked for."""
+    camera = make_camera()
+    frames = [as_dtype(make_depth(camera, rng), "uint16") for _ in range(4)]
+    buffer = np.empty(camera.shape, np.uint16)
+
+    def one_buffer():
+        for frame in frames:
+            buffer[:] = frame
+            yield buffer
+
+    fitter = rp.TileFitter(camera)
+    for planes, frame in zip(fitter.fit_stream(one_buffer()), frames, strict=True):
+        np.testing.assert_array_equal(planes.planes, fitter.fit(frame).planes)
+
+
+def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller(rng):
+    camera = make_camera()
+    good, bad = np.ones(camera.shape), np.ones((3, 3))
+    for num_threads in (1, 2):
+        fitter = rp.TileFitter(camera, num_threads=num_threads)
+        with pytest.raises(ValueError, match="expected a depth frame of shape"):
+            list(fitter.fit_stream([good, bad]))
+        with pytest.raises(ValueError, match="expected a depth frame of shape"):
+            fitter.fit_batch([good, good, bad])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("distortion", [(), (0.26, -0.95, -0.005, 0.003, 1.16)], ids=["pinhole", "distorted"])
+@pytest.mark.parametrize("tile", [5, (9, 12), (48, 64)])
+def test_batch_bits_do_not_depend_on_threads_or_neighbours(method, distortion, tile, rng):
+    """Threads end in the middle of frames, and so of the blocks of tiles that are solved side by side."""
+    camera = make_camera(distortion)
+    frames = [as_dtype(make_holes(make_depth(camera, rng), "tiles", rng), "uint16") for _ in range(3)]
+    wanted = rp.TileFitter(camera, tile, method, num_threads=1).fit_batch(frames)
+    for num_threads in (2, 7):
+        batch = rp.TileFitter(camera, tile, method, num_threads=num_threads).fit_batch(np.stack(frames))
+        for name in (*ARRAYS, "_moments", "_reference"):
+            np.testing.assert_array_equal(getattr(batch, name), getattr(wanted, name))
+
+
+def test_warmup_leaves_nothing_to_compile(caplog):
+    rp.warmup()
+    rp.warmup(make_camera((0.01, 0.0, 0.0, 0.0, 0.0)), ["range_explicit", "standard_pca"], "uint16")
+    rp.warmup(rp.Camera(8, 8, 8.0, 8.0, 4.0, 4.0, disparity=(-0.01, 3.0)), dtypes="uint16")
+    with pytest.raises(ValueError, match="method must be one of"):
+        rp.warmup(methods="pca")
+    from rgbd_planes.kernels import grid
+
+    compiled = len(grid.fit_range_tiles.signatures)
+    assert compiled >= 3
+    rp.fit_tiles(np.ones((48, 64), np.float32), make_camera())
+    assert len(grid.fit_range_tiles.signatures) == compiled
+
+
+def test_wide_and_tall_tiles_are_counted_in_parts(rng):
+    """Tiles wider than a strip of columns and taller than a band of rows, against the same tiles pixel by pixel."""
+    camera = rp.Camera(1400, 130, 900.0, 900.0, 700.0, 60.0, depth_scale=1000.0)
+    depth = as_dtype(1.0 / (0.4 + 0.1 * camera.tan_x - 0.2 * camera.tan_y), "uint16")
+    depth[rng.random(depth.shape) < 0.3] = 0
+    for method in METHODS:
+        for tile in ((130, 1400), (65, 700), (33, 649)):
+            direct = rp.fit_tiles(depth, camera, tile, method)
+            naive = rp.fit_tiles(depth, camera, tile, method, implementation="naive")
+            np.testing.assert_array_equal(direct.valid_count, naive.valid_count)
+            np.testing.assert_allclose(direct.planes, naive.planes, rtol=1e-6, atol=1e-9)
+
+
+def test_threads_that_call_first_all_at_once():
+    """The pool of threads is made once, also by threads that race for it."""
+    camera = make_camera()
+    depth = np.full(camera.shape, 1.5)
+    fitter = rp.TileFitter(camera, num_threads=4)
+    results = []
+    threads = [threading.Thread(target=lambda: results.append(fitter.fit(depth).planes)) for _ in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(results) == 16
+    assert all(np.array_equal(result, results[0]) for result in results)
