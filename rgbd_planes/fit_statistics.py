@@ -69,7 +69,7 @@ class FrameStatistics:
         ratio, inverse_freedom = np.empty((2, self._count))
         statistics.residual_ratio(
             self._arrays["planes"], self._arrays["rmse_metric"], self._arrays["valid_count"], self._mean,
-            self._variance, self._counts, self._table.expected, self._table.freedom, 0, self._count,
+            self._variance, self._counts, self._table.expected, self._table.freedom,
             ratio, inverse_freedom,
         )  # fmt: skip
         statistics.chi_square_tail(ratio, inverse_freedom, out)
@@ -91,7 +91,7 @@ class FrameStatistics:
     def _covariance(self, kernel: Any, of: str, out: Float) -> None:
         kernel(
             self._arrays["_moments"], self._arrays["_reference"], self._arrays[of], self._in_range_space,
-            self._variance, self._counts, self._table.tilt, self._table.offset, 0, self._count, out,
+            self._variance, self._counts, self._table.tilt, self._table.offset, out,
         )  # fmt: skip
 
 
