@@ -1,5 +1,6 @@
 """Noise estimated from frames: a known one is found again, and it serves frames it was not estimated from."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,11 @@ import rgbd_planes as rp
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
+
+
+@functools.cache
+def rendering(*view):
+    return rp.scenes.room(*view).render(CAMERA)
 
 
 def smooth(rng, length):
@@ -26,7 +32,7 @@ def smooth(rng, length):
 def frames(model, rng, views=VIEWS):
     """The furnished room with a model's noise, missing pixels and rounding."""
     for view in views:
-        depth = rp.scenes.room(*view).render(CAMERA).depth
+        depth = rendering(*view).depth
         white = 1.0 - sum(share for share, _ in model.correlation)
         error = np.sqrt(white) * rng.standard_normal(depth.shape) + model.floor * smooth(
             rng, model.floor_length
@@ -63,7 +69,7 @@ def test_finds_the_noise_again(truth, rng):
     # Frames it has not seen.
     camera = replace(CAMERA, noise=model)
     view = ((0.1, -1.4, 0.0), (0.2, -1.0, 2.6))
-    labels = rp.scenes.room(*view).render(CAMERA).tile_labels((16, 16))
+    labels = rendering(*view).tile_labels((16, 16))
     rejected = []
     for depth in frames(truth, rng, [view] * 3):
         tiles = rp.fit_tiles(depth, camera, 16)
