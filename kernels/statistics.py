@@ -33,8 +33,7 @@ def inverse_depths(moments, reference, in_range_space, start, stop, mean, spread
 
 @kernel()
 def residual_ratio(
-    planes, rmse_metric, valid_count, mean, variance, counts, expected, freedom, start, stop,
-    ratio, inverse_freedom,
+    planes, rmse_metric, valid_count, mean, variance, counts, expected, freedom, ratio, inverse_freedom,
 ):  # fmt: skip
     """Sum of squared residuals in inverse depth over what the noise alone makes it on average.
 
@@ -48,7 +47,7 @@ def residual_ratio(
     ratio, inverse_freedom : (T,) float64, written
         The ratio is NaN where there is no plane, and 0 where no residual is expected, as of three pixels.
     """
-    for i in range(start, stop):
+    for i in range(ratio.shape[0]):
         k = counts[i]
         # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``.
         rmse = rmse_metric[i] * mean[i] / planes[i, 3]
@@ -148,9 +147,7 @@ def ray_covariance(moments, reference, in_range_space, tilt_variance, offset_var
 
 
 @kernel()
-def alpha_covariance(
-    moments, reference, alpha, in_range_space, variance, counts, tilt, offset, start, stop, covariance
-):
+def alpha_covariance(moments, reference, alpha, in_range_space, variance, counts, tilt, offset, covariance):
     """Covariance of α, (T, 3, 3), written; NaN where there is no plane.
 
     Parameters
@@ -161,7 +158,7 @@ def alpha_covariance(
         Correlated noise: the factors, by count, on the variances of the slopes and of the mean. 1 where
         pixels are independent.
     """
-    for i in range(start, stop):
+    for i in range(covariance.shape[0]):
         k = counts[i]
         scale = variance[i] + 0.0 * alpha[i, 0]
         aa, ab, ac, bb, bc, cc = ray_covariance(
@@ -179,14 +176,12 @@ def alpha_covariance(
 
 
 @kernel()
-def plane_covariance(
-    moments, reference, planes, in_range_space, variance, counts, tilt, offset, start, stop, covariance
-):
+def plane_covariance(moments, reference, planes, in_range_space, variance, counts, tilt, offset, covariance):
     """Covariance of (n, d), (T, 4, 4), written, from that of α to first order.
 
     dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
     """
-    for i in range(start, stop):
+    for i in range(covariance.shape[0]):
         k = counts[i]
         x = planes[i, 0]
         y = planes[i, 1]

@@ -69,7 +69,7 @@ class FrameStatistics:
         ratio, inverse_freedom = np.empty((2, self._count))
         statistics.residual_ratio(
             self._arrays["planes"], self._arrays["rmse_metric"], self._arrays["valid_count"], self._mean,
-            self._variance, self._counts, self._table.expected, self._table.freedom, 0, self._count,
+            self._variance, self._counts, self._table.expected, self._table.freedom,
             ratio, inverse_freedom,
         )  # fmt: skip
         statistics.chi_square_tail(ratio, inverse_freedom, out)
@@ -91,7 +91,7 @@ class FrameStatistics:
     def _covariance(self, kernel: Any, of: str, out: Float) -> None:
         kernel(
             self._arrays["_moments"], self._arrays["_reference"], self._arrays[of], self._in_range_space,
-            self._variance, self._counts, self._table.tilt, self._table.offset, 0, self._count, out,
+            self._variance, self._counts, self._table.tilt, self._table.offset, out,
         )  # fmt: skip
 
 
@@ -100,10 +100,14 @@ def _limits(noise: NoiseModel, level: float, largest: int) -> Float:
     """Largest sum of squared residuals in units of σq² that passes the test, for every count."""
     from scipy.special import chdtri
 
-    counts = np.arange(largest + 1)
-    table = noise.statistics(counts)
-    limit = table.expected * chdtri(table.freedom, level) / table.freedom
-    return np.where(counts > 3, limit, np.inf)
+    # Of thousands of pixels the limit per pixel hardly changes: between some of them it is interpolated.
+    counts = np.arange(largest + 1.0)
+    some = np.append(counts[:2048], np.geomspace(2048.0, max(largest, 2048.0) + 1.0, 200))
+    table = noise.statistics(some)
+    limit = table.expected * chdtri(table.freedom, level) / table.freedom / np.maximum(some, 1.0)
+    limits = counts * np.interp(counts, some, limit)
+    limits[:4] = np.inf  # three pixels fit exactly
+    return np.asarray(limits)
 
 
 def _round_up(count: int) -> int:
@@ -135,7 +139,7 @@ class RoughTest:
         self._noise = noise if level > 0.0 else None
         if self._noise is None:
             return
-        self._limit = _limits(self._noise, level, largest)
+        self._limit = _limits(self._noise, level, _round_up(largest))
 
     @property
     def is_empty(self) -> bool:

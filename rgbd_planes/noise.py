@@ -139,7 +139,7 @@ class NoiseModel:
     def mean_variance(self, mean: Floats, spread: Floats) -> Floats:
         """σq² averaged over tiles whose inverse depths have this mean and standard deviation."""
         if self.is_constant:
-            return np.full(mean.shape, float(self.sigma(1.0)) ** 2)
+            return np.full(mean.shape, self.coefficients[0] ** 2 + self.disparity_step**2 / 12.0)
         near, far = self.sigma(mean + spread), self.sigma(np.maximum(mean - spread, 0.05 * mean))
         return np.asarray(0.5 * (near * near + far * far))
 
@@ -165,13 +165,15 @@ class NoiseModel:
             return ResidualStatistics(freedom, np.maximum(freedom, 1e-3), one, one)
         side = np.sqrt(np.maximum(n, 4.0))
         largest = int(2 ** np.ceil(np.log2(max(float(side.max(initial=4.0)), 8.0))))
-        sides, *curves = _square_statistics(self._components, self.spread, largest)
+        sides, *curves = _square_statistics(self._components, largest)
         expected, log_freedom, tilt, offset = (
             np.interp(np.log(side), np.log(sides), curve) for curve in curves
         )
         more = n > 3.0
+        # Where the variance itself varies, that of the sum of squares grows by (spread · expected)².
+        freedom = 1.0 / (np.exp(-log_freedom) + 0.5 * self.spread**2)
         return ResidualStatistics(
-            np.where(more, n * expected, 0.0), np.where(more, np.exp(log_freedom), 1e-3), tilt, offset
+            np.where(more, n * expected, 0.0), np.where(more, freedom, 1e-3), tilt, offset
         )
 
     @property
@@ -236,7 +238,7 @@ class ResidualStatistics:
 
 @functools.lru_cache(maxsize=64)
 def _square_statistics(
-    components: tuple[tuple[float, float], ...], spread: float, largest: int
+    components: tuple[tuple[float, float], ...], largest: int
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Sides of squares, and the four statistics for each: expected per pixel, log freedom, tilt, offset.
 
@@ -268,7 +270,7 @@ def _square_statistics(
         s00, s11 = t0 @ t0.T, t1 @ t1.T
         squares = ((rho * weights) @ rho.T) ** 2 - 2.0 * (s00**2 + 2.0 * s00 * s11)
         half_variance = w @ squares @ w + offset**2 + 2.0 * tilt**2
-        freedom = 2.0 * expected**2 / (2.0 * half_variance + (spread * expected) ** 2)
+        freedom = expected**2 / half_variance
         rows.append((expected / n**2, np.log(max(freedom, 1e-3)), tilt, offset))
     expected_per_pixel, log_freedom, tilts, offsets = np.array(rows).T
     return sides.astype(np.float64), expected_per_pixel, log_freedom, tilts, offsets

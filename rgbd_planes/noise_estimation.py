@@ -16,7 +16,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.merging import merge
-from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise import NoiseModel, table
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.tiles import TileFitter, TilePlanes
 from rgbd_planes.uncertainty import same_plane
@@ -37,7 +37,8 @@ FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
 CELL = 8
 """Side in pixels of the cells of the flatness map."""
 _MOST_MISSING = 0.1
-_LOOSEST = 2.0  # a window is flat if its residual is below so many times the usual one at its depth
+_BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
+_CLUTTERED = 4.0  # and over those of other windows
 _TAIL = 0.98  # quantile at which the spread is matched: near the significance levels that matter
 _FEWEST_WINDOWS = 24
 _TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
@@ -116,7 +117,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     -----
     Surfaces that are not flat but everywhere as smooth as a plane (a curtain, a lawn) count as noise.
     """
-    opened: list[Any] = [frames] if np.ndim(frames[0]) == 1 else list(frames)
+    opened: list[Any] = [frames] if len(frames) and np.ndim(frames[0]) == 1 else list(frames)
     if not opened:
         raise ValueError("expected at least one frame, got none")
     bare = replace(camera, noise=None)
@@ -129,7 +130,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         raise ValueError(
             f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.height} x {camera.width}"
         )
-    flat = _flat_windows(tiles[WINDOW])
+    flat = _flat_windows(tiles[WINDOW], tiles[8])
     count = int(np.count_nonzero(flat))
     if count < _FEWEST_WINDOWS:
         raise ValueError(
@@ -170,7 +171,7 @@ class _Samples:
         chosen &= planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * size * size)
         if size > WINDOW and chosen.any():
             residual = planes.rmse[chosen]
-            chosen[chosen] = residual < 2.0 * _LOOSEST * np.median(residual)
+            chosen[chosen] = residual < _CLUTTERED * np.median(residual)
         q = 1.0 / _depth(planes)
         rss = planes.valid_count * planes.rmse**2
         return cls(q[chosen], rss[chosen], planes.valid_count[chosen], np.nonzero(chosen))
@@ -182,21 +183,31 @@ def _depth(planes: TilePlanes) -> Float:
     return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
 
 
-def _flat_windows(planes: TilePlanes) -> npt.NDArray[np.bool_]:
-    """Windows whose residual is near the commonest one at their depth."""
-    size = planes.tile[0]
-    good = planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * size * size) & (planes.rmse > 0.0)
-    q, residual = 1.0 / _depth(planes)[good], planes.rmse[good]
-    if len(q) < _FEWEST_WINDOWS:
-        return np.zeros(planes.shape, bool)
-    bins = _bins(q, 40)
-    usual = np.array([np.exp(_mode(np.log(residual[chosen]))) for chosen in bins])
-    middle = np.array([np.median(q[chosen]) for chosen in bins])
-    # A bin without a flat surface has its mode at something else: no bin is far above the others' trend.
-    coefficients = _non_negative(np.stack([np.ones_like(middle), middle, middle**2], axis=1), usual)
-    trend = np.polynomial.polynomial.polyval(q, coefficients)
+def _flat_windows(planes: TilePlanes, small: TilePlanes) -> npt.NDArray[np.bool_]:
+    """Windows that are rough as a whole only as far as they are in their parts.
+
+    The residual of the window is compared with the median of those of the small tiles in it: their usual
+    ratio, that of the sensor's errors, is the commonest. So neither a surface that makes more noise than
+    others is missed, nor is a bent one taken for flat. What is far rougher than usual, clutter, is left out.
+    """
+    frames, rows, columns = planes.shape
+    parts = WINDOW // small.tile[0]
+    inside = np.full((frames, rows * parts, columns * parts), np.nan)
+    inside[:, : small.shape[1], : small.shape[2]] = small.rmse
+    inside = np.moveaxis(inside.reshape(frames, rows, parts, columns, parts), 3, 2)
+    good = planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * WINDOW * WINDOW)
+    good &= (planes.tile_heights == WINDOW)[:, None] & (planes.tile_widths == WINDOW)
+    good &= planes.rmse > 0.0
     flat = np.zeros(planes.shape, bool)
-    flat[good] = residual < _LOOSEST * trend
+    local = np.median(inside[good].reshape(-1, parts * parts), axis=1)
+    residual = planes.rmse[good]
+    usable = local > 0.0  # NaN where a part has no plane
+    if np.count_nonzero(usable) < _FEWEST_WINDOWS:
+        return flat
+    ratio = np.log(residual[usable] / local[usable])
+    level = np.log(residual[usable])
+    usable[usable] = (ratio < _mode(ratio) + np.log(_BENT)) & (level < _mode(level) + np.log(_CLUTTERED))
+    flat[good] = usable
     return flat
 
 
@@ -229,9 +240,20 @@ def _non_negative(terms: Float, values: Float, robust: bool = True) -> Float:
 
 
 def _fit_depth(samples: _Samples) -> NoiseModel:
-    """σq = c0 + c1·q + c2·q², none negative: constant in 1/Z, in between, and in Z, as rounding is."""
+    """σq against depth: the medians of the bins, each that of itself and its neighbours.
+
+    Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
+    """
     q, sigma = _by_depth(samples)
-    return NoiseModel(tuple(_non_negative(np.stack([np.ones_like(q), q, q * q], axis=1), sigma)))
+    ends = np.concatenate([sigma[:1], sigma, sigma[-1:]])
+    sigma = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
+    spread = np.log(q) - np.log(q).mean()
+    power = float(np.clip(spread @ np.log(sigma) / max(spread @ spread, 1e-9), 0.0, 2.0))
+    farther, nearer = np.array([0.25, 0.35, 0.5, 0.7]), np.array([1.4, 2.0, 2.8, 4.0])
+    return table(
+        np.concatenate([q[0] * farther, q, q[-1] * nearer]),
+        np.concatenate([sigma[0] * farther**power, sigma, sigma[-1] * nearer**power]),
+    )
 
 
 def _by_depth(samples: _Samples) -> tuple[Float, Float]:
@@ -274,7 +296,7 @@ def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     scale = np.sqrt(random)
     return replace(
         model,
-        coefficients=tuple(scale * c for c in model.coefficients),
+        samples=tuple((q, scale * sigma) for q, sigma in model.samples or ()),
         correlation=tuple(
             (float(share / random), length)
             for share, length in zip(shares[1:-1], LENGTHS, strict=True)
@@ -296,12 +318,13 @@ def _fit_spread(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     from scipy.special import chdtri
 
     candidates = np.linspace(0.0, 1.5, 61)
+    even = replace(model, spread=0.0)
     spreads = []
     for size in (8, 12, 16, 24):
         some = samples[size]
         ratio = some.rss / some.count / model.sigma(some.q) ** 2
         reach = np.quantile(ratio, _TAIL) / np.median(ratio)
-        freedom = np.array([replace(model, spread=s).statistics(size * size).freedom for s in candidates])
+        freedom = 1.0 / (1.0 / float(even.statistics(size * size).freedom) + 0.5 * candidates**2)
         reaches = chdtri(freedom, 1.0 - _TAIL) / chdtri(freedom, 0.5)
         spreads.append(float(np.interp(reach, reaches, candidates)))
     return replace(model, spread=float(np.median(spreads)))

@@ -119,11 +119,12 @@ class PlaneFits:
 
             frames = made.get("frames")
             if frames is None:
-                frames = [
-                    FrameStatistics(self, arrays) for arrays in flat_frames(self, self._cell_dimensions)
-                ]
-                made["frames"] = frames
-            values = np.empty((*self.shape, *entries))
+                flat = flat_frames(self, self._cell_dimensions)
+                frames = made["frames"] = [FrameStatistics(self, arrays) for arrays in flat]
+            values = made.get("room", {}).pop(name, None)
+            if values is None:
+                values = np.empty((*self.shape, *entries))
+            values.flags.writeable = True
             for frame, out in zip(frames, values.reshape(len(frames), -1, *entries), strict=True):
                 getattr(frame, name)(out)
             values.flags.writeable = False
@@ -131,8 +132,11 @@ class PlaneFits:
         return cast(Float, made[name])
 
     def _forget_statistics(self) -> None:
-        """To be called when the arrays are written into again."""
-        self.__dict__.pop("_statistics", None)
+        """To be called when the arrays are written into again: so will be those of the statistics."""
+        made = self.__dict__.pop("_statistics", None)
+        if made is not None:
+            made.pop("frames", None)
+            self.__dict__["_statistics"] = {"room": made.pop("room", {}) | made}
 
     @property
     def _cell_dimensions(self) -> int:

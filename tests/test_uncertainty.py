@@ -171,6 +171,19 @@ def test_rough_is_a_small_p_value(method, noise, rng):
     np.testing.assert_allclose(fits.p_value.reshape(6, 8), unset.p_value[:6, :8], rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), CORRELATED])
+def test_rough_is_a_small_p_value_for_any_number_of_pixels(noise, rng):
+    """Also where the limit is interpolated: windows of 4 to 40000 pixels, with more noise than the model's."""
+    camera = rp.Camera(200, 200, 300.0, 300.0, 99.5, 99.5, noise=noise)
+    windows = np.array([(0, 0, side, side) for side in range(2, 201)])
+    errors = rng.standard_normal(camera.shape)
+    for more in (1.0, 1.02, 1.05, 1.1, 1.3):
+        depth = 1.0 / (0.5 + more * rp.noise.KINECT_V1 * np.hypot(1.0, noise.floor) * errors)
+        fits = rp.fit_windows(depth, camera, windows)
+        sure = np.abs(fits.p_value - 0.01) > 3e-4
+        np.testing.assert_array_equal((fits.status == rp.TileStatus.ROUGH)[sure], (fits.p_value < 0.01)[sure])
+
+
 def test_one_level_at_every_depth(rng):
     """The share of flat tiles that are rejected does not depend on the distance; a step is found at all."""
     for distance in (0.5, 6.0):
@@ -208,7 +221,7 @@ def test_statistics_follow_the_arrays(rng):
     single = [fitter.fit(frame) for frame in frames]
     stack = fitter.fit_batch(frames)
     for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std"):
-        before = getattr(out, name)
+        before = getattr(out, name).copy()
         assert not np.allclose(before, getattr(fitter.fit(frames[1], out=out), name))
         fitter.fit(frames[0], out=out)
         np.testing.assert_array_equal(getattr(out, name), before)

@@ -1,0 +1,144 @@
+"""Noise estimated from frames: a known one is found again, and it serves frames it was not estimated from."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import rgbd_planes as rp
+
+CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
+VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
+
+
+@functools.cache
+def rendering(*view):
+    return rp.scenes.room(*view).render(CAMERA)
+
+
+def smooth(rng, length):
+    """Normal errors of variance 1 whose correlation at distance r is exp(-r²/(2·length²))."""
+    width = length / np.sqrt(2.0)
+    return (
+        ndimage.gaussian_filter(rng.standard_normal(CAMERA.shape), width, mode="wrap")
+        * 2.0
+        * width
+        * np.sqrt(np.pi)
+    )
+
+
+def frames(model, rng, views=VIEWS):
+    """The furnished room with a model's noise, missing pixels and rounding."""
+    for view in views:
+        depth = rendering(*view).depth
+        white = 1.0 - sum(share for share, _ in model.correlation)
+        error = np.sqrt(white) * rng.standard_normal(depth.shape) + model.floor * smooth(
+            rng, model.floor_length
+        )
+        for share, length in model.correlation:
+            error += np.sqrt(share) * smooth(rng, length)
+        q = 1.0 / depth + error * model.sigma(1.0 / depth)
+        raw = np.rint(CAMERA.depth_scale / q)
+        raw[rng.random(raw.shape) < 0.02] = 0
+        yield raw.astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        rp.noise.kinect_v1(),
+        rp.noise.axial(0.002, 0.001),
+        rp.noise.NoiseModel((2e-3,), correlation=((0.6, 2.0),)),
+        rp.noise.NoiseModel((2e-3,), correlation=((0.3, 1.0),), floor=0.7, floor_length=24.0),
+    ],
+    ids=["constant", "time of flight", "correlated", "with a floor"],
+)
+def test_finds_the_noise_again(truth, rng):
+    model = rp.estimate_noise(list(frames(truth, rng)), CAMERA)
+    q = 1.0 / np.linspace(1.5, 3.2, 8)
+    total = np.hypot(1.0, model.floor) * model.sigma(q)
+    np.testing.assert_allclose(total, np.hypot(1.0, truth.floor) * truth.sigma(q), rtol=0.15)
+    # What it does to tiles of every size: their residuals and the errors of their planes.
+    sizes = np.array([6, 8, 16, 32, 64]) ** 2
+    made, wanted = model.statistics(sizes), truth.statistics(sizes)
+    scale = (model.sigma(0.5) / truth.sigma(0.5)) ** 2
+    np.testing.assert_allclose(scale * made.expected, wanted.expected, rtol=0.25)
+    np.testing.assert_allclose(scale * made.tilt[:-1], wanted.tilt[:-1], rtol=0.6)
+    # Frames it has not seen.
+    camera = replace(CAMERA, noise=model)
+    view = ((0.1, -1.4, 0.0), (0.2, -1.0, 2.6))
+    labels = rendering(*view).tile_labels((16, 16))
+    rejected = []
+    for depth in frames(truth, rng, [view] * 3):
+        tiles = rp.fit_tiles(depth, camera, 16)
+        rejected.append(tiles.status[(labels > 0) & tiles.fitted] == rp.TileStatus.ROUGH)
+    assert np.mean(rejected) < 0.03
+
+
+def test_shows_a_bias_over_the_image(rng):
+    """A lens that bends floors: the flatness map has its shape."""
+    bump = 8e-3 * np.exp(-0.5 * ((CAMERA.tan_x - 0.2) ** 2 + (CAMERA.tan_y - 0.1) ** 2) / 0.12**2)
+    seen = []
+    for tilt in np.linspace(-0.3, 0.3, 6):
+        depth = rp.scenes.plane((tilt, 0.2, -1.0), 1.5).render(CAMERA).depth
+        q = 1.0 / depth + bump + 1.4e-3 * rng.standard_normal(depth.shape)
+        seen.append(1.0 / q)
+    evidence = rp.estimate_noise(seen, CAMERA).evidence
+    assert evidence.flatness.shape == (48, 60)
+    wanted = bump.reshape(48, 8, 60, 8).mean(axis=(1, 3))
+    known = np.isfinite(evidence.flatness)
+    assert known.mean() > 0.7
+    assert np.corrcoef(evidence.flatness[known], wanted[known])[0, 1] > 0.65
+    figure = evidence.plot()
+    assert len(figure.get_axes()) == 7
+
+
+def test_frames_without_anything_flat(rng):
+    noise = rng.random((2, *CAMERA.shape)) + 0.5
+    depth = ndimage.gaussian_filter(noise, (0, 12, 12)) * 20.0 - 17.0
+    with pytest.raises(
+        ValueError, match=r"at least 24 flat windows of 48 x 48 pixels, found \d+ in 2 frames"
+    ):
+        rp.estimate_noise(depth[:, :96, :96], replace(CAMERA, width=96, height=96))
+    with pytest.raises(ValueError, match="at least one frame, got none"):
+        rp.estimate_noise([], CAMERA)
+    with pytest.raises(ValueError, match="at least 48 x 48 pixels, got 32 x 40"):
+        rp.estimate_noise([np.ones((32, 40))], replace(CAMERA, width=40, height=32))
+
+
+def test_one_frame_and_a_stack_are_taken(rng):
+    seen = np.stack(list(frames(rp.noise.kinect_v1(), rng, VIEWS[:2])))
+    as_stack, as_list = rp.estimate_noise(seen, CAMERA), rp.estimate_noise(list(seen), CAMERA)
+    assert as_stack == as_list
+    assert rp.estimate_noise(seen[0], CAMERA) == rp.estimate_noise([seen[0]], CAMERA)
+    camera = replace(CAMERA, noise=as_stack)
+    assert rp.Camera.from_dict(camera.to_dict()) == camera
+
+
+def test_real_kinect_frames():
+    """Estimated from every second frame, tested on the others: a few tiles in a thousand to a few in a hundred."""
+    import real_data
+
+    folder = real_data.FOLDER / "kinect1_7scenes_seq"
+    if not folder.exists():
+        pytest.skip(real_data.REASON)
+    from rgbd_planes.images import read_depth
+
+    camera = rp.Camera.load(folder / "camera.json")
+    paths = sorted((folder / "depth").glob("*.png"))[::4]
+    noise = rp.estimate_noise([read_depth(path) for path in paths[::2]], camera)
+    assert 1.0e-3 < noise.sigma(0.5) < 2.2e-3
+    camera = replace(camera, noise=noise)
+    rejected, naive = [], []
+    for path in paths[1::2]:
+        depth = read_depth(path)
+        large = rp.fit_tiles(depth, camera, 64, max_missing=0.1, significance=1e-6)
+        flat = (large.status == rp.TileStatus.OK).repeat(4, axis=0).repeat(4, axis=1)[:30, :40]
+        tiles = rp.fit_tiles(depth, camera, 16, significance=0.0)
+        rejected.append(tiles.p_value[flat & tiles.fitted] < 0.01)
+        plain = replace(tiles, camera=replace(camera, noise=rp.noise.kinect_v1()))
+        naive.append(plain.p_value[flat & tiles.fitted] < 0.01)
+    assert 0.001 < np.mean(np.concatenate(rejected)) < 0.03
+    assert np.mean(np.concatenate(naive)) > 0.1
