@@ -126,7 +126,11 @@ def camera_tables(tan_x, tan_y, tables):
 
 @kernel()
 def missing_tables(raw, lowest, highest, tan_x, tan_y, tables):
-    """The camera terms of the missing pixels, to be taken off `camera_tables`' where a frame has holes."""
+    """The camera terms of the missing pixels, to be taken off `camera_tables`' where a frame has holes.
+
+    ``tables`` is (H + 1, W + 1, 6), or (H + 1, W + 1, 1) where their number is all that is needed.
+    """
+    rays = tables.shape[2] == 6
     tables[0] = 0.0
     for row in range(raw.shape[0]):
         above = tables[row]
@@ -135,20 +139,22 @@ def missing_tables(raw, lowest, highest, tan_x, tan_y, tables):
         sum_1 = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
         for column in range(raw.shape[1]):
             if not lowest <= raw[row, column] <= highest:
-                x = tan_x[row, column]
-                y = tan_y[row, column]
                 sum_1 += 1.0
-                sum_x += x
-                sum_y += y
-                sum_xx += x * x
-                sum_xy += x * y
-                sum_yy += y * y
+                if rays:
+                    x = tan_x[row, column]
+                    y = tan_y[row, column]
+                    sum_x += x
+                    sum_y += y
+                    sum_xx += x * x
+                    sum_xy += x * y
+                    sum_yy += y * y
             below[column + 1, 0] = above[column + 1, 0] + sum_1
-            below[column + 1, 1] = above[column + 1, 1] + sum_x
-            below[column + 1, 2] = above[column + 1, 2] + sum_y
-            below[column + 1, 3] = above[column + 1, 3] + sum_xx
-            below[column + 1, 4] = above[column + 1, 4] + sum_xy
-            below[column + 1, 5] = above[column + 1, 5] + sum_yy
+            if rays:
+                below[column + 1, 1] = above[column + 1, 1] + sum_x
+                below[column + 1, 2] = above[column + 1, 2] + sum_y
+                below[column + 1, 3] = above[column + 1, 3] + sum_xx
+                below[column + 1, 4] = above[column + 1, 4] + sum_xy
+                below[column + 1, 5] = above[column + 1, 5] + sum_yy
 
 
 @kernel()

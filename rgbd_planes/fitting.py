@@ -100,7 +100,7 @@ class WindowMoments:
             return Source(pixels, (*values, tan_x, tan_y))
         missing = np.empty((0, 0, 6))
         if summed_area.count_missing(frame.raw, frame.lowest, frame.highest):
-            missing = np.empty((*self._table_shape, 6))
+            missing = np.empty((*self._table_shape, 6 if self._range else 1))
             summed_area.missing_tables(frame.raw, frame.lowest, frame.highest, tan_x, tan_y, missing)
         tables = np.empty((*self._table_shape, 4 if self._range else 9))
         if self._range:

@@ -1,0 +1,106 @@
+"""The paper's four methods as it timed them, on the paper's sensor: what the times are times of.
+
+The sensor is the paper's: rays through the pixels of a 640x480 camera meet an arbitrary plane, and Gaussian
+noise moves each point along its ray (Papadakis and Willis 2017, section "Results"). Everything runs in double
+precision on the calling thread.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes import Camera, scenes
+from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.fitting import solve_planes, valid_needed
+from rgbd_planes.kernels import naive, summed_area
+from rgbd_planes.plane_fits import allocate
+
+WINDOW = 50
+"""Side in pixels of the paper's subsets: 2500 points."""
+
+TABLES = {"standard_implicit": 9, "range_implicit": 4, "standard_explicit": 8, "range_explicit": 3}
+"""The paper's methods, and how many summed-area tables each needs for a frame."""
+
+_CAMERA = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5}
+# A Kinect v1 in eighths of a pixel of disparity: 1/Z = scale·raw + offset, 0.47 m at 2047 and 7.8 m at 1000.
+_DISPARITY = (1.9e-3, -1.77)
+
+
+@cache
+def sensor(disparity: bool = False) -> tuple[DepthFrame, Camera]:
+    """The frame that everything is timed on, in millimetres or, of the same scene, in disparity units."""
+    if disparity:
+        camera = Camera(**_CAMERA, disparity=_DISPARITY, invalid_values=(0.0,))
+    else:
+        camera = Camera(**_CAMERA, depth_scale=1000.0)
+    frame = scenes.plane((0.3, -0.2, -1.0), 2.0).render(camera).measure(seed=2017)
+    return as_depth_frame(frame, camera), camera
+
+
+def windows(count: int, side: int = WINDOW) -> npt.NDArray[np.int64]:
+    """(count, 4) squares at random places of the frame; the same ones every time."""
+    rng = np.random.default_rng(20170331)
+    _, camera = sensor()
+    rows = rng.integers(0, camera.height - side, count, endpoint=True)
+    columns = rng.integers(0, camera.width - side, count, endpoint=True)
+    return np.column_stack([rows, columns, np.full((count, 2), side)])
+
+
+@dataclass
+class Fit:
+    """Planes of some windows of the sensor's frame, by one method and implementation, step by step.
+
+    The explicit methods sum what their solution needs and no more, as the paper does, so integral ones come
+    without a residual.
+    """
+
+    method: str
+    windows: npt.NDArray[np.int64]
+    implementation: str = "integral"
+    disparity: bool = False
+
+    def __post_init__(self) -> None:
+        frame, camera = sensor(self.disparity)
+        self._range = self.method.startswith("range")
+        self._frame = (
+            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
+            camera.tan_x, camera.tan_y,
+        )  # fmt: skip
+        shape = camera.height + 1, camera.width + 1
+        self._full = np.empty((6, len(self.windows)))
+        self._missing = np.empty((0, 0, 6))
+        if self._range:
+            tables = np.empty((*shape, 6))
+            summed_area.camera_tables(camera.tan_x, camera.tan_y, tables)
+            summed_area.camera_window_moments(tables, self.windows, 0, len(self.windows), self._full)
+        self._tables = np.zeros((*shape, TABLES[self.method]))
+        self.arrays = allocate((), (len(self.windows),))
+        self._needed = valid_needed(self.windows[:, 2] * self.windows[:, 3], 0.5)
+
+    def build(self) -> None:
+        """Build the frame's summed-area tables."""
+        kernel = summed_area.range_tables if self._range else summed_area.standard_tables
+        kernel(*self._frame, self._tables)
+
+    def planes(self) -> None:
+        """Fit all windows, from the tables or from their pixels."""
+        kernel: Any
+        source: tuple[Any, ...]
+        if self.implementation == "integral":
+            kernel = summed_area.range_window_moments if self._range else summed_area.standard_window_moments
+            source = (self._tables, self._missing)
+        else:
+            kernel = naive.range_window_moments if self._range else naive.standard_window_moments
+            source = self._frame
+        count = len(self.windows)
+        kernel(*source, self.windows, self._full, 0, count, self.arrays["_moments"])
+        solve_planes(self.method, self.arrays, self._needed, np.inf, 0, count)
+
+    def frame(self) -> None:
+        """Do all that one frame needs: build the tables, if any, and fit the windows."""
+        if self.implementation == "integral":
+            self.build()
+        self.planes()

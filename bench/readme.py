@@ -1,0 +1,48 @@
+"""``python -m bench.readme DIR/paper.json``: put the benchmark's figures into the README.
+
+What stands between ``<!-- bench:paper -->`` and ``<!-- /bench -->`` is replaced by the table.
+"""
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+
+from bench.report import readme_table
+
+README = Path(__file__).resolve().parents[1] / "README.md"
+_BLOCK = re.compile(r"(<!-- bench:paper -->\n).*?(<!-- /bench -->)", re.DOTALL)
+
+
+def with_table(text: str, table: str) -> str:
+    """The text with the table between its markers.
+
+    Raises
+    ------
+    ValueError
+        The markers are not there exactly once.
+    """
+    found = len(_BLOCK.findall(text))
+    if found != 1:
+        raise ValueError(f"expected one block <!-- bench:paper --> ... <!-- /bench -->, found {found}")
+    return _BLOCK.sub(lambda match: f"{match[1]}{table}\n{match[2]}", text)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Rewrite the README's table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.readme",
+        description="Replace the README's table by the figures of a benchmark run.",
+        epilog="Example: python -m bench.readme report/paper.json",
+    )
+    parser.add_argument("json", type=Path, help="paper.json of a run of python -m bench")
+    parser.add_argument("--readme", type=Path, default=README, help="the file to change (README.md)")
+    options = parser.parse_args(arguments)
+    table = readme_table(json.loads(options.json.read_text()))
+    options.readme.write_text(with_table(options.readme.read_text(), table))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""The paper's noise model: how uncertain the three coordinates of each pixel's point are."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.scenes import KINECT_NOISE
+
+if TYPE_CHECKING:
+    from rgbd_planes.camera import Camera
+
+
+def measurement_noise(
+    depth: npt.ArrayLike, camera: "Camera", sigma_inverse_depth: float = KINECT_NOISE
+) -> npt.NDArray[np.float64]:
+    """Standard deviations of X, Y and Z of each pixel's point.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
+    camera : Camera
+    sigma_inverse_depth : float
+        Standard deviation of 1/Z in 1/m: half the disparity's step over focal length times baseline. The
+        default is a Kinect v1's.
+
+    Returns
+    -------
+    (H, W, 3) float64
+        Metres; NaN where the depth is missing.
+
+    Raises
+    ------
+    ValueError
+        ``sigma_inverse_depth`` is negative or not finite; or the frame is none of this camera's.
+
+    Notes
+    -----
+    σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. noise_models of the paper, after
+    Khoshelham and Oude Elberink 2012, lens distortion included. The three are one error along the ray, seen
+    from three sides: fully correlated, and constant in 1/Z.
+    """
+    if not 0.0 <= sigma_inverse_depth < np.inf:
+        raise ValueError(
+            f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}"
+        )
+    along_axis = sigma_inverse_depth * as_depth_frame(depth, camera).metres ** 2
+    return np.stack(
+        [np.abs(camera.tan_x) * along_axis, np.abs(camera.tan_y) * along_axis, along_axis], axis=-1
+    )

@@ -1,0 +1,131 @@
+"""The benchmark counts what it says it counts, and its report holds what it measured. No time is asserted."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from bench import methods, operations, readme, report, sequence
+from bench.__main__ import main
+from rgbd_planes.kernels import summed_area
+
+
+@pytest.fixture(scope="module")
+def quick_run(tmp_path_factory):
+    """The folder that a quick run wrote, on rendered frames, and what it measured."""
+    folder = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sequence, "REAL_DATA", folder / "none")
+        assert main(["--out", str(folder), "--quick"]) == 0
+    return folder, json.loads((folder / "paper.json").read_text())
+
+
+def test_numbers_count_and_compute():
+    tally = Counter()
+    a, b = (operations.Number(value, tally) for value in (3.0, 4.0))
+    result = (1.0 + a * b - 2.0) / (8.0 / b) + (a - b) * 2.0 + a / operations.Unit(2.0)
+    assert float(result) == (1 + 12 - 2) / 2 + -2 + 1.5
+    assert tally == {"additions": 5, "multiplications": 2, "divisions": 2, "conversions": 1}
+    assert a < b
+    assert 3.0 <= a <= 3.0
+    assert a == 3.0
+    assert a != b
+
+
+def test_counted_ratios_are_the_papers():
+    """44N/20N, 39N/15N and 8NM²/4NM², from counts."""
+    counts = operations.count_all()
+    per_pixel = {
+        (form, space): count.paper_convention
+        for form, pair in counts.items()
+        for space, count in pair.items()
+    }
+    assert per_pixel["implicit", "standard"] == 44
+    assert per_pixel["implicit", "range"] == 20
+    assert per_pixel["explicit", "standard"] == 39
+    assert per_pixel["explicit", "range"] == 15
+    assert counts["naive"]["standard"].arguments == 8
+    assert counts["naive"]["range"].arguments == 4
+
+
+def test_executed_operations():
+    """Two additions a table and pixel; the products of the scatter matrix; one division either way."""
+    standard = operations.count(summed_area.standard_tables, 9)
+    assert (standard.additions, standard.multiplications) == (18, 8)
+    assert (standard.divisions, standard.conversions) == (0, 1)
+    in_range = operations.count(summed_area.range_tables, 3)
+    assert (in_range.additions, in_range.multiplications) == (6, 2)
+    assert (in_range.divisions, in_range.conversions) == (1, 0)
+
+
+@pytest.mark.parametrize("disparity", [False, True])
+@pytest.mark.parametrize("implementation", ["integral", "naive"])
+@pytest.mark.parametrize("method", methods.TABLES)
+def test_what_is_timed_is_the_librarys_fit(method, implementation, disparity):
+    windows = methods.windows(20)
+    fit = methods.Fit(method, windows, implementation, disparity)
+    fit.frame()
+    frame, camera = methods.sensor(disparity)
+    expected = rp.fit_windows(frame.raw, camera, windows, method)
+    assert expected.fitted.all()
+    np.testing.assert_allclose(fit.arrays["planes"], expected.planes, rtol=0, atol=1e-6)
+
+
+def test_sensor_is_the_papers():
+    frame, camera = methods.sensor()
+    assert frame.raw.shape == (480, 640)
+    tiles = rp.fit_tiles(frame.raw, camera, 40)
+    sigma = np.median(tiles.rmse)
+    assert sigma == pytest.approx(1.425e-3, rel=0.05)
+    disparity, disparity_camera = methods.sensor(disparity=True)
+    again = rp.fit_tiles(disparity.raw, disparity_camera, 40)
+    angles = np.degrees(np.arccos(np.clip((again.planes * tiles.planes)[..., :3].sum(-1), -1, 1)))
+    assert np.median(angles) < 0.5
+
+
+def test_report_holds_every_claim(quick_run):
+    folder, result = quick_run
+    text = (folder / "report.md").read_text()
+    assert set(result["op_count"]) == {"implicit", "explicit", "naive"}
+    for key, title, _ in report.CLAIMS:
+        claim = result["time"][key]
+        new, old = claim["seconds"]
+        assert claim["measured"] == pytest.approx(100.0 * (new / old - 1.0))
+        assert claim["ratio"] == pytest.approx(old / new)
+        assert f"| {title} |" in text
+    for name in report.FIGURES:
+        assert f"({name}.png)" in text
+        assert (folder / f"{name}.png").stat().st_size > 5000
+    assert result["segmentation"]["source"] == "rendered frames of a furnished room"
+    assert result["machine"]["quick"] is True
+
+
+def test_noise_of_rendered_tiles_is_the_models(quick_run):
+    """The way the residual is taken gives back the noise that was put in, at every depth."""
+    bins = quick_run[1]["noise"]["sets"]["rendered"]
+    assert len(bins) >= 4
+    for row in bins:
+        assert row["sigma"][1] == pytest.approx(1.425e-3, rel=0.1)
+
+
+def test_readme_table_replaces_the_old_one(quick_run, tmp_path):
+    folder, result = quick_run
+    page = tmp_path / "README.md"
+    page.write_text("# a\n\n<!-- bench:paper -->\nold\n<!-- /bench -->\n\nrest\n")
+    arguments = [str(folder / "paper.json"), "--readme", str(page)]
+    assert readme.main(arguments) == 0
+    text = page.read_text()
+    assert "old" not in text
+    assert text.startswith("# a\n\n<!-- bench:paper -->\n| | paper | here |")
+    assert text.endswith("<!-- /bench -->\n\nrest\n")
+    ratio = result["time"]["sat_implicit"]["measured"]
+    assert f"| −45 % | {ratio:+.0f} % |".replace("-", "−") in text
+    readme.main(arguments)
+    assert page.read_text() == text
+
+
+def test_readme_without_markers_is_an_error():
+    with pytest.raises(ValueError, match=r"expected one block .* found 0"):
+        readme.with_table("nothing here", "table")

@@ -1,0 +1,50 @@
+"""The paper's noise model per pixel, against its formula and against noise drawn by the scenes."""
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes import scenes
+
+
+@pytest.fixture
+def camera():
+    return rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=1000.0)
+
+
+def test_paper_figures(camera):
+    """eq. noise_models: sigma_Z = 1.425e-3 Z², and X and Y about half of it at the image's periphery."""
+    sigma = rp.measurement_noise(np.full((480, 640), 2000, np.uint16), camera)
+    assert sigma.shape == (480, 640, 3)
+    np.testing.assert_allclose(sigma[..., 2], 1.425e-3 * 4.0)
+    np.testing.assert_allclose(sigma[10, 20, 0], abs(20 - 319.5) / 525.0 * 1.425e-3 * 4.0)
+    np.testing.assert_allclose(sigma[10, 20, 1], abs(10 - 239.5) / 525.0 * 1.425e-3 * 4.0)
+    assert 0.4 < sigma[240, 0, 0] / sigma[240, 0, 2] < 0.65
+    assert (sigma >= 0).all()
+
+
+def test_predicts_the_spread_of_measured_points(camera):
+    rendering = scenes.plane((0.4, 0.1, -1.0), 2.5).render(camera)
+    points = []
+    for seed in range(40):
+        z = rendering.measure(seed=seed, quantise=False)
+        points.append(np.stack([z * camera.tan_x, z * camera.tan_y, z], axis=-1))
+    predicted = rp.measurement_noise(rendering.depth, camera)
+    ratio = np.std(points, axis=0, ddof=1) / predicted
+    assert np.median(ratio[..., 2]) == pytest.approx(1.0, abs=0.02)
+    assert np.median(ratio[..., 0]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_missing_is_nan_and_coefficient_scales(camera):
+    depth = np.full((480, 640), 1.5)
+    depth[3, 4] = 0.0
+    sigma = rp.measurement_noise(depth, camera, 2.85e-3)
+    assert np.isnan(sigma[3, 4]).all()
+    assert np.isfinite(np.delete(sigma.reshape(-1, 3), 3 * 640 + 4, axis=0)).all()
+    np.testing.assert_allclose(sigma[0, 0], 2.0 * rp.measurement_noise(depth, camera)[0, 0])
+
+
+@pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf])
+def test_bad_sigma(camera, sigma):
+    with pytest.raises(ValueError, match="sigma_inverse_depth must be 0 or more"):
+        rp.measurement_noise(np.ones((480, 640)), camera, sigma)
