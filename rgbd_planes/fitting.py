@@ -60,6 +60,16 @@ def solve_planes(
     )  # fmt: skip
 
 
+def ray_tables(camera: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(H, W) tanθx and tanθy; views of one row and one column where these hold all rays: less to read."""
+    if not camera.is_separable:
+        return camera.tan_x, camera.tan_y
+    return (
+        np.broadcast_to(camera.tan_x_columns, camera.shape),
+        np.broadcast_to(camera.tan_y_rows[:, None], camera.shape),
+    )
+
+
 class WindowMoments:
     """Moments of any windows of one camera's frames, from summed-area tables or from the pixels.
 
@@ -72,14 +82,14 @@ class WindowMoments:
     """
 
     def __init__(self, camera: Camera, method: str, implementation: str) -> None:
-        self._camera = camera
+        self._rays = ray_tables(camera)
         self._range = method.startswith("range")
         self._integral = implementation == "integral"
         self._table_shape = (camera.height + 1, camera.width + 1)
         self._camera_tables = np.empty((0, 0, 6))
         if self._range and self._integral:
             self._camera_tables = np.empty((*self._table_shape, 6))
-            summed_area.camera_tables(camera.tan_x, camera.tan_y, self._camera_tables)
+            summed_area.camera_tables(*self._rays, self._camera_tables)
 
     def camera_moments(
         self, windows: npt.NDArray[np.int64], start: int, stop: int, full: npt.NDArray[np.float64]
@@ -93,7 +103,7 @@ class WindowMoments:
 
     def prepare(self, frame: DepthFrame) -> "Source":
         """Build the tables of a frame, if any, once for all its windows."""
-        tan_x, tan_y = self._camera.tan_x, self._camera.tan_y
+        tan_x, tan_y = self._rays
         values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
         if not self._integral:
             pixels = naive.range_window_moments if self._range else naive.standard_window_moments
