@@ -48,27 +48,55 @@ def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y
 
     ``tables`` is (H + 1, W + 1, 4), for the implicit fit (eq. tan_theta_scattermatrix) and for residuals,
     or (H + 1, W + 1, 3): all that the explicit solution needs (Mᵗb of the paper).
+
+    Two image rows at a time: the table's row above them is read half as often, and their sums do not wait for
+    each other. An odd first row is the lower one of a pair whose upper one is all missing.
     """
     squares = tables.shape[2] == 4
-    inverse = np.empty(raw.shape[1])
+    height, width = raw.shape
+    upper = np.empty(width)
+    lower = np.empty(width)
     tables[0] = 0.0
-    for row in range(raw.shape[0]):
-        inverse_depth_row(raw[row], lowest, highest, scale, offset, is_disparity, inverse)
-        above = tables[row]
-        below = tables[row + 1]
+    for row in range(-(height % 2), height, 2):
+        if row < 0:
+            upper[:] = 0.0
+        else:
+            inverse_depth_row(raw[row], lowest, highest, scale, offset, is_disparity, upper)
+        inverse_depth_row(raw[row + 1], lowest, highest, scale, offset, is_disparity, lower)
+        upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
+        upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
+        above = tables[max(row, 0)]
+        middle = tables[max(row + 1, 0)]
+        below = tables[row + 2]
+        middle[0] = 0.0
         below[0] = 0.0
-        sum_q = sum_qx = sum_qy = sum_qq = 0.0
-        for column in range(raw.shape[1]):
-            q = inverse[column]
-            sum_q += q
-            sum_qx += q * tan_x[row, column]
-            sum_qy += q * tan_y[row, column]
-            below[column + 1, 0] = above[column + 1, 0] + sum_q
-            below[column + 1, 1] = above[column + 1, 1] + sum_qx
-            below[column + 1, 2] = above[column + 1, 2] + sum_qy
+        upper_q = upper_qx = upper_qy = upper_qq = 0.0
+        lower_q = lower_qx = lower_qy = lower_qq = 0.0
+        for column in range(width):
+            q = upper[column]
+            upper_q += q
+            upper_qx += q * upper_tan_x[column]
+            upper_qy += q * upper_tan_y[column]
             if squares:
-                sum_qq += q * q
-                below[column + 1, 3] = above[column + 1, 3] + sum_qq
+                upper_qq += q * q
+            q = lower[column]
+            lower_q += q
+            lower_qx += q * lower_tan_x[column]
+            lower_qy += q * lower_tan_y[column]
+            total = above[column + 1, 0] + upper_q
+            middle[column + 1, 0] = total
+            below[column + 1, 0] = total + lower_q
+            total = above[column + 1, 1] + upper_qx
+            middle[column + 1, 1] = total
+            below[column + 1, 1] = total + lower_qx
+            total = above[column + 1, 2] + upper_qy
+            middle[column + 1, 2] = total
+            below[column + 1, 2] = total + lower_qy
+            if squares:
+                lower_qq += q * q
+                total = above[column + 1, 3] + upper_qq
+                middle[column + 1, 3] = total
+                below[column + 1, 3] = total + lower_qq
 
 
 @kernel()
@@ -78,23 +106,21 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
     ``tables`` is (H + 1, W + 1, 9), for the implicit fit (eq. XYZ_scattermatrix) and for residuals, or
     (H + 1, W + 1, 8) without ZZ: all that the explicit solution needs (eq. XYZ_scattermatrix-1).
 
-    Two image rows at a time: the table's row above them is too wide for the first-level cache, and so is read
-    half as often. (The tables of range space are narrow enough, and lose by it.)
+    Two image rows at a time, as in `range_tables`.
     """
     squares = tables.shape[2] == 9
     height, width = raw.shape
     upper = np.empty(width)
     lower = np.empty(width)
     tables[0] = 0.0
-    if height % 2 == 1:
-        # The first row alone: as the lower one of a pair whose upper one is missing.
-        tables[1] = 0.0
     for row in range(-(height % 2), height, 2):
         if row < 0:
             upper[:] = 0.0
         else:
             depth_row(raw[row], lowest, highest, scale, offset, is_disparity, upper)
         depth_row(raw[row + 1], lowest, highest, scale, offset, is_disparity, lower)
+        upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
+        upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
         above = tables[max(row, 0)]
         middle = tables[max(row + 1, 0)]
         below = tables[row + 2]
@@ -104,8 +130,8 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
         lower_x = lower_y = lower_z = lower_xx = lower_xy = lower_xz = lower_yy = lower_yz = lower_zz = 0.0
         for column in range(width):
             z = upper[column]
-            x = z * tan_x[max(row, 0), column]
-            y = z * tan_y[max(row, 0), column]
+            x = z * upper_tan_x[column]
+            y = z * upper_tan_y[column]
             upper_x += x
             upper_y += y
             upper_z += z
@@ -117,8 +143,8 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
             if squares:
                 upper_zz += z * z
             z = lower[column]
-            x = z * tan_x[row + 1, column]
-            y = z * tan_y[row + 1, column]
+            x = z * lower_tan_x[column]
+            y = z * lower_tan_y[column]
             lower_x += x
             lower_y += y
             lower_z += z

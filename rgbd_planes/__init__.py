@@ -29,12 +29,12 @@ _NAMES = {
     "fit_sequence": "batch",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
+    "measurement_noise": "point_noise",
     "merge": "merging",
     "normals": "surfaces",
     "open_sequence": "sequences",
     "plane_polygons": "polygons",
     "segment": "segmentation",
-    "measurement_noise": "point_noise",
     "segment_quadtree": "quadtree",
     "segment_sequence": "tracking",
 }
@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.noise_estimation import estimate_noise as estimate_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus
-    from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.point_noise import measurement_noise as measurement_noise
+    from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation import Segmentation as Segmentation
     from rgbd_planes.segmentation import segment as segment
