@@ -71,7 +71,8 @@ class Fit:
         )  # fmt: skip
         shape = camera.height + 1, camera.width + 1
         self._full = np.empty((6, len(self.windows)))
-        self._missing = np.empty((0, 0, 6))
+        nothing_missing = np.empty((0, 0), np.int32), np.empty((0, 5))
+        self._missing = nothing_missing if self._range else (np.empty((0, 0, 1)),)
         if self._range:
             tables = np.empty((*shape, 6))
             summed_area.camera_tables(*ray_tables(camera), tables)
@@ -91,7 +92,7 @@ class Fit:
         source: tuple[Any, ...]
         if self.implementation == "integral":
             kernel = summed_area.range_window_moments if self._range else summed_area.standard_window_moments
-            source = (self._tables, self._missing)
+            source = (self._tables, *self._missing)
         else:
             kernel = naive.range_window_moments if self._range else naive.standard_window_moments
             source = self._frame

@@ -90,9 +90,10 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
         "segmentation_implicit",
         "Segment frames, tables and planes, implicit: range space against standard",
         "Splitting needs a residual, so all methods build their squares' table as well. The frames have "
-        "missing pixels: the fit stays exact there, for which range space builds the camera's six tables "
-        "over the missing pixels and the standard form one, their count. The paper's precomputation "
-        "ignores them.",
+        "missing pixels: the fit stays exact there, for which range space lists the missing pixels' camera "
+        "terms and takes them off, and the standard form needs a table of their number. The paper's "
+        "precomputation ignores them. What both do alike, such as choosing which squares to split, dilutes "
+        "the difference.",
     ),
     (
         "segmentation_explicit",

@@ -215,36 +215,47 @@ def camera_tables(tan_x, tan_y, tables):
 
 
 @kernel()
-def missing_tables(raw, lowest, highest, tan_x, tan_y, tables):
-    """The camera terms of the missing pixels, to be taken off `camera_tables`' where a frame has holes.
-
-    ``tables`` is (H + 1, W + 1, 6), or (H + 1, W + 1, 1) where their number is all that is needed.
-    """
-    rays = tables.shape[2] == 6
-    tables[0] = 0.0
+def missing_table(raw, lowest, highest, table):
+    """The table of the number of missing pixels, (H + 1, W + 1, 1)."""
+    table[0] = 0.0
     for row in range(raw.shape[0]):
-        above = tables[row]
-        below = tables[row + 1]
-        below[0] = 0.0
-        sum_1 = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
+        table[row + 1, 0, 0] = 0.0
+        missing = 0.0
         for column in range(raw.shape[1]):
             if not lowest <= raw[row, column] <= highest:
-                sum_1 += 1.0
-                if rays:
-                    x = tan_x[row, column]
-                    y = tan_y[row, column]
-                    sum_x += x
-                    sum_y += y
-                    sum_xx += x * x
-                    sum_xy += x * y
-                    sum_yy += y * y
-            below[column + 1, 0] = above[column + 1, 0] + sum_1
-            if rays:
-                below[column + 1, 1] = above[column + 1, 1] + sum_x
-                below[column + 1, 2] = above[column + 1, 2] + sum_y
-                below[column + 1, 3] = above[column + 1, 3] + sum_xx
-                below[column + 1, 4] = above[column + 1, 4] + sum_xy
-                below[column + 1, 5] = above[column + 1, 5] + sum_yy
+                missing += 1.0
+            table[row + 1, column + 1, 0] = table[row, column + 1, 0] + missing
+
+
+@kernel()
+def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
+    """The camera terms of the missing pixels, which `camera_tables` have too many where a frame has holes.
+
+    They are few, so instead of five more tables there is a list of them, summed up in the order of the pixels:
+    a part of an image row is the difference of two of its entries.
+
+    Parameters
+    ----------
+    before : (H, W + 1) int32, written
+        Number of missing pixels before a column of a row, in all earlier rows too.
+    sums : (missing + 1, 5) float64, written
+        tanθx, tanθy, tanθx², tanθx·tanθy, tanθy² summed over so many missing pixels.
+    """
+    sums[0] = 0.0
+    missing = 0
+    for row in range(raw.shape[0]):
+        for column in range(raw.shape[1]):
+            before[row, column] = missing
+            if not lowest <= raw[row, column] <= highest:
+                x = tan_x[row, column]
+                y = tan_y[row, column]
+                sums[missing + 1, 0] = sums[missing, 0] + x
+                sums[missing + 1, 1] = sums[missing, 1] + y
+                sums[missing + 1, 2] = sums[missing, 2] + x * x
+                sums[missing + 1, 3] = sums[missing, 3] + x * y
+                sums[missing + 1, 4] = sums[missing, 4] + y * y
+                missing += 1
+        before[row, raw.shape[1]] = missing
 
 
 @kernel()
@@ -273,12 +284,12 @@ def camera_window_moments(camera, windows, start, stop, full):
 
 
 @kernel()
-def range_window_moments(tables, missing, windows, full, start, stop, moments):
+def range_window_moments(tables, before, sums, windows, full, start, stop, moments):
     """Range-space moments, about the origin, of windows ``start`` to ``stop``.
 
     ``full`` is what `camera_window_moments` gives, so only the 4 sums that depend on the frame are looked up.
-    ``missing`` is empty, (0, 0, 6), for a frame without holes. Where ``tables`` have no q², Σqq is NaN: no
-    residual is known then.
+    ``before`` and ``sums`` are those of `missing_rays`, empty for a frame without holes; with them a window
+    costs two look-ups for each of its rows. Where ``tables`` have no q², Σqq is NaN.
     """
     squares = tables.shape[2] == 4
     for i in range(start, stop):
@@ -293,20 +304,25 @@ def range_window_moments(tables, missing, windows, full, start, stop, moments):
         moments[7, i] = full[5, i]
         moments[8, i] = window_sum(tables, window, 2)
         moments[9, i] = window_sum(tables, window, 3) if squares else math.nan
-        if missing.shape[0] > 0:
-            moments[0, i] -= window_sum(missing, window, 0)
-            moments[1, i] -= window_sum(missing, window, 1)
-            moments[2, i] -= window_sum(missing, window, 2)
-            moments[4, i] -= window_sum(missing, window, 3)
-            moments[5, i] -= window_sum(missing, window, 4)
-            moments[7, i] -= window_sum(missing, window, 5)
+        if before.shape[0] > 0:
+            left, right = window[1], window[1] + window[3]
+            for row in range(window[0], window[0] + window[2]):
+                first, last = before[row, left], before[row, right]
+                if last > first:
+                    moments[0, i] -= last - first
+                    moments[1, i] -= sums[last, 0] - sums[first, 0]
+                    moments[2, i] -= sums[last, 1] - sums[first, 1]
+                    moments[4, i] -= sums[last, 2] - sums[first, 2]
+                    moments[5, i] -= sums[last, 3] - sums[first, 3]
+                    moments[7, i] -= sums[last, 4] - sums[first, 4]
 
 
 @kernel()
 def standard_window_moments(tables, missing, windows, full, start, stop, moments):
     """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; the arguments as above.
 
-    All but the number of pixels depends on the frame: nothing of ``full`` is of use.
+    ``missing`` is that of `missing_table`, empty for a frame without holes. All but the number of pixels
+    depends on the frame: nothing of ``full`` is of use.
     """
     moments[9, start:stop] = math.nan
     for i in range(start, stop):
