@@ -35,8 +35,8 @@ def measure(quick: bool, say: Callable[[str], None] = lambda text: None) -> Resu
     rounds = 5 if quick else 41
     steps: list[tuple[str, Callable[[], Result]]] = [
         ("operations", _operations),
-        ("summed-area tables", lambda: _tables(rounds)),
-        ("planes from built tables", lambda: _planes(rounds)),
+        ("summed-area tables", lambda: _tables(5 * rounds)),
+        ("planes from built tables", lambda: _planes(5 * rounds)),
         ("naive fits", lambda: _naive(rounds, quick)),
         ("integral fits against the number of points", lambda: _integral_points(rounds, quick)),
         ("up to 1000 planes of a frame", lambda: _plane_counts(rounds, quick)),
@@ -160,7 +160,7 @@ def _plane_counts(rounds: int, quick: bool) -> Result:
     seconds: dict[str, list[Times]] = {f"{m}_{i}": [] for m in TABLES for i in implementations}
     for count in counts:
         fits = {f"{m}_{i}": Fit(m, windows(count), i) for m in TABLES for i in implementations}
-        times = in_turns({name: fit.frame for name, fit in fits.items()}, max(rounds // 3, 3))
+        times = in_turns({name: fit.frame for name, fit in fits.items()}, max(rounds // 2, 3))
         for name, time_ in times.items():
             seconds[name].append(time_)
     at_200 = {name: times[counts.index(200)] for name, times in seconds.items()}
