@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.fitting import solve_planes, valid_needed
+from rgbd_planes.fitting import ray_tables, solve_planes, valid_needed
 from rgbd_planes.kernels import naive, summed_area
 from rgbd_planes.plane_fits import allocate
 
@@ -67,14 +67,15 @@ class Fit:
         self._range = self.method.startswith("range")
         self._frame = (
             frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-            camera.tan_x, camera.tan_y,
+            *ray_tables(camera),
         )  # fmt: skip
         shape = camera.height + 1, camera.width + 1
         self._full = np.empty((6, len(self.windows)))
-        self._missing = np.empty((0, 0, 6))
+        nothing_missing = np.empty((0, 0), np.int32), np.empty((0, 5))
+        self._missing = nothing_missing if self._range else (np.empty((0, 0, 1)),)
         if self._range:
             tables = np.empty((*shape, 6))
-            summed_area.camera_tables(camera.tan_x, camera.tan_y, tables)
+            summed_area.camera_tables(*ray_tables(camera), tables)
             summed_area.camera_window_moments(tables, self.windows, 0, len(self.windows), self._full)
         self._tables = np.zeros((*shape, TABLES[self.method]))
         self.arrays = allocate((), (len(self.windows),))
@@ -91,7 +92,7 @@ class Fit:
         source: tuple[Any, ...]
         if self.implementation == "integral":
             kernel = summed_area.range_window_moments if self._range else summed_area.standard_window_moments
-            source = (self._tables, self._missing)
+            source = (self._tables, *self._missing)
         else:
             kernel = naive.range_window_moments if self._range else naive.standard_window_moments
             source = self._frame

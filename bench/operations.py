@@ -130,6 +130,8 @@ def plain(kernel: Any) -> Callable[..., Any]:
         if name in function.__globals__
     }
     scope = {name: plain(value) if hasattr(value, "py_func") else value for name, value in used.items()}
+    # Scratch rows must hold numbers that count.
+    scope["np"] = types.SimpleNamespace(empty=lambda shape: np.empty(shape, object))
     return types.FunctionType(function.__code__, scope, function.__name__)
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from bench.methods import TABLES, Fit, sensor, windows
 from bench.operations import count_all
 from bench.sequence import KINECTS, real_frames, rendered_frames, sequence
-from bench.timing import change, flush_caches, in_turns
+from bench.timing import Times, change, flush_caches, in_turns
 from rgbd_planes import Camera, TileStatus, fit_tiles, scenes
 from rgbd_planes.quadtree import QuadtreeFitter
 
@@ -35,8 +35,8 @@ def measure(quick: bool, say: Callable[[str], None] = lambda text: None) -> Resu
     rounds = 5 if quick else 41
     steps: list[tuple[str, Callable[[], Result]]] = [
         ("operations", _operations),
-        ("summed-area tables", lambda: _tables(rounds)),
-        ("planes from built tables", lambda: _planes(rounds)),
+        ("summed-area tables", lambda: _tables(5 * rounds)),
+        ("planes from built tables", lambda: _planes(5 * rounds)),
         ("naive fits", lambda: _naive(rounds, quick)),
         ("integral fits against the number of points", lambda: _integral_points(rounds, quick)),
         ("up to 1000 planes of a frame", lambda: _plane_counts(rounds, quick)),
@@ -59,9 +59,19 @@ def _claim(paper: float | None, measured: float, **more: Any) -> Result:
     return {"paper": paper, "measured": measured, **more}
 
 
-def _pair(paper: float | None, new: float, old: float) -> Result:
+def _pair(paper: float | None, new: Times, old: Times) -> Result:
     """A claim about how much faster one time is than another."""
-    return _claim(paper, change(new, old), ratio=old / new, seconds=[new, old])
+    return _claim(
+        paper,
+        change(new.fastest, old.fastest),
+        ratio=old.fastest / new.fastest,
+        seconds=[new.fastest, old.fastest],
+        measured_median=change(new.median, old.median),
+    )
+
+
+def _fastest(times: dict[str, list[Times]]) -> dict[str, list[float]]:
+    return {name: [time_.fastest for time_ in row] for name, row in times.items()}
 
 
 def _operations() -> Result:
@@ -98,7 +108,8 @@ def _planes(rounds: int) -> Result:
     fits = {method: Fit(method, windows(1000)) for method in TABLES}
     for fit in fits.values():
         fit.build()
-    seconds = {name: t / 1000 for name, t in in_turns({m: f.planes for m, f in fits.items()}, rounds).items()}
+    times = in_turns({method: fit.planes for method, fit in fits.items()}, rounds)
+    seconds = {method: time_.shared_by(1000) for method, time_ in times.items()}
     return {
         "time": {
             "plane_implicit": _pair(-15.0, seconds["range_implicit"], seconds["standard_implicit"]),
@@ -111,14 +122,14 @@ def _planes(rounds: int) -> Result:
 def _naive(rounds: int, quick: bool) -> Result:
     sides = [5, 20, 50] if quick else [5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100]
     names = [*TABLES, "range_implicit_disparity", "range_explicit_disparity"]
-    seconds: dict[str, list[float]] = {name: [] for name in names}
+    seconds: dict[str, list[Times]] = {name: [] for name in names}
     for side in sides:
         fits = {
             name: Fit(name.removesuffix("_disparity"), windows(20, side), "naive", name.endswith("disparity"))
             for name in names
         }
         for name, time_ in in_turns({name: fit.planes for name, fit in fits.items()}, rounds).items():
-            seconds[name].append(time_ / 20)
+            seconds[name].append(time_.shared_by(20))
     points = [side * side for side in sides]
     chosen = sides.index(50)
     result = {}
@@ -126,27 +137,30 @@ def _naive(rounds: int, quick: bool) -> Result:
         old = seconds[f"standard_{form}"][chosen]
         result[f"naive_{form}"] = _pair(paper, seconds[f"range_{form}"][chosen], old)
         result[f"naive_{form}_disparity"] = _pair(None, seconds[f"range_{form}_disparity"][chosen], old)
-    return {"time": result, "series": {"naive_times_vs_points": {"points": points, "seconds": seconds}}}
+    return {
+        "time": result,
+        "series": {"naive_times_vs_points": {"points": points, "seconds": _fastest(seconds)}},
+    }
 
 
 def _integral_points(rounds: int, quick: bool) -> Result:
     sides = [10, 100, 400] if quick else [5, 10, 20, 40, 60, 80, 100, 150, 200, 300, 400]
-    seconds: dict[str, list[float]] = {method: [] for method in TABLES}
+    seconds: dict[str, list[Times]] = {method: [] for method in TABLES}
     for side in sides:
         fits = {method: Fit(method, windows(1, side)) for method in TABLES}
         for method, time_ in in_turns({m: f.frame for m, f in fits.items()}, max(rounds // 2, 5)).items():
             seconds[method].append(time_)
     points = [side * side for side in sides]
-    return {"series": {"integral_times_vs_points": {"points": points, "seconds": seconds}}}
+    return {"series": {"integral_times_vs_points": {"points": points, "seconds": _fastest(seconds)}}}
 
 
 def _plane_counts(rounds: int, quick: bool) -> Result:
     counts = [1, 200, 1000] if quick else [1, 2, 5, 10, 20, 50, 100, 200, 350, 500, 700, 1000]
     implementations = ("integral", "naive")
-    seconds: dict[str, list[float]] = {f"{m}_{i}": [] for m in TABLES for i in implementations}
+    seconds: dict[str, list[Times]] = {f"{m}_{i}": [] for m in TABLES for i in implementations}
     for count in counts:
         fits = {f"{m}_{i}": Fit(m, windows(count), i) for m in TABLES for i in implementations}
-        times = in_turns({name: fit.frame for name, fit in fits.items()}, max(rounds // 3, 3))
+        times = in_turns({name: fit.frame for name, fit in fits.items()}, max(rounds // 2, 3))
         for name, time_ in times.items():
             seconds[name].append(time_)
     at_200 = {name: times[counts.index(200)] for name, times in seconds.items()}
@@ -160,7 +174,7 @@ def _plane_counts(rounds: int, quick: bool) -> Result:
             ),
             "windows200_explicit_vs_implicit": _pair(-50.0, new_explicit, new),
         },
-        "series": {"runtime_comparison": {"planes": counts, "seconds": seconds}},
+        "series": {"runtime_comparison": {"planes": counts, "seconds": _fastest(seconds)}},
     }
 
 
@@ -170,17 +184,19 @@ def _segmentation(count: int, rounds: int) -> Result:
         method: QuadtreeFitter(camera, method, implementation="integral") for method in TABLES
     }
     fitters["range_explicit_direct"] = QuadtreeFitter(camera, "range_explicit")
-    total = dict.fromkeys(fitters, 0.0)
+    total = dict.fromkeys(fitters, Times(0.0, 0.0))
     for frame in frames:
         work = {name: (lambda f=fitter, d=frame: f.fit(d)) for name, fitter in fitters.items()}
-        for name, seconds in in_turns(work, rounds).items():
-            total[name] += seconds
+        for name, time_ in in_turns(work, rounds).items():
+            total[name] = total[name].plus(time_)
     elements = {
         name: sum(int(np.count_nonzero(fitter.fit(frame).status == TileStatus.OK)) for frame in frames)
         for name, fitter in fitters.items()
     }
     saved = {
-        form: (total[f"standard_{form}"] - total[f"range_{form}"]) / len(frames) * FLIGHT_FRAMES
+        form: (total[f"standard_{form}"].fastest - total[f"range_{form}"].fastest)
+        / len(frames)
+        * FLIGHT_FRAMES
         for form in ("implicit", "explicit")
     }
     direct = _pair(None, total["range_explicit_direct"], total["standard_implicit"])
@@ -198,7 +214,7 @@ def _segmentation(count: int, rounds: int) -> Result:
         "segmentation": {
             "frames": len(frames),
             "source": source,
-            "seconds": total,
+            "seconds": {name: time_.fastest for name, time_ in total.items()},
             "elements_fitted": elements,
         },
     }
@@ -281,7 +297,7 @@ def _machine(quick: bool, rounds: int) -> Result:
         "scipy": scipy.__version__,
         "rgbd_planes": rgbd_planes.__version__,
         "frame": f"{frame.raw.shape[1]}x{frame.raw.shape[0]} {frame.raw.dtype}, sums in float64",
-        "clock": "processor time of the thread, median of interleaved rounds",
+        "clock": "processor time of the thread, the fastest of interleaved rounds",
         "rounds": rounds,
         "quick": quick,
         "date": time.strftime("%Y-%m-%d"),

@@ -2,19 +2,36 @@
 
 import time
 from collections.abc import Callable, Mapping
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 Name = TypeVar("Name")
 
 
+class Times(NamedTuple):
+    """Seconds that a piece of work took."""
+
+    fastest: float
+    """What disturbs a run only ever adds to its time, so this is the work's own."""
+    median: float
+    """What it came to on this machine, with all else that it did meanwhile."""
+
+    def shared_by(self, count: int) -> "Times":
+        """The time of one of so many equal parts of the work."""
+        return Times(self.fastest / count, self.median / count)
+
+    def plus(self, other: "Times") -> "Times":
+        """The time of both pieces of work."""
+        return Times(self.fastest + other.fastest, self.median + other.median)
+
+
 def in_turns(
     work: Mapping[Name, Callable[[], object]], rounds: int, before: Callable[[], object] | None = None
-) -> dict[Name, float]:
-    """Return the median time in seconds of each piece of work.
+) -> dict[Name, Times]:
+    """Time each piece of work as often as there are rounds.
 
-    Each round runs every piece twice and times the second run: the first leaves the caches as a stream of
+    Each round runs every piece three times and times the last run: the others leave the caches as a stream of
     frames would. The clock is the processor time of this thread, which does not run while others do.
 
     Parameters
@@ -27,19 +44,23 @@ def in_turns(
     seconds: dict[Name, list[float]] = {name: [] for name in work}
     for _ in range(rounds):
         for name, function in work.items():
-            (before or function)()
+            if before is None:
+                function()
+                function()
+            else:
+                before()
             start = time.thread_time()
             function()
             seconds[name].append(time.thread_time() - start)
-    return {name: float(np.median(times)) for name, times in seconds.items()}
+    return {name: Times(min(times), float(np.median(times))) for name, times in seconds.items()}
 
 
 def flush_caches() -> None:
-    """Write more memory than any cache holds."""
-    _ELSEWHERE[:] += 1.0
+    """Read more memory than any cache holds."""
+    _ELSEWHERE.sum()
 
 
-_ELSEWHERE = np.zeros(16_000_000)
+_ELSEWHERE = np.ones(16_000_000)
 
 
 def change(new: float, old: float) -> float:

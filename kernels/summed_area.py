@@ -7,6 +7,8 @@ look-up touches one place in memory.
 
 import math
 
+import numpy as np
+
 from ._jit import kernel
 from .depth import depth, inverse_depth
 
@@ -23,33 +25,78 @@ def count_missing(raw, lowest, highest):
 
 
 @kernel()
+def inverse_depth_row(values, lowest, highest, scale, offset, is_disparity, q):
+    """Inverse depths of an image row, 0 where missing: apart, so that the divisions vectorise."""
+    for column in range(values.shape[0]):
+        value = values[column]
+        inverse = inverse_depth(value, scale, offset, is_disparity)
+        q[column] = inverse if (lowest <= value) & (value <= highest) else 0.0
+
+
+@kernel()
+def depth_row(values, lowest, highest, scale, offset, is_disparity, z):
+    """Depths of an image row, 0 where missing."""
+    for column in range(values.shape[0]):
+        value = values[column]
+        metres = depth(value, scale, offset, is_disparity)
+        z[column] = metres if (lowest <= value) & (value <= highest) else 0.0
+
+
+@kernel()
 def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
     """The tables of range space that depend on the frame: q, q·tanθx, q·tanθy and, if asked for, q².
 
     ``tables`` is (H + 1, W + 1, 4), for the implicit fit (eq. tan_theta_scattermatrix) and for residuals,
     or (H + 1, W + 1, 3): all that the explicit solution needs (Mᵗb of the paper).
+
+    Two image rows at a time: the table's row above them is read half as often, and their sums do not wait for
+    each other. An odd first row is the lower one of a pair whose upper one is all missing.
     """
     squares = tables.shape[2] == 4
+    height, width = raw.shape
+    upper = np.empty(width)
+    lower = np.empty(width)
     tables[0] = 0.0
-    for row in range(raw.shape[0]):
-        above = tables[row]
-        below = tables[row + 1]
+    for row in range(-(height % 2), height, 2):
+        if row < 0:
+            upper[:] = 0.0
+        else:
+            inverse_depth_row(raw[row], lowest, highest, scale, offset, is_disparity, upper)
+        inverse_depth_row(raw[row + 1], lowest, highest, scale, offset, is_disparity, lower)
+        upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
+        upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
+        above = tables[max(row, 0)]
+        middle = tables[max(row + 1, 0)]
+        below = tables[row + 2]
+        middle[0] = 0.0
         below[0] = 0.0
-        sum_q = sum_qx = sum_qy = sum_qq = 0.0
-        for column in range(raw.shape[1]):
-            value = raw[row, column]
-            if lowest <= value <= highest:
-                q = inverse_depth(value, scale, offset, is_disparity)
-                sum_q += q
-                sum_qx += q * tan_x[row, column]
-                sum_qy += q * tan_y[row, column]
-                if squares:
-                    sum_qq += q * q
-            below[column + 1, 0] = above[column + 1, 0] + sum_q
-            below[column + 1, 1] = above[column + 1, 1] + sum_qx
-            below[column + 1, 2] = above[column + 1, 2] + sum_qy
+        upper_q = upper_qx = upper_qy = upper_qq = 0.0
+        lower_q = lower_qx = lower_qy = lower_qq = 0.0
+        for column in range(width):
+            q = upper[column]
+            upper_q += q
+            upper_qx += q * upper_tan_x[column]
+            upper_qy += q * upper_tan_y[column]
             if squares:
-                below[column + 1, 3] = above[column + 1, 3] + sum_qq
+                upper_qq += q * q
+            q = lower[column]
+            lower_q += q
+            lower_qx += q * lower_tan_x[column]
+            lower_qy += q * lower_tan_y[column]
+            total = above[column + 1, 0] + upper_q
+            middle[column + 1, 0] = total
+            below[column + 1, 0] = total + lower_q
+            total = above[column + 1, 1] + upper_qx
+            middle[column + 1, 1] = total
+            below[column + 1, 1] = total + lower_qx
+            total = above[column + 1, 2] + upper_qy
+            middle[column + 1, 2] = total
+            below[column + 1, 2] = total + lower_qy
+            if squares:
+                lower_qq += q * q
+                total = above[column + 1, 3] + upper_qq
+                middle[column + 1, 3] = total
+                below[column + 1, 3] = total + lower_qq
 
 
 @kernel()
@@ -58,40 +105,83 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
 
     ``tables`` is (H + 1, W + 1, 9), for the implicit fit (eq. XYZ_scattermatrix) and for residuals, or
     (H + 1, W + 1, 8) without ZZ: all that the explicit solution needs (eq. XYZ_scattermatrix-1).
+
+    Two image rows at a time, as in `range_tables`.
     """
     squares = tables.shape[2] == 9
+    height, width = raw.shape
+    upper = np.empty(width)
+    lower = np.empty(width)
     tables[0] = 0.0
-    for row in range(raw.shape[0]):
-        above = tables[row]
-        below = tables[row + 1]
+    for row in range(-(height % 2), height, 2):
+        if row < 0:
+            upper[:] = 0.0
+        else:
+            depth_row(raw[row], lowest, highest, scale, offset, is_disparity, upper)
+        depth_row(raw[row + 1], lowest, highest, scale, offset, is_disparity, lower)
+        upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
+        upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
+        above = tables[max(row, 0)]
+        middle = tables[max(row + 1, 0)]
+        below = tables[row + 2]
+        middle[0] = 0.0
         below[0] = 0.0
-        sum_x = sum_y = sum_z = sum_xx = sum_xy = sum_xz = sum_yy = sum_yz = sum_zz = 0.0
-        for column in range(raw.shape[1]):
-            value = raw[row, column]
-            if lowest <= value <= highest:
-                z = depth(value, scale, offset, is_disparity)
-                x = z * tan_x[row, column]
-                y = z * tan_y[row, column]
-                sum_x += x
-                sum_y += y
-                sum_z += z
-                sum_xx += x * x
-                sum_xy += x * y
-                sum_xz += x * z
-                sum_yy += y * y
-                sum_yz += y * z
-                if squares:
-                    sum_zz += z * z
-            below[column + 1, 0] = above[column + 1, 0] + sum_x
-            below[column + 1, 1] = above[column + 1, 1] + sum_y
-            below[column + 1, 2] = above[column + 1, 2] + sum_z
-            below[column + 1, 3] = above[column + 1, 3] + sum_xx
-            below[column + 1, 4] = above[column + 1, 4] + sum_xy
-            below[column + 1, 5] = above[column + 1, 5] + sum_xz
-            below[column + 1, 6] = above[column + 1, 6] + sum_yy
-            below[column + 1, 7] = above[column + 1, 7] + sum_yz
+        upper_x = upper_y = upper_z = upper_xx = upper_xy = upper_xz = upper_yy = upper_yz = upper_zz = 0.0
+        lower_x = lower_y = lower_z = lower_xx = lower_xy = lower_xz = lower_yy = lower_yz = lower_zz = 0.0
+        for column in range(width):
+            z = upper[column]
+            x = z * upper_tan_x[column]
+            y = z * upper_tan_y[column]
+            upper_x += x
+            upper_y += y
+            upper_z += z
+            upper_xx += x * x
+            upper_xy += x * y
+            upper_xz += x * z
+            upper_yy += y * y
+            upper_yz += y * z
             if squares:
-                below[column + 1, 8] = above[column + 1, 8] + sum_zz
+                upper_zz += z * z
+            z = lower[column]
+            x = z * lower_tan_x[column]
+            y = z * lower_tan_y[column]
+            lower_x += x
+            lower_y += y
+            lower_z += z
+            lower_xx += x * x
+            lower_xy += x * y
+            lower_xz += x * z
+            lower_yy += y * y
+            lower_yz += y * z
+            total = above[column + 1, 0] + upper_x
+            middle[column + 1, 0] = total
+            below[column + 1, 0] = total + lower_x
+            total = above[column + 1, 1] + upper_y
+            middle[column + 1, 1] = total
+            below[column + 1, 1] = total + lower_y
+            total = above[column + 1, 2] + upper_z
+            middle[column + 1, 2] = total
+            below[column + 1, 2] = total + lower_z
+            total = above[column + 1, 3] + upper_xx
+            middle[column + 1, 3] = total
+            below[column + 1, 3] = total + lower_xx
+            total = above[column + 1, 4] + upper_xy
+            middle[column + 1, 4] = total
+            below[column + 1, 4] = total + lower_xy
+            total = above[column + 1, 5] + upper_xz
+            middle[column + 1, 5] = total
+            below[column + 1, 5] = total + lower_xz
+            total = above[column + 1, 6] + upper_yy
+            middle[column + 1, 6] = total
+            below[column + 1, 6] = total + lower_yy
+            total = above[column + 1, 7] + upper_yz
+            middle[column + 1, 7] = total
+            below[column + 1, 7] = total + lower_yz
+            if squares:
+                lower_zz += z * z
+                total = above[column + 1, 8] + upper_zz
+                middle[column + 1, 8] = total
+                below[column + 1, 8] = total + lower_zz
 
 
 @kernel()
@@ -125,36 +215,47 @@ def camera_tables(tan_x, tan_y, tables):
 
 
 @kernel()
-def missing_tables(raw, lowest, highest, tan_x, tan_y, tables):
-    """The camera terms of the missing pixels, to be taken off `camera_tables`' where a frame has holes.
-
-    ``tables`` is (H + 1, W + 1, 6), or (H + 1, W + 1, 1) where their number is all that is needed.
-    """
-    rays = tables.shape[2] == 6
-    tables[0] = 0.0
+def missing_table(raw, lowest, highest, table):
+    """The table of the number of missing pixels, (H + 1, W + 1, 1)."""
+    table[0] = 0.0
     for row in range(raw.shape[0]):
-        above = tables[row]
-        below = tables[row + 1]
-        below[0] = 0.0
-        sum_1 = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
+        table[row + 1, 0, 0] = 0.0
+        missing = 0.0
         for column in range(raw.shape[1]):
             if not lowest <= raw[row, column] <= highest:
-                sum_1 += 1.0
-                if rays:
-                    x = tan_x[row, column]
-                    y = tan_y[row, column]
-                    sum_x += x
-                    sum_y += y
-                    sum_xx += x * x
-                    sum_xy += x * y
-                    sum_yy += y * y
-            below[column + 1, 0] = above[column + 1, 0] + sum_1
-            if rays:
-                below[column + 1, 1] = above[column + 1, 1] + sum_x
-                below[column + 1, 2] = above[column + 1, 2] + sum_y
-                below[column + 1, 3] = above[column + 1, 3] + sum_xx
-                below[column + 1, 4] = above[column + 1, 4] + sum_xy
-                below[column + 1, 5] = above[column + 1, 5] + sum_yy
+                missing += 1.0
+            table[row + 1, column + 1, 0] = table[row, column + 1, 0] + missing
+
+
+@kernel()
+def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
+    """The camera terms of the missing pixels, which `camera_tables` have too many where a frame has holes.
+
+    They are few, so instead of five more tables there is a list of them, summed up in the order of the pixels:
+    a part of an image row is the difference of two of its entries.
+
+    Parameters
+    ----------
+    before : (H, W + 1) int32, written
+        Number of missing pixels before a column of a row, in all earlier rows too.
+    sums : (missing + 1, 5) float64, written
+        tanθx, tanθy, tanθx², tanθx·tanθy, tanθy² summed over so many missing pixels.
+    """
+    sums[0] = 0.0
+    missing = 0
+    for row in range(raw.shape[0]):
+        for column in range(raw.shape[1]):
+            before[row, column] = missing
+            if not lowest <= raw[row, column] <= highest:
+                x = tan_x[row, column]
+                y = tan_y[row, column]
+                sums[missing + 1, 0] = sums[missing, 0] + x
+                sums[missing + 1, 1] = sums[missing, 1] + y
+                sums[missing + 1, 2] = sums[missing, 2] + x * x
+                sums[missing + 1, 3] = sums[missing, 3] + x * y
+                sums[missing + 1, 4] = sums[missing, 4] + y * y
+                missing += 1
+        before[row, raw.shape[1]] = missing
 
 
 @kernel()
@@ -183,12 +284,12 @@ def camera_window_moments(camera, windows, start, stop, full):
 
 
 @kernel()
-def range_window_moments(tables, missing, windows, full, start, stop, moments):
+def range_window_moments(tables, before, sums, windows, full, start, stop, moments):
     """Range-space moments, about the origin, of windows ``start`` to ``stop``.
 
     ``full`` is what `camera_window_moments` gives, so only the 4 sums that depend on the frame are looked up.
-    ``missing`` is empty, (0, 0, 6), for a frame without holes. Where ``tables`` have no q², Σqq is NaN: no
-    residual is known then.
+    ``before`` and ``sums`` are those of `missing_rays`, empty for a frame without holes; with them a window
+    costs two look-ups for each of its rows. Where ``tables`` have no q², Σqq is NaN.
     """
     squares = tables.shape[2] == 4
     for i in range(start, stop):
@@ -203,20 +304,25 @@ def range_window_moments(tables, missing, windows, full, start, stop, moments):
         moments[7, i] = full[5, i]
         moments[8, i] = window_sum(tables, window, 2)
         moments[9, i] = window_sum(tables, window, 3) if squares else math.nan
-        if missing.shape[0] > 0:
-            moments[0, i] -= window_sum(missing, window, 0)
-            moments[1, i] -= window_sum(missing, window, 1)
-            moments[2, i] -= window_sum(missing, window, 2)
-            moments[4, i] -= window_sum(missing, window, 3)
-            moments[5, i] -= window_sum(missing, window, 4)
-            moments[7, i] -= window_sum(missing, window, 5)
+        if before.shape[0] > 0:
+            left, right = window[1], window[1] + window[3]
+            for row in range(window[0], window[0] + window[2]):
+                first, last = before[row, left], before[row, right]
+                if last > first:
+                    moments[0, i] -= last - first
+                    moments[1, i] -= sums[last, 0] - sums[first, 0]
+                    moments[2, i] -= sums[last, 1] - sums[first, 1]
+                    moments[4, i] -= sums[last, 2] - sums[first, 2]
+                    moments[5, i] -= sums[last, 3] - sums[first, 3]
+                    moments[7, i] -= sums[last, 4] - sums[first, 4]
 
 
 @kernel()
 def standard_window_moments(tables, missing, windows, full, start, stop, moments):
     """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; the arguments as above.
 
-    All but the number of pixels depends on the frame: nothing of ``full`` is of use.
+    ``missing`` is that of `missing_table`, empty for a frame without holes. All but the number of pixels
+    depends on the frame: nothing of ``full`` is of use.
     """
     moments[9, start:stop] = math.nan
     for i in range(start, stop):

@@ -1,5 +1,6 @@
 """From a frame's moments to planes: the part that tiles and windows share."""
 
+import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -60,6 +61,16 @@ def solve_planes(
     )  # fmt: skip
 
 
+def ray_tables(camera: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(H, W) tanθx and tanθy; views of one row and one column where these hold all rays: less to read."""
+    if not camera.is_separable:
+        return camera.tan_x, camera.tan_y
+    return (
+        np.broadcast_to(camera.tan_x_columns, camera.shape),
+        np.broadcast_to(camera.tan_y_rows[:, None], camera.shape),
+    )
+
+
 class WindowMoments:
     """Moments of any windows of one camera's frames, from summed-area tables or from the pixels.
 
@@ -72,14 +83,15 @@ class WindowMoments:
     """
 
     def __init__(self, camera: Camera, method: str, implementation: str) -> None:
-        self._camera = camera
+        self._rays = ray_tables(camera)
+        self._arrays = threading.local()
         self._range = method.startswith("range")
         self._integral = implementation == "integral"
         self._table_shape = (camera.height + 1, camera.width + 1)
         self._camera_tables = np.empty((0, 0, 6))
         if self._range and self._integral:
             self._camera_tables = np.empty((*self._table_shape, 6))
-            summed_area.camera_tables(camera.tan_x, camera.tan_y, self._camera_tables)
+            summed_area.camera_tables(*self._rays, self._camera_tables)
 
     def camera_moments(
         self, windows: npt.NDArray[np.int64], start: int, stop: int, full: npt.NDArray[np.float64]
@@ -92,22 +104,41 @@ class WindowMoments:
             summed_area.camera_window_moments(self._camera_tables, windows, start, stop, full)
 
     def prepare(self, frame: DepthFrame) -> "Source":
-        """Build the tables of a frame, if any, once for all its windows."""
-        tan_x, tan_y = self._camera.tan_x, self._camera.tan_y
+        """Build the tables of a frame, if any, once for all its windows.
+
+        They are good until the same thread prepares its next frame.
+        """
+        tan_x, tan_y = self._rays
         values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
         if not self._integral:
             pixels = naive.range_window_moments if self._range else naive.standard_window_moments
             return Source(pixels, (*values, tan_x, tan_y))
-        missing = np.empty((0, 0, 6))
-        if summed_area.count_missing(frame.raw, frame.lowest, frame.highest):
-            missing = np.empty((*self._table_shape, 6 if self._range else 1))
-            summed_area.missing_tables(frame.raw, frame.lowest, frame.highest, tan_x, tan_y, missing)
-        tables = np.empty((*self._table_shape, 4 if self._range else 9))
-        if self._range:
-            summed_area.range_tables(*values, tan_x, tan_y, tables)
-            return Source(summed_area.range_window_moments, (tables, missing))
-        summed_area.standard_tables(*values, tan_x, tan_y, tables)
-        return Source(summed_area.standard_window_moments, (tables, missing))
+        height, width = self._table_shape
+        valid = frame.raw, frame.lowest, frame.highest
+        holes = summed_area.count_missing(*valid)
+        tables = self._kept("tables", (height, width, 4 if self._range else 9))
+        if not self._range:
+            summed_area.standard_tables(*values, tan_x, tan_y, tables)
+            missing = np.empty((0, 0, 1))
+            if holes:
+                missing = self._kept("missing", (height, width, 1))
+                summed_area.missing_table(*valid, missing)
+            return Source(summed_area.standard_window_moments, (tables, missing))
+        summed_area.range_tables(*values, tan_x, tan_y, tables)
+        before, sums = np.empty((0, 0), np.int32), np.empty((0, 5))
+        if holes:
+            before = self._kept("before", (height - 1, width), np.int32)
+            sums = np.empty((holes + 1, 5))
+            summed_area.missing_rays(*valid, tan_x, tan_y, before, sums)
+        return Source(summed_area.range_window_moments, (tables, before, sums))
+
+    def _kept(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+        """This thread's array of a name: fresh memory for every frame would cost as much as filling it."""
+        arrays = self._arrays.__dict__
+        if name not in arrays:
+            arrays[name] = np.empty(shape, dtype)
+        array: npt.NDArray[Any] = arrays[name]
+        return array
 
 
 class Source:
