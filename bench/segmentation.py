@@ -42,7 +42,7 @@ SETTINGS = (
     *(Rules(reach=value) for value in (6.0, 7.0, 9.0, 10.0)),
     *(Rules(close=value) for value in (2.0, 4.0)),
     *(Rules(rough=value) for value in (2.0, 3.0)),
-    *(Rules(narrow=value) for value in (2.5, 3.2, 4.5)),
+    *(Rules(narrow=value) for value in (3.2, 3.8, 6.0)),
     *(Rules(steep_block=value) for value in (0.4, 0.8)),
     *(Rules(rough_block=value) for value in (2.5, 3.5)),
 )
