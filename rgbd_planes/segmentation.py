@@ -80,7 +80,8 @@ class Segmentation:
     planes : (N, 4) float64
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
-        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label.
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label, but for
+        strays that only go with their neighbours.
     alpha_covariance : (N, 3, 3) float64
         Of α, 1/m². From the residual or the sensor's noise, whichever is larger, as if pixels farther
         apart than the noise is correlated were independent.
