@@ -109,6 +109,16 @@ def test_crease_is_where_the_planes_meet():
     assert np.abs(edge - 160).mean() < 2.0
 
 
+def test_a_folded_surface_is_its_folds():
+    # Eight panels, each bent a little against the next: any two pass for one plane, all eight do not.
+    fold = 40.0 / CAMERA.fx
+    phase = np.abs((CAMERA.tan_x / fold) % 2.0 - 1.0)
+    rng = np.random.default_rng(13)
+    found = segment(1.0 / (0.6 + 0.016 * phase + rng.normal(0.0, 1e-3, CAMERA.shape)), CAMERA)
+    assert 7 <= len(found) <= 11
+    assert (found.reason == Reason.PLANE).mean() > 0.95
+
+
 def test_holes_and_thin_gaps_do_not_cut_a_plane():
     rng = np.random.default_rng(8)
     depth = 1.0 / (0.7 + 0.1 * CAMERA.tan_x + rng.normal(0.0, 1e-3, CAMERA.shape))
