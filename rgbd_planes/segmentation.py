@@ -33,7 +33,7 @@ class Rules:
     """The constants of the segmentation.
 
     Deviations are standard deviations of the frame's own noise, so none of these knows a sensor, a unit or a
-    distance. `bench.segmentation` says what they are worth on frames that did not choose them.
+    distance. `bench.segmentation` cross-validates them.
     """
 
     rough_block: float = 3.0  # deviations of a planar block
