@@ -217,6 +217,40 @@ def merge(
 
 
 @kernel()
+def keep_pairs_inside(pairs, contact, count, parent, chosen):
+    """Keep the pairs whose two lie in one chosen region; returns how many.
+
+    ``parent`` (N,) is the region of each, ``chosen`` (N,) bool is read at the regions.
+    """
+    kept = 0
+    for i in range(count):
+        root = parent[pairs[i, 0]]
+        if root == parent[pairs[i, 1]] and chosen[root]:
+            pairs[kept] = pairs[i]
+            contact[kept] = contact[i]
+            kept += 1
+    return kept
+
+
+@kernel()
+def find_rough(moments, parent, sigma, lateral_x, lateral_y, growth, rough, chosen):
+    """Mark the regions whose residual is above ``rough`` standard deviations: they are several planes.
+
+    ``chosen`` is (N,) bool, written; returns whether there are any.
+    """
+    alpha = np.empty(3)
+    found = False
+    for a in range(len(parent)):
+        chosen[a] = False
+        if parent[a] == a and fit(moments[a], alpha):
+            noise = variance(moments[a], alpha, sigma, lateral_x, lateral_y)
+            noise *= waviness(moments[a, 0], growth) ** 2
+            chosen[a] = residual(moments[a]) > rough * rough * noise * moments[a, 0]
+            found |= chosen[a]
+    return found
+
+
+@kernel()
 def number_regions(parent, moments, least, number, region_moments):
     """Number the regions that are left 0, 1, ... in their order.
 

@@ -33,7 +33,7 @@ class Rules:
     """The constants of the segmentation.
 
     Deviations are standard deviations of the frame's own noise, so none of these knows a sensor, a unit or a
-    distance. `bench.segmentation` says what they are worth on frames that did not choose them.
+    distance. `bench.segmentation` cross-validates them.
     """
 
     rough_block: float = 3.0  # deviations of a planar block
@@ -46,6 +46,7 @@ class Rules:
     reach: float = 8.0  # deviations within which a region contends for a pixel
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left in peace
+    split: float = 3.0  # deviations of a region that is several planes, to be merged anew with more care
     rough: float = 2.5  # deviations of a region that is no plane
     narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
     trips: int = 3  # from planes to pixels and back
@@ -80,7 +81,8 @@ class Segmentation:
     planes : (N, 4) float64
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
-        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label.
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label, but for
+        strays that only go with their neighbours.
     alpha_covariance : (N, 3, 3) float64
         Of α, 1/m². From the residual or the sensor's noise, whichever is larger, as if pixels farther
         apart than the noise is correlated were independent.
@@ -261,10 +263,12 @@ def segment_frame(
     for trip in range(rules.trips + 1):
         pair_count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
         parent = np.empty(count, np.int64)
+        before = moments[:count].copy()
         segment_merge.merge(
             moments[:count], room.pairs, room.contact, pair_count, *spread, noise.growth,
             rules.region_floor, rules.region_jump, rules.region_spread, parent,
         )  # fmt: skip
+        _split_rough(before, moments[:count], parent, region, room, grid, spread, noise, rules)
         number = np.full(count + 1, -1)  # the last entry is what -1, no region, stays
         least = float(min_size) if trip else 0.0
         merged = segment_merge.number_regions(parent, moments, least, number, moments)
@@ -287,6 +291,33 @@ def segment_frame(
     return _result(
         camera, room, number, alpha, slope, waves, moments[:merged], own_squares, noise, min_size, rules
     )
+
+
+def _split_rough(
+    before: Floats,
+    moments: Floats,
+    parent: NDArray[np.int64],
+    region: NDArray[np.int64],
+    room: "_Room",
+    grid: "_Grid",
+    spread: tuple[Floats, float, float],
+    noise: FrameNoise,
+    rules: Rules,
+) -> None:
+    """Merge anew, by half the tolerance, what became part of a region that is no plane."""
+    rough = np.empty(len(parent), np.bool_)
+    if not segment_merge.find_rough(moments, parent, *spread, noise.growth, rules.split, rough):
+        return
+    count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
+    count = segment_merge.keep_pairs_inside(room.pairs, room.contact, count, parent, rough)
+    again = np.empty_like(parent)
+    segment_merge.merge(
+        before, room.pairs, room.contact, count, *spread, noise.growth,
+        0.5 * rules.region_floor, 0.5 * rules.region_jump, rules.region_spread, again,
+    )  # fmt: skip
+    inside = rough[parent]
+    parent[inside] = again[inside]
+    moments[inside] = before[inside]
 
 
 @dataclass(frozen=True, eq=False)

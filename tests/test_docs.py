@@ -21,6 +21,7 @@ OPTIONAL = {
     "rgbd-planes batch": "pyarrow",
     "fit_sequence": "pyarrow",
     "rosbag(": "rosbags",
+    "plane_polygons": "shapely",
 }
 
 

@@ -107,6 +107,17 @@ def test_crease_is_where_the_planes_meet():
     assert len(found) == 2
     edge = (found.labels == found.labels[0, 0]).sum(axis=1)
     assert np.abs(edge - 160).mean() < 2.0
+    assert edge.std() < 0.5  # straight: residuals alone leave it ragged
+
+
+def test_a_folded_surface_is_its_folds():
+    # Eight panels, each bent a little against the next: any two pass for one plane, all eight do not.
+    fold = 40.0 / CAMERA.fx
+    phase = np.abs((CAMERA.tan_x / fold) % 2.0 - 1.0)
+    rng = np.random.default_rng(13)
+    found = segment(1.0 / (0.6 + 0.014 * phase + rng.normal(0.0, 1e-3, CAMERA.shape)), CAMERA)
+    assert 7 <= len(found) <= 9
+    assert (found.reason == Reason.PLANE).mean() > 0.95
 
 
 def test_holes_and_thin_gaps_do_not_cut_a_plane():
