@@ -41,7 +41,6 @@ camera = rp.presets.kinect_v1()
 rendering = rp.scenes.room().render(camera)
 tiles = rp.fit_tiles(rendering.measure(seed=1), camera)
 assert tiles.fitted.all(), tiles
-assert len(rp.segment(rendering.measure(seed=1), camera)) > 5
 
 out = Path(sys.argv[1])
 command = [str(Path(sys.executable).with_name("rgbd-planes"))]
