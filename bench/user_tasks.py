@@ -1,0 +1,236 @@
+"""Five tasks of a new user, each written with this library, OpenCV and Open3D: ``python bench/user_tasks.py``.
+
+A task is a function of a depth frame (or a folder of them) and a camera. What is counted is its lines; what is printed
+beside them is the time of the second and later calls, in turns, and how good the answer is. A library that is not
+installed is left out.
+"""
+
+import inspect
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+import rgbd_planes as rp
+from rgbd_planes.images import write_png
+
+
+def matrix(camera):
+    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+
+
+# Task 1: the plane of every 16 x 16 tile, with its residual; (30, 40, 4).
+def tiles_ours(depth, camera):
+    tiles = rp.fit_tiles(depth, camera, tile=16)
+    return tiles.planes, tiles.rmse_metric
+
+
+def tiles_opencv(depth, camera):
+    points = cv2.depthTo3d(depth, matrix(camera))[..., :3]
+    tiles = points.reshape(30, 16, 40, 16, 3).swapaxes(1, 2).reshape(30, 40, 256, 3)
+    planes, rmse = np.full((30, 40, 4), np.nan), np.full((30, 40), np.nan)
+    for index in np.ndindex(30, 40):
+        valid = tiles[index][np.isfinite(tiles[index][:, 2]) & (tiles[index][:, 2] > 0)]
+        if len(valid) < 128:
+            continue
+        mean, vectors, values = cv2.PCACompute2(valid.astype(np.float64), mean=None)
+        normal = vectors[2] if vectors[2] @ mean[0] < 0 else -vectors[2]
+        planes[index] = *normal, -normal @ mean[0]
+        rmse[index] = np.sqrt(max(values[2, 0], 0))
+    return planes, rmse
+
+
+def tiles_open3d(depth, camera):
+    intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
+    image = open3d.geometry.Image(depth)
+    cloud = open3d.geometry.PointCloud.create_from_depth_image(
+        image, intrinsic, project_valid_depth_only=False
+    )
+    points = np.asarray(cloud.points)
+    tiles = points.reshape(30, 16, 40, 16, 3).swapaxes(1, 2).reshape(30, 40, 256, 3)
+    planes, rmse = np.full((30, 40, 4), np.nan), np.full((30, 40), np.nan)
+    for index in np.ndindex(30, 40):
+        valid = tiles[index][np.isfinite(tiles[index][:, 2])]
+        if len(valid) < 128:
+            continue
+        tile = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(valid))
+        mean, covariance = tile.compute_mean_and_covariance()
+        values, vectors = np.linalg.eigh(covariance)
+        normal = vectors[:, 0] if vectors[:, 0] @ mean < 0 else -vectors[:, 0]
+        planes[index] = *normal, -normal @ mean
+        rmse[index] = np.sqrt(max(values[0], 0))
+    return planes, rmse
+
+
+# Task 2: the planes of the frame and the pixels of each; labels (480, 640), 0 for none.
+def segments_ours(depth, camera):
+    segments = rp.segment(depth, camera)
+    return segments.labels
+
+
+def segments_opencv(depth, camera):
+    points = cv2.depthTo3d(depth, matrix(camera))
+    method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
+    normals = cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 5, 50.0, method).apply(points)
+    labels, _ = cv2.findPlanes(points, normals, block_size=10, sensor_error_a=0.0075)
+    return np.where(labels == 255, 0, labels + 1)
+
+
+def segments_open3d(depth, camera):
+    intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
+    cloud = open3d.geometry.PointCloud.create_from_depth_image(open3d.geometry.Image(depth), intrinsic)
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(30))
+    patches = cloud.detect_planar_patches()
+    points, labels = np.asarray(cloud.points), np.zeros((480, 640), int)
+    pixel = np.rint(points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]).astype(
+        int
+    )
+    for label, patch in enumerate(patches, start=1):
+        inside = patch.get_point_indices_within_bounding_box(cloud.points)
+        labels[pixel[inside, 1], pixel[inside, 0]] = label
+    return labels
+
+
+# Task 3: a normal for every pixel, towards the camera; (480, 640, 3).
+def normals_ours(depth, camera):
+    return rp.normals(depth, camera, window=7)
+
+
+def normals_opencv(depth, camera):
+    points = cv2.depthTo3d(depth, matrix(camera))
+    method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
+    return cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 7, 50.0, method).apply(points)[
+        ..., :3
+    ]
+
+
+def normals_open3d(depth, camera):
+    intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
+    image = open3d.geometry.Image(depth)
+    cloud = open3d.geometry.PointCloud.create_from_depth_image(image, intrinsic)
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(49))
+    cloud.orient_normals_towards_camera_location()
+    normals = np.full((480, 640, 3), np.nan)
+    normals[depth > 0] = np.asarray(cloud.normals)
+    return normals
+
+
+# Task 4: the standard deviation of each tile's distance in metres; (30, 40). The others have none: no function.
+def deviations_ours(depth, camera):
+    camera = rp.Camera(**{**camera.to_dict(), "noise": rp.noise.kinect_v1()})
+    return np.sqrt(rp.fit_tiles(depth, camera, tile=16).plane_covariance[..., 3, 3])
+
+
+# Task 5: a folder in the form of the TUM benchmark, to a table of the planes of all tiles, on disk.
+def table_ours(folder, camera):
+    rp.fit_sequence(rp.open_sequence(folder, camera, "tum"), folder / "planes.parquet")
+
+
+def table_opencv(folder, camera):
+    import pandas
+
+    rows = []
+    for line in (folder / "depth.txt").read_text().splitlines():
+        if line.startswith("#"):
+            continue
+        time_, name = line.split()
+        depth = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+        planes, rmse = tiles_opencv(depth, camera)
+        for index in np.ndindex(30, 40):
+            rows.append((float(time_), name, *index, *planes[index], rmse[index]))
+    pandas.DataFrame(
+        rows, columns=["time", "name", "row", "column", "nx", "ny", "nz", "d", "rmse"]
+    ).to_parquet(folder / "p.parquet")
+
+
+def lines(function):
+    """Lines of a function's body, and of `tiles_opencv` where it calls that."""
+    text = inspect.getsource(function)
+    own = [line for line in text.splitlines()[1:] if line.strip()]
+    return len(own) + (lines(tiles_opencv) if "tiles_opencv(" in "".join(own) else 0)
+
+
+def angles(planes, labels, rendering):
+    seen = (labels > 0) & np.isfinite(planes[..., 0])
+    cosine = np.abs((planes[seen][..., :3] * rendering.planes[labels[seen] - 1][..., :3]).sum(axis=-1))
+    return f"{np.median(np.degrees(np.arccos(np.clip(cosine, 0, 1)))):.1f} degrees"
+
+
+def found(labels, rendering):
+    """Planes of more than 1000 pixels, and how many of them have one label that shares 80 % with them."""
+    sizes = np.bincount(rendering.labels.ravel())
+    wanted = [i for i in range(1, len(sizes)) if sizes[i] > 1000]
+    good = 0
+    for i in wanted:
+        mine = rendering.labels == i
+        label, count = np.unique(labels[mine & (labels > 0)], return_counts=True)
+        if len(label):
+            best = label[count.argmax()]
+            good += count.max() >= 0.8 * mine.sum() and count.max() >= 0.8 * (labels == best).sum()
+    return f"{good} of {len(wanted)} planes"
+
+
+def main() -> None:
+    camera = rp.presets.kinect_v1()
+    rendering = rp.scenes.room().render(camera)
+    depth = rendering.measure(holes=0.05, patches=0.03, seed=1)
+    whole = rendering.measure(seed=1)
+    tile_labels = rendering.tile_labels((16, 16))
+    deviation = rendering.planes[np.maximum(tile_labels, 1) - 1][..., 3]
+
+    def honest(sigma):
+        off = (rp.fit_tiles(depth, camera, 16).planes[..., 3] - deviation)[tile_labels > 0]
+        share = np.nanmean(np.abs(off) < 1.96 * sigma[tile_labels > 0]) if np.isfinite(off).any() else 0.0
+        return f"{share:.0%} within 1.96 deviations"
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "freiburg1"
+        (folder / "depth").mkdir(parents=True)
+        for i in range(10):
+            write_png(folder / "depth" / f"{i}.png", rendering.measure(holes=0.05, seed=i))
+        (folder / "depth.txt").write_text("".join(f"{i}.5 depth/{i}.png\n" for i in range(10)))
+        tasks = {
+            "planes of tiles": ("tiles", depth, lambda made: angles(made[0], tile_labels, rendering)),
+            "planes of the frame": ("segments", depth, lambda made: found(made, rendering)),
+            "normals of pixels": ("normals", depth, lambda made: angles(made, rendering.labels, rendering)),
+            "how good a plane is": ("deviations", depth, honest),
+            "10 frames to a table": ("table", folder, lambda made: "on disk"),
+        }
+        print("| task | | lines | ms | ours = 1 | result |\n|---|---|---|---|---|---|")
+        for task, (name, argument, judge) in tasks.items():
+            functions = {w: globals().get(f"{name}_{w}") for w in ("ours", "opencv", "open3d")}
+            runs = {w: f for w, f in functions.items() if f is not None and available(w)}
+            results, times = {w: f(argument, camera) for w, f in runs.items()}, {w: [] for w in runs}
+            for _ in range(5):
+                for w, f in runs.items():
+                    for left in Path(argument).glob("planes.parquet/*") if name == "table" else ():
+                        left.unlink()
+                    start = time.perf_counter()
+                    f(argument, camera)
+                    times[w].append(time.perf_counter() - start)
+            for w, f in runs.items():
+                ratio = statistics.median(t / o for t, o in zip(times[w], times["ours"], strict=True))
+                milliseconds = 1e3 * statistics.median(times[w])
+                result = judge(results[w])
+                if name in ("tiles", "segments", "normals"):
+                    result += f"; without holes {judge(f(whole, camera))}"
+                print(f"| {task} | {w} | {lines(f)} | {milliseconds:.1f} | {ratio:.1f} | {result} |")
+
+
+def available(which):
+    return which == "ours" or globals().get({"opencv": "cv2"}.get(which, which)) is not None
+
+
+try:
+    import cv2
+except ModuleNotFoundError:
+    cv2 = None
+try:
+    import open3d
+except ModuleNotFoundError:
+    open3d = None
+
+if __name__ == "__main__":
+    main()

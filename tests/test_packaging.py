@@ -1,0 +1,43 @@
+"""What is said about the package in several places is the same everywhere."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import rgbd_planes as rp
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def test_the_version_is_the_same_everywhere():
+    assert PROJECT["version"] == rp.__version__
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    version, date = re.search(r"^## (\S+) \((\d{4}-\d\d-\d\d)\)$", changelog, re.MULTILINE).groups()
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert version == rp.__version__
+    assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == rp.__version__
+    assert re.search(r'^date-released: "(\S+)"$', citation, re.MULTILINE)[1] == date
+
+
+def test_every_package_folder_is_installed():
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    folders = {
+        ".".join(file.parent.relative_to(ROOT).parts)
+        for file in (ROOT / "rgbd_planes").rglob("__init__.py")
+        if "kernels" not in file.parts
+    }
+    assert set(tool["packages"]) == folders | {"rgbd_planes.kernels"}
+
+
+def test_every_extra_that_is_spoken_of_exists():
+    extras = set(PROJECT["optional-dependencies"])
+    for file in [*(ROOT / "rgbd_planes").rglob("*.py"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]:
+        text = file.read_text(encoding="utf-8")
+        spoken = re.findall(r"rgbd-planes\[(\w+)\]", text) + re.findall(r'needs\("[\w-]+", "(\w+)"\)', text)
+        assert set(spoken) <= extras, file
+
+
+def test_what_a_user_installs_is_little():
+    names = {re.split(r"[<>=]", requirement)[0] for requirement in PROJECT["dependencies"]}
+    assert names == {"matplotlib", "numba", "numpy", "pillow", "scipy"}
