@@ -46,8 +46,7 @@ class Rules:
     reach: float = 8.0  # deviations within which a region contends for a pixel
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left in peace
-    split: float = 3.0  # deviations of a region that is several planes, to be merged anew with more care
-    rough: float = 2.5  # deviations of a region that is no plane
+    rough: float = 3.0  # deviations of a region that is several planes, or none
     narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
     trips: int = 3  # from planes to pixels and back
 
@@ -306,7 +305,7 @@ def _split_rough(
 ) -> None:
     """Merge anew, by half the tolerance, what became part of a region that is no plane."""
     rough = np.empty(len(parent), np.bool_)
-    if not segment_merge.find_rough(moments, parent, *spread, noise.growth, rules.split, rough):
+    if not segment_merge.find_rough(moments, parent, *spread, noise.growth, rules.rough, rough):
         return
     count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
     count = segment_merge.keep_pairs_inside(room.pairs, room.contact, count, parent, rough)
