@@ -8,6 +8,7 @@ Peers: vectorised NumPy; OpenCV 5 (``depthTo3d``, and ``findPlanes`` with a leas
 so that it fits its blocks and merges none); Open3D's normals and planar patches. Extra: ``pip install .[peers]``.
 """
 
+# ruff: noqa: E402
 import os
 
 # Before NumPy loads its linear algebra: one thread each.

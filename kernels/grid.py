@@ -82,7 +82,8 @@ def fit_range_tiles(
             if filled + tiles_at_once > TILES or is_last:
                 store(first, filled, block_moments, block_reference, moments, reference)
                 solve.range_planes(
-                    method == solve.RANGE_IMPLICIT, block_moments, block_reference, needed, max_error, filled, work, first,
+                    method == solve.RANGE_IMPLICIT, block_moments, block_reference, needed,
+                    max_error, filled, work, first,
                     planes, alpha, rmse, rmse_metric, valid_count, status,
                 )  # fmt: skip
                 first += filled
@@ -97,7 +98,8 @@ def fit_standard_tiles(
 ):  # fmt: skip
     """Fit the tiles of some tile rows in (X, Y, Z): as `fit_range_tiles`.
 
-    ``method`` is `solve.STANDARD_EXPLICIT`, `solve.STANDARD_IMPLICIT` or `solve.STANDARD_PCA`; there are no camera terms, and ``full`` is not used.
+    ``method`` is `solve.STANDARD_EXPLICIT`, `solve.STANDARD_IMPLICIT` or `solve.STANDARD_PCA`. There are no
+    camera terms: ``full`` is not used.
     """
     height = raw.shape[0]
     tile_columns = centre.shape[2]
