@@ -83,6 +83,7 @@ class WindowMoments:
     """
 
     def __init__(self, camera: Camera, method: str, implementation: str) -> None:
+        self._made_of = camera, method, implementation
         self._rays = ray_tables(camera)
         self._arrays = threading.local()
         self._range = method.startswith("range")
@@ -92,6 +93,9 @@ class WindowMoments:
         if self._range and self._integral:
             self._camera_tables = np.empty((*self._table_shape, 6))
             summed_area.camera_tables(*self._rays, self._camera_tables)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_of  # no thread's tables go elsewhere
 
     def camera_moments(
         self, windows: npt.NDArray[np.int64], start: int, stop: int, full: npt.NDArray[np.float64]

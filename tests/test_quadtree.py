@@ -1,5 +1,8 @@
 """The paper's segmentation: the tree against the oracle, the clusters against what they are made of."""
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import oracle
 import pytest
@@ -113,6 +116,17 @@ def test_few_planes_need_few_clusters():
     assert flat.labels.dtype == np.int32
     assert (flat.labels == 1).all()
     np.testing.assert_allclose(flat.planes, [[0.0, 0.0, -1.0, 2.0]], atol=1e-9)
+
+
+def test_fitter_serves_many_threads_and_processes(camera, frame):
+    """Tables are kept between frames: for each thread its own, and none in a pickle."""
+    empty = np.zeros_like(frame)
+    fitter = pickle.loads(pickle.dumps(QuadtreeFitter(camera, **OPTIONS, implementation="integral")))
+    frames = [frame, empty, frame[::-1], frame] * 4
+    expected = [QuadtreeFitter(camera, **OPTIONS, implementation="integral").fit(f).planes for f in frames]
+    with ThreadPoolExecutor(4) as pool:
+        for fits, planes in zip(pool.map(fitter.fit, frames), expected, strict=True):
+            np.testing.assert_array_equal(fits.planes, planes)
 
 
 def test_nothing_valid_is_no_error(camera):
