@@ -269,7 +269,8 @@ def test_a_reader_that_leaves_early_is_no_error(folder):
     command = [sys.executable, "-m", "rgbd_planes", "fit", "depth.png", "--camera", "camera.json"]
     ran = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
     os.close(write)
-    assert (ran.returncode, ran.stderr) == (0, "")
+    noise = [line for line in ran.stderr.splitlines() if not line.startswith("compiling kernels")]
+    assert (ran.returncode, noise) == (0, [])
 
 
 def test_fit_on_real_frames(tmp_path, monkeypatch, capsys, real_frame):
