@@ -355,7 +355,7 @@ def real_report(folder: Path) -> list[str]:
         "| frames | " + " | ".join(f"{s} px: tiles | rejected | angle" for s in sizes) + " |",
         "|---" * (1 + 3 * len(sizes)) + "|",
     ]
-    right = {"rejected": 0, "angle": 0, "of": 0}
+    right = dict.fromkeys(("rejected", "rejected_of", "angle", "angle_of"), 0)
     for data in real_sets():
         try:
             noise = rp.estimate_noise(data.first, data.camera)
@@ -369,18 +369,20 @@ def real_report(folder: Path) -> list[str]:
         for size in sizes:
             result = real_result(data, noise, size)
             ratio = result.predicted / result.observed
+            angle = f"{ratio:.2f} ({result.observed:.2f}°)" if ratio == ratio else "–"
             row.append(
-                f"{result.tiles} | {result.rejected:.1%} ({result.rejected_independent:.0%}) "
-                f"| {ratio:.2f} ({result.observed:.2f}°)"
+                f"{result.tiles} | {result.rejected:.1%} ({result.rejected_independent:.0%}) | {angle}"
             )
             if result.tiles >= 50:
-                right["of"] += 1
                 right["rejected"] += 0.003 <= result.rejected <= 0.03
+                right["rejected_of"] += 1
                 right["angle"] += 0.75 <= ratio <= 1.25
+                right["angle_of"] += ratio == ratio
         lines.append(f"| {data.name} | {' | '.join(row)} |")
     lines += [
         "",
-        f"Right: rejected in {right['rejected']}, angle in {right['angle']} of {right['of']} with 50 tiles or more.",
+        f"Right, of sets and sizes with 50 tiles or more: rejected in {right['rejected']} of {right['rejected_of']}, "
+        f"angle in {right['angle']} of {right['angle_of']}.",
         "",
     ]
     return lines

@@ -40,7 +40,7 @@ _MOST_MISSING = 0.1
 _BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
 _CLUTTERED = 4.0  # and over those of other windows
 _TAIL = 0.98  # quantile at which the spread is matched: near the significance levels that matter
-_FEWEST_WINDOWS = 24
+_FEWEST_WINDOWS = 16
 _TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
 _LARGE = 60
 

@@ -99,7 +99,7 @@ def test_frames_without_anything_flat(rng):
     noise = rng.random((2, *CAMERA.shape)) + 0.5
     depth = ndimage.gaussian_filter(noise, (0, 12, 12)) * 20.0 - 17.0
     with pytest.raises(
-        ValueError, match=r"at least 24 flat windows of 48 x 48 pixels, found \d+ in 2 frames"
+        ValueError, match=r"at least 16 flat windows of 48 x 48 pixels, found \d+ in 2 frames"
     ):
         rp.estimate_noise(depth[:, :96, :96], replace(CAMERA, width=96, height=96))
     with pytest.raises(ValueError, match="at least one frame, got none"):
