@@ -75,6 +75,19 @@ def test_other_methods_are_held_to_the_same_bound(method, rng):
         assert mean > 3.5
 
 
+def test_plane_covariance_is_that_of_alpha_carried_over(rng):
+    """J Σ Jᵀ with the derivatives of n = -α/|α| and d = 1/|α|, taken numerically."""
+    camera = monte_carlo.tile_camera(12, rp.noise.kinect_v1(), left=300.0)
+    alpha = monte_carlo.plane_through_middle(camera, 1.5, 50.0)
+    stack = monte_carlo.fit(camera, monte_carlo.measure(camera, alpha, 5, rng))
+    for i in range(5):
+        fitted = stack.alpha[i, 0, 0]
+        ends = [[monte_carlo.plane_of(fitted + sign * 1e-6 * axis) for sign in (1, -1)] for axis in np.eye(3)]
+        slope = np.array([(high - low) / 2e-6 for high, low in ends]).T
+        wanted = slope @ stack.alpha_covariance[i, 0, 0] @ slope.T
+        np.testing.assert_allclose(stack.plane_covariance[i, 0, 0], wanted, rtol=1e-5, atol=1e-12)
+
+
 @pytest.mark.parametrize("side", [4, 9, 16])
 def test_correlated_noise_is_worked_out_exactly(side):
     """Against the covariance matrix of all pixels."""
