@@ -21,7 +21,7 @@ _NAMES = {
     "FitSettings": "batch_parts",
     "Segmentation": "segmentation",
     "TileFitter": "tiles",
-    "TilePlanes": "tiles",
+    "TilePlanes": "tile_planes",
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
     "curvature": "surfaces",
@@ -65,8 +65,8 @@ if TYPE_CHECKING:
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature
     from rgbd_planes.surfaces import normals as normals
+    from rgbd_planes.tile_planes import TilePlanes as TilePlanes
     from rgbd_planes.tiles import TileFitter as TileFitter
-    from rgbd_planes.tiles import TilePlanes as TilePlanes
     from rgbd_planes.tiles import fit_tiles as fit_tiles
     from rgbd_planes.tracking import segment_sequence as segment_sequence
     from rgbd_planes.warm import warmup as warmup

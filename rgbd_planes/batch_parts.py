@@ -16,7 +16,8 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
-from rgbd_planes.tiles import TileFitter, TilePlanes
+from rgbd_planes.tile_planes import TilePlanes
+from rgbd_planes.tiles import TileFitter
 
 if TYPE_CHECKING:
     import pyarrow

@@ -18,7 +18,7 @@ from rgbd_planes import __version__
 
 if TYPE_CHECKING:  # a command imports what it needs when it runs, so that --help is instant
     from rgbd_planes.scenes import Rendering
-    from rgbd_planes.tiles import TilePlanes
+    from rgbd_planes.tile_planes import TilePlanes
 
 Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
 

@@ -17,7 +17,7 @@ from rgbd_planes.colours import normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.tiles import TilePlanes
+from rgbd_planes.tile_planes import TilePlanes
 
 if TYPE_CHECKING:
     import open3d

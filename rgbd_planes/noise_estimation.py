@@ -18,7 +18,8 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.merging import merge
 from rgbd_planes.noise import NoiseModel, table
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.tiles import TileFitter, TilePlanes
+from rgbd_planes.tile_planes import TilePlanes
+from rgbd_planes.tiles import TileFitter
 from rgbd_planes.uncertainty import same_plane
 
 if TYPE_CHECKING:

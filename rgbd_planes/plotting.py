@@ -18,7 +18,7 @@ from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
 from rgbd_planes.plane_fits import TileStatus
 
 if TYPE_CHECKING:
-    from rgbd_planes.tiles import TilePlanes
+    from rgbd_planes.tile_planes import TilePlanes
 
 Floats = NDArray[np.float64]
 

@@ -1,13 +1,9 @@
 """Fit a plane to every tile of a depth frame."""
 
-import json
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +14,6 @@ from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.fit_statistics import RoughTest
 from rgbd_planes.fitting import (
     METHODS,
-    RESULTS,
     Arrays,
     WindowMoments,
     check_choice,
@@ -27,138 +22,13 @@ from rgbd_planes.fitting import (
     solve_planes,
     valid_needed,
 )
-from rgbd_planes.kernels import grid, moments
-from rgbd_planes.plane_fits import PlaneFits, TileStatus, allocate
+from rgbd_planes.kernels import grid
+from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges, submit
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from rgbd_planes.tile_grid import camera_terms, check_tile, tile_sizes, tile_windows
+from rgbd_planes.tile_planes import ARRAYS, TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TilePlanes(PlaneFits):
-    """The planes of all tiles of a frame, (R, C), or of a batch of frames, (F, R, C).
-
-    Attributes
-    ----------
-    tile : (height, width)
-        Size of a tile in pixels; the last row and column may be smaller, see `tile_heights`, `tile_widths`.
-    """
-
-    tile: tuple[int, int]
-
-    @property
-    def tile_heights(self) -> npt.NDArray[np.int64]:
-        """(R,) int64: height in pixels of each row of tiles."""
-        return _sizes(self.camera.height, self.tile[0])
-
-    @property
-    def tile_widths(self) -> npt.NDArray[np.int64]:
-        """(C,) int64: width in pixels of each column of tiles."""
-        return _sizes(self.camera.width, self.tile[1])
-
-    def __getitem__(self, frame: int) -> "TilePlanes":
-        """The planes of one frame of a batch, without copying."""
-        if len(self.shape) != 3:
-            raise TypeError(
-                "only the planes of a batch of frames can be indexed; index an array, such as .planes"
-            )
-        return TilePlanes(
-            camera=self.camera, method=self.method, tile=self.tile,
-            **{name: getattr(self, name)[frame] for name in _ARRAYS},
-        )  # fmt: skip
-
-    def __len__(self) -> int:
-        """Number of frames of a batch."""
-        if len(self.shape) != 3:
-            raise TypeError("the planes of a single frame have no length; see .shape")
-        return self.shape[0]
-
-    def __repr__(self) -> str:
-        *frames, rows, columns = self.shape
-        count = f"{frames[0]} frames of " if frames else ""
-        height, width = self.tile
-        return (
-            f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
-        )
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the counts and a small picture."""
-        from rgbd_planes.preview import tiles_html
-
-        return tiles_html(self)
-
-    def to_table(self) -> dict[str, npt.NDArray[Any]]:
-        """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
-
-        Columns: frame (of a batch), row, column of the tile; top, left, height, width in pixels; status (its
-        name), valid_count; nx, ny, nz, d; rmse, rmse_metric.
-        """
-        *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
-        names = np.array([status.name for status in TileStatus])
-        planes = self.planes.reshape(-1, 4)
-        table = {"frame": frame[0]} if frame else {}
-        return table | {
-            "row": row,
-            "column": column,
-            "top": row * self.tile[0],
-            "left": column * self.tile[1],
-            "height": self.tile_heights[row],
-            "width": self.tile_widths[column],
-            "status": names[self.status.ravel()],
-            "valid_count": self.valid_count.ravel(),
-            "nx": planes[:, 0],
-            "ny": planes[:, 1],
-            "nz": planes[:, 2],
-            "d": planes[:, 3],
-            "rmse": self.rmse.ravel(),
-            "rmse_metric": self.rmse_metric.ravel(),
-        }
-
-    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
-        """Draw the depth, the normals as colours and the tiles by status; see `plotting.plot_tiles`.
-
-        Parameters
-        ----------
-        depth : (H, W) array_like, optional
-            The frame that was fitted; without it the fitted planes' own depth is drawn.
-        figure : matplotlib Figure, optional
-            Drawn into; a new one by default.
-        """
-        from rgbd_planes.plotting import plot_tiles
-
-        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
-        return plot_tiles(self, metres, figure)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file, camera included, that `load` reads; whole or not at all."""
-        from rgbd_planes.files import write_beside
-
-        arrays = {name.lstrip("_"): getattr(self, name) for name in _ARRAYS}
-        about = json.dumps({"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method})
-        with write_beside(path) as beside, open(beside, "wb") as file:
-            np.savez_compressed(file, about=np.array(about), **arrays)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `save` wrote."""
-        with np.load(path, allow_pickle=False) as file:
-            if "about" not in file:
-                raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}")
-            about = json.loads(str(file["about"]))
-            arrays = {name: file[name.lstrip("_")] for name in _ARRAYS}
-        height, width = about["tile"]
-        return cls(
-            camera=Camera.from_dict(about["camera"]),
-            method=about["method"],
-            tile=(height, width),
-            **arrays,
-        )
-
-
-_ARRAYS = ("_moments", "_reference", *RESULTS)
 
 
 class TileFitter:
@@ -213,14 +83,14 @@ class TileFitter:
         check_share("max_missing", max_missing)
         check_num_threads(num_threads)
         self.camera = camera
-        self.tile = _check_tile(tile, camera)
+        self.tile = check_tile(tile, camera)
         self.method = method
         self.implementation = implementation
         self._max_error = check_error(max_error)
         self._num_threads = num_threads
 
-        self._grid = len(_sizes(camera.height, self.tile[0])), len(_sizes(camera.width, self.tile[1]))
-        self._centre, self._full = _camera_terms(camera, self.tile)
+        self._grid = len(tile_sizes(camera.height, self.tile[0])), len(tile_sizes(camera.width, self.tile[1]))
+        self._centre, self._full = camera_terms(camera, self.tile)
         self._needed = valid_needed(self._full[0], max_missing).ravel()
         self._rough_test = RoughTest(camera.noise, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
@@ -236,7 +106,7 @@ class TileFitter:
                 *rays, *self.tile, self._centre, self._full, self._needed, METHODS.index(method), self._max_error
             )  # fmt: skip
         else:
-            self._windows = _windows(camera, self.tile)
+            self._windows = tile_windows(camera, self.tile)
             self._window_moments = WindowMoments(camera, method, implementation)
             self._full_windows = np.empty((6, len(self._windows)))
             self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)
@@ -345,7 +215,7 @@ class TileFitter:
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
         out._forget_statistics()
-        return {name: getattr(out, name) for name in _ARRAYS}
+        return {name: getattr(out, name) for name in ARRAYS}
 
     def _result(self, arrays: Arrays) -> TilePlanes:
         return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
@@ -432,75 +302,12 @@ def fit_tiles(
     return fitter.fit(depth)
 
 
-def _check_tile(tile: int | tuple[int, int], camera: Camera) -> tuple[int, int]:
-    """Return the tile's (height, width)."""
-    sides = (tile, tile) if isinstance(tile, (int, np.integer)) else tuple(np.atleast_1d(tile))
-    if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
-        raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
-    height, width = int(sides[0]), int(sides[1])
-    if height < 2 or width < 2:
-        raise ValueError(f"tile must be at least 2 x 2 pixels, got {tile!r}")
-    if height > camera.height or width > camera.width:
-        raise ValueError(
-            f"tile must fit into the frame of {camera.height} x {camera.width} pixels (height x width), "
-            f"got {tile!r}"
-        )
-    return height, width
-
-
-@lru_cache(maxsize=4)
-def _camera_terms(
-    camera: Camera, tile: tuple[int, int]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The mean ray of each tile, (2, R, C), and the six camera terms of the full tile about it, (6, R, C)."""
-    heights, widths = _sizes(camera.height, tile[0]), _sizes(camera.width, tile[1])
-    centre = np.empty((2, len(heights), len(widths)))
-    full = np.empty((6, len(heights), len(widths)))
-    if camera.is_separable:
-        u0, s_u, s_uu = _sums(camera.tan_x_columns, widths)
-        v0, s_v, s_vv = _sums(camera.tan_y_rows, heights)
-        centre[0], centre[1] = u0, v0[:, None]
-        sums = ((heights, widths), (heights, s_u), (s_v, widths), (heights, s_uu), (s_v, s_u), (s_vv, widths))
-        for term, (of_row, of_column) in zip(full, sums, strict=True):
-            np.multiply(of_row[:, None], of_column, out=term)
-    else:
-        with announced("full_tile_moments"):
-            moments.full_tile_moments(camera.tan_x, camera.tan_y, *tile, centre, full)
-    centre.flags.writeable = full.flags.writeable = False
-    return centre, full
-
-
-def _sums(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-    """Mean of each run of ``sizes`` values, and the sums of the deviations from it and of their squares."""
-    starts = np.cumsum(sizes) - sizes
-    mean = np.add.reduceat(values, starts) / sizes
-    deviation = values - np.repeat(mean, sizes)
-    return np.stack([mean, np.add.reduceat(deviation, starts), np.add.reduceat(deviation**2, starts)])
-
-
 def _flat(arrays: Arrays) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of one frame in the order of `_ARRAYS`, tiles in one dimension: (10, T), (3, T), (T, ...)."""
+    """The arrays of one frame in the order of `ARRAYS`, tiles in one dimension: (10, T), (3, T), (T, ...)."""
     count = arrays["status"].size
     return {
         "_moments": arrays["_moments"].reshape(10, count),
         "_reference": arrays["_reference"].reshape(3, count),
         "planes": arrays["planes"].reshape(count, 4),
         "alpha": arrays["alpha"].reshape(count, 3),
-    } | {name: arrays[name].reshape(count) for name in _ARRAYS[4:]}
-
-
-def _sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
-    """Sizes of the tiles along a side, the last one ragged."""
-    starts = np.arange(0, length, tile)
-    return np.minimum(starts + tile, length) - starts
-
-
-def _windows(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """(R * C, 4) int64: row, column, height, width of every tile."""
-    heights, widths = _sizes(camera.height, tile[0]), _sizes(camera.width, tile[1])
-    windows = np.empty((len(heights), len(widths), 4), np.int64)
-    windows[..., 0] = (np.arange(len(heights)) * tile[0])[:, None]
-    windows[..., 1] = np.arange(len(widths)) * tile[1]
-    windows[..., 2] = heights[:, None]
-    windows[..., 3] = widths
-    return windows.reshape(-1, 4)
+    } | {name: arrays[name].reshape(count) for name in ARRAYS[4:]}

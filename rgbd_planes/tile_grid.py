@@ -1,0 +1,73 @@
+"""The grid of tiles of a frame, and what its camera alone says about them."""
+
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.compilation import announced
+from rgbd_planes.kernels import moments
+
+
+def check_tile(tile: int | tuple[int, int], camera: Camera) -> tuple[int, int]:
+    """Return the tile's (height, width)."""
+    sides = (tile, tile) if isinstance(tile, (int, np.integer)) else tuple(np.atleast_1d(tile))
+    if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
+        raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
+    height, width = int(sides[0]), int(sides[1])
+    if height < 2 or width < 2:
+        raise ValueError(f"tile must be at least 2 x 2 pixels, got {tile!r}")
+    if height > camera.height or width > camera.width:
+        raise ValueError(
+            f"tile must fit into the frame of {camera.height} x {camera.width} pixels (height x width), "
+            f"got {tile!r}"
+        )
+    return height, width
+
+
+def tile_sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
+    """Sizes of the tiles along a side, the last one ragged."""
+    starts = np.arange(0, length, tile)
+    return np.minimum(starts + tile, length) - starts
+
+
+def tile_windows(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """(R * C, 4) int64: row, column, height, width of every tile."""
+    heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
+    windows = np.empty((len(heights), len(widths), 4), np.int64)
+    windows[..., 0] = (np.arange(len(heights)) * tile[0])[:, None]
+    windows[..., 1] = np.arange(len(widths)) * tile[1]
+    windows[..., 2] = heights[:, None]
+    windows[..., 3] = widths
+    return windows.reshape(-1, 4)
+
+
+@lru_cache(maxsize=4)
+def camera_terms(
+    camera: Camera, tile: tuple[int, int]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """The mean ray of each tile, (2, R, C), and the six camera terms of the full tile about it, (6, R, C)."""
+    heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
+    centre = np.empty((2, len(heights), len(widths)))
+    full = np.empty((6, len(heights), len(widths)))
+    if camera.is_separable:
+        u0, s_u, s_uu = _sums(camera.tan_x_columns, widths)
+        v0, s_v, s_vv = _sums(camera.tan_y_rows, heights)
+        centre[0], centre[1] = u0, v0[:, None]
+        sums = ((heights, widths), (heights, s_u), (s_v, widths), (heights, s_uu), (s_v, s_u), (s_vv, widths))
+        for term, (of_row, of_column) in zip(full, sums, strict=True):
+            np.multiply(of_row[:, None], of_column, out=term)
+    else:
+        with announced("full_tile_moments"):
+            moments.full_tile_moments(camera.tan_x, camera.tan_y, *tile, centre, full)
+    centre.flags.writeable = full.flags.writeable = False
+    return centre, full
+
+
+def _sums(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """Mean of each run of ``sizes`` values, and the sums of the deviations from it and of their squares."""
+    starts = np.cumsum(sizes) - sizes
+    mean = np.add.reduceat(values, starts) / sizes
+    deviation = values - np.repeat(mean, sizes)
+    return np.stack([mean, np.add.reduceat(deviation, starts), np.add.reduceat(deviation**2, starts)])

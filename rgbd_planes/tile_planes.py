@@ -1,0 +1,141 @@
+"""The planes of a frame's tiles: what a fit of a grid returns."""
+
+import json
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.fitting import RESULTS
+from rgbd_planes.plane_fits import PlaneFits, TileStatus
+from rgbd_planes.tile_grid import tile_sizes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ARRAYS = ("_moments", "_reference", *RESULTS)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TilePlanes(PlaneFits):
+    """The planes of all tiles of a frame, (R, C), or of a batch of frames, (F, R, C).
+
+    Attributes
+    ----------
+    tile : (height, width)
+        Size of a tile in pixels; the last row and column may be smaller, see `tile_heights`, `tile_widths`.
+    """
+
+    tile: tuple[int, int]
+
+    @property
+    def tile_heights(self) -> npt.NDArray[np.int64]:
+        """(R,) int64: height in pixels of each row of tiles."""
+        return tile_sizes(self.camera.height, self.tile[0])
+
+    @property
+    def tile_widths(self) -> npt.NDArray[np.int64]:
+        """(C,) int64: width in pixels of each column of tiles."""
+        return tile_sizes(self.camera.width, self.tile[1])
+
+    def __getitem__(self, frame: int) -> "TilePlanes":
+        """The planes of one frame of a batch, without copying."""
+        if len(self.shape) != 3:
+            raise TypeError(
+                "only the planes of a batch of frames can be indexed; index an array, such as .planes"
+            )
+        return TilePlanes(
+            camera=self.camera, method=self.method, tile=self.tile,
+            **{name: getattr(self, name)[frame] for name in ARRAYS},
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        """Number of frames of a batch."""
+        if len(self.shape) != 3:
+            raise TypeError("the planes of a single frame have no length; see .shape")
+        return self.shape[0]
+
+    def __repr__(self) -> str:
+        *frames, rows, columns = self.shape
+        count = f"{frames[0]} frames of " if frames else ""
+        height, width = self.tile
+        return (
+            f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import tiles_html
+
+        return tiles_html(self)
+
+    def to_table(self) -> dict[str, npt.NDArray[Any]]:
+        """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
+
+        Columns: frame (of a batch), row, column of the tile; top, left, height, width in pixels; status (its
+        name), valid_count; nx, ny, nz, d; rmse, rmse_metric.
+        """
+        *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
+        names = np.array([status.name for status in TileStatus])
+        planes = self.planes.reshape(-1, 4)
+        table = {"frame": frame[0]} if frame else {}
+        return table | {
+            "row": row,
+            "column": column,
+            "top": row * self.tile[0],
+            "left": column * self.tile[1],
+            "height": self.tile_heights[row],
+            "width": self.tile_widths[column],
+            "status": names[self.status.ravel()],
+            "valid_count": self.valid_count.ravel(),
+            "nx": planes[:, 0],
+            "ny": planes[:, 1],
+            "nz": planes[:, 2],
+            "d": planes[:, 3],
+            "rmse": self.rmse.ravel(),
+            "rmse_metric": self.rmse_metric.ravel(),
+        }
+
+    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
+        """Draw the depth, the normals as colours and the tiles by status; see `plotting.plot_tiles`.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like, optional
+            The frame that was fitted; without it the fitted planes' own depth is drawn.
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
+        from rgbd_planes.plotting import plot_tiles
+
+        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
+        return plot_tiles(self, metres, figure)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an NPZ file, camera included, that `load` reads; whole or not at all."""
+        from rgbd_planes.files import write_beside
+
+        arrays = {name.lstrip("_"): getattr(self, name) for name in ARRAYS}
+        about = json.dumps({"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method})
+        with write_beside(path) as beside, open(beside, "wb") as file:
+            np.savez_compressed(file, about=np.array(about), **arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file that `save` wrote."""
+        with np.load(path, allow_pickle=False) as file:
+            if "about" not in file:
+                raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}")
+            about = json.loads(str(file["about"]))
+            arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
+        height, width = about["tile"]
+        return cls(
+            camera=Camera.from_dict(about["camera"]),
+            method=about["method"],
+            tile=(height, width),
+            **arrays,
+        )
