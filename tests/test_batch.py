@@ -264,13 +264,17 @@ def test_memory_does_not_grow_with_the_sequence(tmp_path):
     assert peak(3200) < 1.4 * peak(800)  # 800 frames' rows are 15 MB
 
 
+# After three parts nothing more is done until the process is told to stop.
 SLOW = """
 import sys, time
 from rgbd_planes import batch_parts, cli
 fit_part = batch_parts.fit_part
-def slowly(*arguments):
-    time.sleep(0.2)
-    return fit_part(*arguments)
+parts = []
+def slowly(sequence, first, settings, stopped):
+    while len(parts) == 3 and not stopped():
+        time.sleep(0.01)
+    parts.append(first)
+    return fit_part(sequence, first, settings, stopped)
 import rgbd_planes.batch
 rgbd_planes.batch.fit_part = slowly
 sys.exit(cli.main(sys.argv[1:]))
