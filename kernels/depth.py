@@ -1,4 +1,4 @@
-"""From a frame's raw values to depth and inverse depth."""
+"""From a frame's raw values to depth, Z of the paper's eq. RGBD_reconstruction, and inverse depth."""
 
 from ._jit import kernel
 

@@ -73,7 +73,7 @@ def range_planes(
     implicit, moments, reference, needed, max_error, count, work, first,
     planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
-    """Planes of q = α·m: d = 1/‖α‖ and n = -α/‖α‖, facing the camera.
+    """Planes of q = α·m (eq. RGBD_space_plane_eq): d = 1/‖α‖ and n = -α/‖α‖, facing the camera.
 
     Parameters
     ----------
@@ -160,8 +160,9 @@ def standard_planes(
 ):  # fmt: skip
     """Planes from the moments of (X, Y, Z); see `range_planes` for the arrays.
 
-    ``method`` 0 is explicit, 1 implicit (smallest eigenvector of eq. XYZ_scattermatrix, all four coefficients
-    of norm 1) and 2 PCA (smallest eigenvector of the centred 3x3 scatter matrix).
+    ``method`` 0 is explicit, 1 implicit (eq. implicit_plane_fitting_error: smallest eigenvector of
+    eq. XYZ_scattermatrix, all four coefficients of norm 1) and 2 PCA (smallest eigenvector of the centred 3x3
+    scatter matrix).
     """
     solution, residual = work[:3], work[3]
     if method == 0:

@@ -60,8 +60,8 @@ class Camera:
 
     Notes
     -----
-    The tables hold tanθx = (x + δx - cx) / fx and tanθy = (y + δy - cy) / fy of the paper's reconstruction
-    equation (Papadakis and Willis 2017), δ being the correction of the lens distortion.
+    The tables hold tanθx = (x + δx - cx) / fx and tanθy = (y + δy - cy) / fy of the paper's eq.
+    RGBD_reconstruction-1 (Papadakis and Willis 2017), δ being the correction of the lens distortion.
     """
 
     width: int
