@@ -15,5 +15,6 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     parts = _CODE.split(markdown)
     for i in range(0, len(parts), 2):
         shown = _DISPLAY.sub(lambda found: convert(found[1].strip(), display="block"), parts[i])
-        parts[i] = _INLINE.sub(lambda found: convert(found[1].strip()), shown)
+        # In a span: Markdown takes <math> for a block where a line begins with it.
+        parts[i] = _INLINE.sub(lambda found: f"<span>{convert(found[1].strip())}</span>", shown)
     return "".join(parts)
