@@ -1,7 +1,7 @@
-"""How fast a batch is beside `fit_batch`, and where its time goes: ``python bench/batch_throughput.py``.
+"""How fast a batch is beside `fit_batch`, and where its time goes: ``python -m bench.batch_throughput``.
 
 Frames are a rendered room with a Kinect's noise and holes. All are measured in turns in one process, so that what
-else the machine does meets all of them; the median of the rounds is printed.
+else the machine does meets all of them; ratios are medians over the rounds.
 """
 
 import argparse
@@ -11,73 +11,122 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-
-import numpy as np
+from shutil import rmtree
+from typing import Any
 
 import rgbd_planes as rp
 from rgbd_planes.images import read_depth, write_png
 from rgbd_planes.sequences import FrameEntry, FrameSequence
 
 KINDS = 16  # different frames
+AT_ONCE = 64  # frames of a call of fit_batch
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=480)
-    parser.add_argument("--rounds", type=int, default=7)
-    arguments = parser.parse_args()
+def measure(frames: int = 2048, rounds: int = 7) -> dict[str, Any]:
+    """Return times in milliseconds a frame, throughputs and shares of the work."""
     camera = rp.presets.kinect_v1()
     rendering = rp.scenes.room().render(camera)
     stored = [rendering.measure(holes=0.05, patches=0.03, seed=seed) for seed in range(KINDS)]
     threads = os.cpu_count() or 1
     fitter = rp.TileFitter(camera, 16, num_threads=threads)
+    part = [stored[i % KINDS] for i in range(AT_ONCE)]
+    seconds: dict[str, list[float]] = {}
+    work: dict[str, Counter[str]] = {"memory": Counter(), "png": Counter()}
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for i, frame in enumerate(stored):
             write_png(folder / f"{i}.png", frame)
 
-        def sequence(where, read):
-            entries = (
-                FrameEntry(str(i), float(i), camera, where(i % KINDS)) for i in range(arguments.frames)
+        def sequence(count: int, where: Any, read: Any) -> FrameSequence:
+            return FrameSequence(
+                (FrameEntry(str(i), float(i), camera, where(i % KINDS)) for i in range(count)), read
             )
-            return FrameSequence(entries, read)
 
-        in_memory = sequence(lambda i: i, lambda i: stored[i])
-        in_files = sequence(lambda i: folder / f"{i}.png", read_depth)
-        part = [stored[i % KINDS] for i in range(arguments.frames // 8)]
-        seconds: dict[str, list[float]] = {"fit_batch": [], "from memory": [], "from PNG files": []}
-        shares: dict[str, Counter[str]] = {"from memory": Counter(), "from PNG files": Counter()}
-        for turn in range(arguments.rounds + 1):
-            start = time.perf_counter()
-            for _ in range(8):
+        in_memory = sequence(frames, lambda i: i, stored.__getitem__)
+        in_files = sequence(frames // 8, lambda i: folder / f"{i}.png", read_depth)
+
+        def fit_batch() -> None:
+            for _ in range(frames // AT_ONCE):
                 fitter.fit_batch(part)
-            took = {"fit_batch": time.perf_counter() - start}
-            for which, frames in (("from memory", in_memory), ("from PNG files", in_files)):
-                start = time.perf_counter()
-                report = rp.fit_sequence(frames, folder / f"{which} {turn}", num_threads=threads)
-                took[which] = time.perf_counter() - start
-                shares[which].update(report.seconds)
-            if turn:  # the first compiles and imports
-                for which, value in took.items():
-                    seconds[which].append(value)
 
-    print(
-        f"{arguments.frames} frames of 640 x 480, tiles of 16 x 16, {threads} threads, NumPy {np.__version__}"
-    )
-    for which, values in seconds.items():
-        ratio = statistics.median(b / s for b, s in zip(seconds["fit_batch"], values, strict=True))
-        line = f"{which:15} {1e3 * statistics.median(values) / arguments.frames:6.2f} ms a frame, "
-        line += f"{ratio:4.0%} of fit_batch's throughput"
-        if which in shares:
-            total = shares[which].total()
-            line += "; work: " + ", ".join(
-                f"{name} {value / total:.0%}" for name, value in shares[which].items()
-            )
-        print(line)
-    work = shares["from memory"]
-    fit_alone = statistics.median(seconds["fit_batch"]) * threads / (work["fit"] / (arguments.rounds + 1))
-    print(f"the fits of a batch alone, without writing: {fit_alone:4.0%} of fit_batch's throughput")
+        def fit_sequence(which: str, of: FrameSequence) -> None:
+            work[which].update(rp.fit_sequence(of, folder / which, num_threads=threads).seconds)
+
+        def write_bare() -> None:  # what any table must do: have its bytes, and give them to the system
+            for i, content in enumerate(contents):
+                (folder / f"bare {i}").write_bytes(bytearray(content))
+
+        fit_sequence("memory", in_memory)
+        contents = [file.read_bytes() for file in sorted((folder / "memory").glob("part-*"))]
+        turns = {
+            "fit_batch": (fit_batch, frames),
+            "memory": (lambda: fit_sequence("memory", in_memory), frames),
+            "png": (lambda: fit_sequence("png", in_files), len(in_files)),
+            "bare": (write_bare, frames),
+        }
+        for turn in range(rounds + 1):
+            for which, (run, count) in turns.items():
+                for left in [*folder.glob("memory"), *folder.glob("png")]:
+                    rmtree(left)
+                for bare in folder.glob("bare*"):
+                    bare.unlink()
+                start = time.perf_counter()
+                run()
+                if turn:  # the first compiles and imports
+                    seconds.setdefault(which, []).append((time.perf_counter() - start) / count)
+                else:
+                    work = {name: Counter() for name in work}
+    reference = seconds["fit_batch"]
+    throughput = {
+        which: statistics.median(b / s for b, s in zip(reference, values, strict=True))
+        for which, values in seconds.items()
+    }
+    return {
+        "frames": frames,
+        "threads": threads,
+        "tiles": 1200,
+        "bytes_per_frame": sum(map(len, contents)) / frames,
+        "milliseconds": {which: 1e3 * statistics.median(values) for which, values in seconds.items()},
+        "throughput": throughput,
+        "work": {which: {k: v / of.total() for k, v in of.items()} for which, of in work.items()},
+        # Writing is one thread's, the fits are of all.
+        "bare_share": statistics.median(w / b for w, b in zip(seconds["bare"], reference, strict=True))
+        / threads,
+    }
+
+
+def table(result: dict[str, Any]) -> str:
+    """The result as Markdown."""
+    names = {
+        "fit_batch": "`fit_batch`, frames in memory",
+        "memory": "`fit_sequence`, frames in memory",
+        "png": "`fit_sequence`, frames in PNG files",
+    }
+    lines = ["| | of `fit_batch`'s throughput | reading | fitting | writing |", "|---|---:|---:|---:|---:|"]
+    for which, name in names.items():
+        shares = [f"{share:.0%}" for share in result["work"].get(which, {}).values()] or [""] * 3
+        lines.append(f"| {name} | {result['throughput'][which]:.0%} | {' | '.join(shares)} |")
+    kilobytes = result["bytes_per_frame"] / 1e3
+    lines += [
+        "",
+        f"{result['frames']} frames of 640 x 480, tiles of 16 x 16, {result['threads']} threads. The table has "
+        f"{result['tiles']} rows and {kilobytes:.0f} kB a frame: to copy so many bytes once and write them to a "
+        f"file, and nothing else, takes {result['bare_share']:.0%} of the time of fitting.",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=2048)
+    parser.add_argument("--rounds", type=int, default=7)
+    result = measure(**vars(parser.parse_args()))
+    print(table(result))
+    for which, milliseconds in result["milliseconds"].items():
+        print(
+            f"{which:10} {milliseconds:.3f} ms a frame, {result['throughput'][which]:.0%} of fit_batch's throughput"
+        )
 
 
 if __name__ == "__main__":

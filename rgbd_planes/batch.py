@@ -1,6 +1,6 @@
 """Fit every frame of a sequence into a table of planes on disk.
 
-The table is a folder of Parquet files, one for each few frames, and each appears whole or not at all: what is
+The table is a folder of Parquet files, one for each some frames, and each appears whole or not at all: what is
 there after an interruption is done, and the same call does the rest. Threads share the frames, since reading
 an image, fitting it and writing a table all let go of Python's lock; a Dask cluster does where one machine is
 not enough. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
@@ -24,7 +24,9 @@ from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.sequences.frames import FrameSequence
 
-MOST_FRAMES = 64  # of a part: what is lost by an interruption, and what is held in memory, once a thread
+# Of a part: what is lost by an interruption, and what each thread holds in memory.
+MOST_FRAMES = 256
+MOST_ROWS = 300_000
 CONNECT_SECONDS = 30.0
 _ABOUT = "_about.json"
 
@@ -96,7 +98,8 @@ def fit_sequence(
         timestamp; row and column of a tile, label of a segment; top, left, height, width in pixels; status,
         valid_count; nx, ny, nz, d; rmse, rmse_metric; of tiles, where the cameras have a noise model,
         p_value; then, and of segments always, the covariance of the plane, cov_nx_nx, cov_nx_ny, ...,
-        cov_d_d. A segment's place is the rectangle around it, its valid_count its pixels.
+        cov_d_d. Floats are in single precision, but
+        for timestamp. A segment's place is the rectangle around it, its valid_count its pixels.
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles`.
     num_threads : int, optional
@@ -148,9 +151,7 @@ def fit_sequence(
         report.seconds.clear()
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
-        for task, part in workers.run(sequence, settings, missing):
-            with write_beside(_file(folder, task)) as beside:
-                beside.write_bytes(part.content)
+        for task, part in workers.run(sequence, settings, missing, folder):
             report.add(part)
             if progress is not None:
                 progress(Progress(task[2] - task[1], part.problems))
@@ -187,7 +188,8 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     if any(folder.iterdir()):
         raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
     # A few parts for each thread, so that all have work to the end.
-    size = max(1, min(MOST_FRAMES, len(sequence) // (4 * slots)))
+    fitting = MOST_ROWS // settings.rows_of_frame(sequence.camera)
+    size = max(1, min(MOST_FRAMES, fitting, len(sequence) // (4 * slots)))
     with write_beside(file) as beside:
         beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")
     return size
@@ -205,19 +207,18 @@ class _Threads:
         self.slots = num_threads or cores
 
     def run(
-        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task]
+        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task], folder: Path
     ) -> Iterator[tuple[Task, Part]]:
         stopped = threading.Event()
         waiting = iter(tasks)
         executor = ThreadPoolExecutor(self.slots, thread_name_prefix="rgbd_planes_batch")
 
         def submit(task: Task) -> None:
-            frames = sequence[task[1] : task[2]]
-            running[executor.submit(fit_part, frames, task[1], settings, stopped.is_set)] = task
+            frames, file = sequence[task[1] : task[2]], _file(folder, task)
+            running[executor.submit(fit_part, frames, task[1], settings, file, stopped.is_set)] = task
 
         running: dict[Any, Task] = {}
         try:
-            # Parts that wait to be written take memory: no more than two for each thread.
             for task in islice(waiting, 2 * self.slots):
                 submit(task)
             while running:
@@ -239,7 +240,7 @@ class _Cluster:
         self.slots = max(1, sum(client.ncores().values()))
 
     def run(
-        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task]
+        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task], folder: Path
     ) -> Iterator[tuple[Task, Part]]:
         from distributed import as_completed
 
@@ -257,11 +258,13 @@ class _Cluster:
         first = [submit(task) for task in islice(waiting, 2 * self.slots)]
         completed = as_completed(first, loop=self._client.loop)
         for future in completed:
-            part = future.result()
-            yield running.pop(future), part
+            task, part = running.pop(future), future.result()
+            with write_beside(_file(folder, task)) as beside:
+                beside.write_bytes(part.content)
             future.release()
-            for task in islice(waiting, 1):
-                completed.add(submit(task))
+            yield task, part
+            for next_task in islice(waiting, 1):
+                completed.add(submit(next_task))
 
 
 @contextmanager

@@ -1,47 +1,26 @@
-"""Some frames of a sequence, fitted, as the bytes of a Parquet file: what a worker does."""
+"""Some frames of a sequence, fitted, as a Parquet file: what a worker does."""
 
-import io
 import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rgbd_planes.batch_rows import COVARIANCES, KEY, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
+from rgbd_planes.files import write_beside
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
+from rgbd_planes.tile_grid import check_tile, tile_sizes
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 
-if TYPE_CHECKING:
-    import pyarrow
-
-Columns = dict[str, NDArray[Any]]
-
-_STATUSES = [status.name for status in TileStatus]
-_KEY = b"rgbd_planes"
-_PLANE = ("nx", "ny", "nz", "d")
-_COVARIANCES = {f"cov_{_PLANE[i]}_{_PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
-# Few different values each: written once, and numbers after. Of residuals and planes all values differ.
-_REPEATED = [
-    "frame",
-    "name",
-    "timestamp",
-    "row",
-    "column",
-    "label",
-    "top",
-    "left",
-    "height",
-    "width",
-    "status",
-]
+_UPPER = tuple(np.array(list(COVARIANCES.values())).T)  # where the covariances are in (4, 4)
 
 
 @dataclass(frozen=True)
@@ -68,6 +47,13 @@ class FitSettings:
         if not self.segments:
             _fitter(camera, self)
 
+    def rows_of_frame(self, camera: Camera) -> int:
+        """Number of tiles of a frame; 1 for segments, of which there are few."""
+        if self.segments:
+            return 1
+        height, width = check_tile(self.tile, camera)
+        return len(tile_sizes(camera.height, height)) * len(tile_sizes(camera.width, width))
+
 
 class Problem(NamedTuple):
     """A frame that was skipped, and why."""
@@ -78,7 +64,7 @@ class Problem(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some frames' rows: the content of a Parquet file, and what is in it."""
+    """Some frames' rows: the content of a Parquet file, unless that is written already, and what is in it."""
 
     content: bytes
     status: dict[str, int]
@@ -92,7 +78,7 @@ class Part(NamedTuple):
         import pyarrow.parquet
 
         try:
-            about = json.loads(pyarrow.parquet.read_schema(path).metadata[_KEY])
+            about = json.loads(pyarrow.parquet.read_schema(path).metadata[KEY])
             return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), {})
         except (OSError, pyarrow.ArrowException, KeyError, TypeError, ValueError):
             return None
@@ -106,9 +92,10 @@ def fit_part(
     sequence: FrameSequence,
     first: int,
     settings: FitSettings,
+    where: Path | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Part:
-    """Read and fit some frames, and write their rows into memory.
+    """Read and fit some frames, and write their rows.
 
     Parameters
     ----------
@@ -117,13 +104,15 @@ def fit_part(
     first : int
         Number of the first of them in the whole sequence.
     settings : FitSettings
+    where : path, optional
+        Of the file, which appears whole or not at all; without it the part has its content.
     stopped : callable
         Whether to give up, asked before each frame.
     """
-    rows: list[tuple[int, Columns]] = []
     problems: list[Problem] = []
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
-    columns = _segment_columns if settings.segments else _tile_columns
+    rows = empty_rows(settings.segments, sequence.camera.noise is not None)
+    add = _add_segments if settings.segments else _TileAdder(settings)
     for i, entry in enumerate(sequence.entries):
         if stopped():
             raise StoppedError
@@ -131,7 +120,7 @@ def fit_part(
         try:
             frame = sequence[i]
             middle = time.perf_counter()
-            rows.append((i, columns(frame, settings)))
+            add(frame, i, rows)
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
@@ -140,7 +129,18 @@ def fit_part(
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle
     begin = time.perf_counter()
-    content, status = _write(sequence, first, settings, rows, problems)
+    status = rows.status_counts()
+    about = json.dumps({"status": status, "problems": problems})
+    content = b""
+    if where is None:
+        import pyarrow
+
+        stream = pyarrow.BufferOutputStream()
+        rows.write(stream, first, sequence.names, sequence.timestamps, about)
+        content = stream.getvalue().to_pybytes()
+    else:
+        with write_beside(where) as beside:
+            rows.write(beside, first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), seconds)
 
@@ -159,115 +159,48 @@ def _fitter(camera: Camera, settings: FitSettings) -> TileFitter:
     )
 
 
-@lru_cache(maxsize=4)
-def _places(shape: tuple[int, int], size: tuple[int, int], tile: tuple[int, int]) -> Columns:
-    """Where the tiles of a frame are."""
-    row, column = (index.ravel().astype(np.int32) for index in np.indices(shape))
-    top, left = row * np.int32(tile[0]), column * np.int32(tile[1])
-    height = np.minimum(np.int32(tile[0]), np.int32(size[0]) - top)
-    width = np.minimum(np.int32(tile[1]), np.int32(size[1]) - left)
-    return {"row": row, "column": column, "top": top, "left": left, "height": height, "width": width}
+class _TileAdder:
+    """Adds the tiles of frames, each fitted into the arrays of the one before."""
+
+    def __init__(self, settings: FitSettings) -> None:
+        self._settings = settings
+        self._tiles: TilePlanes | None = None
+
+    def __call__(self, frame: Frame, number: int, rows: Rows) -> None:
+        fitter = _fitter(frame.camera, self._settings)
+        if self._tiles is not None and self._tiles.camera is not fitter.camera:
+            self._tiles = None
+        self._tiles = tiles = fitter.fit(frame.depth, self._tiles)
+        uncertain = []
+        if frame.camera.noise is not None:
+            uncertain = [tiles.p_value.ravel(), tiles.plane_covariance.reshape(-1, 4, 4)[:, *_UPPER].T]
+        rows.add(
+            number,
+            Grid(tiles.shape, frame.camera.shape, tiles.tile),  # type: ignore[arg-type]
+            tiles.status.ravel(),
+            tiles.valid_count.ravel(),
+            tiles.planes.reshape(-1, 4).T,
+            tiles.rmse.ravel(),
+            tiles.rmse_metric.ravel(),
+            *uncertain,
+        )
 
 
-def _tile_columns(frame: Frame, settings: FitSettings) -> Columns:
-    """One row a tile: columns after frame, name and timestamp."""
-    tiles: TilePlanes = _fitter(frame.camera, settings).fit(frame.depth)
-    rows, columns = tiles.shape
-    made = {
-        **_places((rows, columns), frame.camera.shape, tiles.tile),
-        "status": tiles.status.ravel(),
-        "valid_count": tiles.valid_count.ravel(),
-        **_plane_columns(tiles.planes),
-        "rmse": tiles.rmse.ravel(),
-        "rmse_metric": tiles.rmse_metric.ravel(),
-    }
-    if frame.camera.noise is not None:
-        made["p_value"] = tiles.p_value.ravel()
-        made |= _covariance_columns(tiles.plane_covariance)
-    return made
-
-
-def _segment_columns(frame: Frame, settings: FitSettings) -> Columns:
-    """One row a segment: columns after frame, name and timestamp."""
+def _add_segments(frame: Frame, number: int, rows: Rows) -> None:
     from scipy.ndimage import find_objects
 
     segments = segment(frame.depth, frame.camera)
-    boxes = np.array(
-        [
-            (rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start)
-            for rows, columns in find_objects(segments.labels, max_label=len(segments))
-        ],
-        np.int32,
-    ).reshape(-1, 4)
-    return {
-        "label": np.arange(1, len(segments) + 1, dtype=np.int32),
-        **{name: boxes[:, i] for i, name in enumerate(("top", "left", "height", "width"))},
-        "status": np.full(len(segments), TileStatus.OK, np.uint8),
-        "valid_count": segments.sizes,
-        **_plane_columns(segments.planes),
-        "rmse": segments.rmse,
-        "rmse_metric": segments.rmse_metric,
-        **_covariance_columns(segments.plane_covariance),
-    }
-
-
-def _plane_columns(planes: NDArray[np.float64]) -> Columns:
-    return dict(zip(_PLANE, planes.reshape(-1, 4).T, strict=True))
-
-
-def _covariance_columns(covariance: NDArray[np.float64]) -> Columns:
-    matrices = covariance.reshape(-1, 4, 4)
-    return {name: matrices[:, i, j] for name, (i, j) in _COVARIANCES.items()}
-
-
-def _dtypes(settings: FitSettings, noise: bool) -> dict[str, type]:
-    """Columns of `_tile_columns` or `_segment_columns`, in order."""
-    which = ["label"] if settings.segments else ["row", "column"]
-    statistics = list(_COVARIANCES) if settings.segments else ["p_value", *_COVARIANCES] if noise else []
-    return {
-        **dict.fromkeys([*which, "top", "left", "height", "width"], np.int32),
-        "status": np.uint8,
-        "valid_count": np.int32,
-        **dict.fromkeys([*_PLANE, "rmse", "rmse_metric", *statistics], np.float64),
-    }
-
-
-def _write(
-    sequence: FrameSequence,
-    first: int,
-    settings: FitSettings,
-    rows: list[tuple[int, Columns]],
-    problems: list[Problem],
-) -> tuple[bytes, dict[str, int]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    columns: Columns = {
-        name: np.concatenate([np.empty(0, dtype), *(made[name] for _, made in rows)], dtype=dtype)
-        for name, dtype in _dtypes(settings, sequence.camera.noise is not None).items()
-    }
-    which = np.repeat([i for i, _ in rows], [len(made["status"]) for _, made in rows]).astype(np.int32)
-    counts = np.bincount(columns["status"], minlength=len(_STATUSES))
-    status = {name: int(count) for name, count in zip(_STATUSES, counts, strict=True) if count}
-    arrays: dict[str, pyarrow.Array] = {
-        "frame": pa.array(which.astype(np.int64) + first),
-        "name": pa.DictionaryArray.from_arrays(pa.array(which), pa.array(sequence.names, pa.string())),
-        # Parquet has a mark of its own for what is not known.
-        "timestamp": pa.array(sequence.timestamps[which], from_pandas=True),
-    }
-    for name, values in columns.items():
-        if name == "status":
-            arrays[name] = pa.DictionaryArray.from_arrays(pa.array(values.view(np.int8)), _STATUSES)
-        else:
-            arrays[name] = pa.array(values)
-    about = json.dumps({"status": status, "problems": problems})
-    table = pa.table(arrays).replace_schema_metadata({_KEY: about})
-    stream = io.BytesIO()
-    pq.write_table(
-        table,
-        stream,
-        compression="snappy",
-        use_dictionary=[name for name in _REPEATED if name in arrays],
-        write_statistics=["frame", "timestamp"],  # what one selects by
+    places = [
+        (label, down.start, across.start, down.stop - down.start, across.stop - across.start)
+        for label, (down, across) in enumerate(find_objects(segments.labels), start=1)
+    ]
+    rows.add(
+        number,
+        np.array(places, np.int32).reshape(-1, 5).T,
+        np.full(len(segments), TileStatus.OK, np.uint8),
+        segments.sizes,
+        segments.planes.T,
+        segments.rmse,
+        segments.rmse_metric,
+        segments.plane_covariance[:, *_UPPER].T,
     )
-    return stream.getvalue(), status

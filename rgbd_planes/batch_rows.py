@@ -1,0 +1,182 @@
+"""The rows of a batch's table: columns in memory, and as a Parquet file."""
+
+import threading
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.plane_fits import TileStatus
+
+KEY = b"rgbd_planes"  # of what a file says about its rows
+STATUSES = [status.name for status in TileStatus]
+PLANE = ("nx", "ny", "nz", "d")
+COVARIANCES = {f"cov_{PLANE[i]}_{PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
+
+
+class Grid(NamedTuple):
+    """The places of the tiles of a frame: how many (rows, columns), and the sizes of frame and tile."""
+
+    shape: tuple[int, int]
+    frame: tuple[int, int]
+    tile: tuple[int, int]
+
+
+@lru_cache(maxsize=4)  # of full parts and the last one: what is in each row again need not be made again
+def _grid_places(grid: Grid, frames: int) -> NDArray[np.int32]:
+    """(6, N) int32: row, column, top, left, height and width of each tile, frame after frame."""
+    place = np.indices(grid.shape, np.int32).reshape(2, -1)
+    tile, frame = np.array([grid.tile, grid.frame], np.int32)[..., None]
+    corner = place * tile
+    return np.tile(np.concatenate([place, corner, np.minimum(tile, frame - corner)]), frames)
+
+
+class Rows:
+    """Rows of some frames, column by column.
+
+    Parameters
+    ----------
+    segments, noise : bool
+        Whether the rows are segments, not tiles, and whether the sensor's noise is known.
+    """
+
+    def __init__(self, segments: bool, noise: bool) -> None:
+        uncertain = list(COVARIANCES) if segments else ["p_value", *COVARIANCES] if noise else []
+        which = ["label"] if segments else ["row", "column"]
+        self._place_names = [*which, "top", "left", "height", "width"]
+        self._float_names = [*PLANE, "rmse", "rmse_metric", *uncertain]
+        self._frames: list[tuple[int, int, Grid | NDArray[np.int32]]] = []  # number, rows, their places
+        self._count = 0
+        self._status = np.empty(0, np.int8)
+        self._valid_count = np.empty(0, np.int32)
+        # Finer than any sensor, and half as much to write as what was fitted.
+        self._floats = np.empty((len(self._float_names), 0), np.float32)
+
+    def clear(self) -> None:
+        """Begin again; the memory stays."""
+        self._count = 0
+        self._frames.clear()
+
+    def add(
+        self,
+        frame: int,
+        places: Grid | NDArray[np.int32],
+        status: NDArray[np.uint8],
+        valid_count: NDArray[np.int32],
+        *floats: NDArray[np.float64],
+    ) -> None:
+        """Add the n rows of a frame.
+
+        Parameters
+        ----------
+        frame : int
+            Counted from the first of the part.
+        places : Grid, or (5, n) int32
+            Of tiles, or label, top, left, height and width of segments.
+        status : (n,) uint8
+        valid_count : (n,) int32
+        *floats : (n,) or (k, n) float64
+            Planes and residuals, one column or several in an array, in their order.
+        """
+        start, stop = self._count, self._count + len(status)
+        if stop > len(self._status):
+            capacity = max(stop, 2 * len(self._status))
+            for name in ("_status", "_valid_count", "_floats"):
+                old = getattr(self, name)
+                setattr(self, name, new := np.empty((*old.shape[:-1], capacity), old.dtype))
+                new[..., :start] = old[..., :start]
+        self._status[start:stop] = status.view(np.int8)
+        self._valid_count[start:stop] = valid_count
+        column = 0
+        for values in floats:
+            columns = column if values.ndim == 1 else slice(column, column + len(values))
+            self._floats[columns, start:stop] = values
+            column += 1 if values.ndim == 1 else len(values)
+        self._frames.append((frame, len(status), places))
+        self._count = stop
+
+    def status_counts(self) -> dict[str, int]:
+        """Number of rows of each status that occurs."""
+        status = self._status[: self._count]
+        counts = {name: int(np.count_nonzero(status == i)) for i, name in enumerate(STATUSES)}
+        return {name: count for name, count in counts.items() if count}
+
+    def _places(self) -> NDArray[np.int32]:
+        kinds = {places for _, _, places in self._frames if isinstance(places, Grid)}
+        if len(kinds) == 1:
+            return _grid_places(*kinds, len(self._frames))
+        none = np.empty((len(self._place_names), 0), np.int32)
+        blocks = (_grid_places(p, 1) if isinstance(p, Grid) else p for _, _, p in self._frames)
+        return np.concatenate([none, *blocks], axis=1)
+
+    def write(
+        self, where: Any, first: int, names: tuple[str, ...], timestamps: NDArray[np.float64], about: str
+    ) -> None:
+        """Write a Parquet file.
+
+        Parameters
+        ----------
+        where : path or pyarrow stream
+        first : int
+            Number of the part's first frame in the sequence.
+        names, timestamps
+            Of the part's frames.
+        about : str
+            What the file says about its rows.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        def dictionary(index: NDArray[Any], values: list[str]) -> Any:
+            return pa.DictionaryArray.from_arrays(pa.array(index), pa.array(values, pa.string()))
+
+        frame = np.repeat(
+            np.array([number for number, _, _ in self._frames], np.int32),
+            [count for _, count, _ in self._frames],
+        )
+        here = slice(self._count)
+        columns = {
+            "frame": pa.array(frame + np.int32(first)),
+            "name": dictionary(frame, list(names)),
+            # Parquet has a mark of its own for what is not known.
+            "timestamp": pa.array(timestamps[frame], from_pandas=True),
+            **{
+                name: pa.array(values) for name, values in zip(self._place_names, self._places(), strict=True)
+            },
+            "status": dictionary(self._status[here], STATUSES),
+            "valid_count": pa.array(self._valid_count[here]),
+            **{n: pa.array(values[here]) for n, values in zip(self._float_names, self._floats, strict=True)},
+        }
+        # Of what may be null Parquet writes for each value whether it is: that takes longer than the value.
+        fields = [
+            pa.field(name, values.type, nullable=name == "timestamp") for name, values in columns.items()
+        ]
+        # All the bits of fits differ, but where a tile is, is said again and again.
+        compressed = {"frame", "timestamp", *self._place_names}
+        pq.write_table(
+            pa.table(list(columns.values()), pa.schema(fields, {KEY: about})),
+            where,
+            use_dictionary=["name", "status"],
+            compression={name: "snappy" if name in compressed else "none" for name in columns},
+            write_statistics=["frame", "timestamp"],  # what one selects by
+            write_batch_size=1 << 16,
+        )
+
+
+class _Kept(threading.local):
+    """One `Rows` for each thread: to get its memory anew for each part costs as much as to fill it."""
+
+    key: tuple[bool, bool] | None = None
+    rows: Rows
+
+
+_kept = _Kept()
+
+
+def empty_rows(segments: bool, noise: bool) -> Rows:
+    """`Rows` that this thread may use until it asks for others."""
+    if _kept.key != (segments, noise):
+        _kept.key, _kept.rows = (segments, noise), Rows(segments, noise)
+    _kept.rows.clear()
+    return _kept.rows
