@@ -98,8 +98,8 @@ def fit_sequence(
         timestamp; row and column of a tile, label of a segment; top, left, height, width in pixels; status,
         valid_count; nx, ny, nz, d; rmse, rmse_metric; of tiles, where the cameras have a noise model,
         p_value; then, and of segments always, the covariance of the plane, cov_nx_nx, cov_nx_ny, ...,
-        cov_d_d. Floats are in single precision, but
-        for timestamp. A segment's place is the rectangle around it, its valid_count its pixels.
+        cov_d_d. All floats but timestamp are in single precision. A segment's place is the rectangle around
+        it, its valid_count its pixels.
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles`.
     num_threads : int, optional
