@@ -259,6 +259,7 @@ def many(path):
 
 def test_memory_does_not_grow_with_the_sequence(tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "MOST_ROWS", 30_000)  # 100 frames
+
     def peak(frames):
         sequence = FrameSequence((FrameEntry(str(i), i, CAMERA, i) for i in range(frames)), many)
         tracemalloc.start()
