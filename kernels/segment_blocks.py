@@ -12,36 +12,50 @@ import numpy as np
 
 from ._jit import kernel
 
+# Pixels along a block's side.
+BLOCK = 4
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
 
 
 @kernel()
-def camera_sums(tan_x, tan_y, block, sums):
+def camera_sums(tan_x, tan_y, sums):
     """What a block's moments hold of the camera alone, where every pixel is valid.
 
-    ``sums`` is (R, C, 6), written: n, Σu, Σv, Σuu, Σuv, Σvv.
+    ``sums`` is (6, R, C), written: n, Σu, Σv, Σuu, Σuv, Σvv.
     """
     height, width = tan_x.shape
-    for row in range(sums.shape[0]):
-        for column in range(sums.shape[1]):
-            total = sums[row, column]
-            total[:] = 0.0
-            for y in range(row * block, min(row * block + block, height)):
-                for x in range(column * block, min(column * block + block, width)):
-                    u, v = tan_x[y, x], tan_y[y, x]
-                    total[0] += 1.0
-                    total[1] += u
-                    total[2] += v
-                    total[3] += u * u
-                    total[4] += u * v
-                    total[5] += v * v
+    sums[:] = 0.0
+    for y in range(height):
+        for x in range(width):
+            u, v = tan_x[y, x], tan_y[y, x]
+            total = sums[:, y // BLOCK, x // BLOCK]
+            total[0] += 1.0
+            total[1] += u
+            total[2] += v
+            total[3] += u * u
+            total[4] += u * v
+            total[5] += v * v
+
+
+@kernel(inline=True)
+def read_row(raw, lowest, highest, scale, offset, is_disparity, q):
+    """Inverse depths of a row, 0 where there is no measurement."""
+    if is_disparity:
+        for x in range(len(q)):
+            valid = (raw[x] >= lowest) & (raw[x] <= highest)
+            q[x] = scale * raw[x] + offset if valid else 0.0
+    else:
+        scale = np.float32(scale)
+        for x in range(len(q)):
+            valid = (raw[x] >= lowest) & (raw[x] <= highest)
+            q[x] = scale / np.float32(raw[x] if valid else lowest) if valid else np.float32(0.0)
 
 
 @kernel(reduction=True)
 def block_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, block, camera, inverse_depth, moments
-):  # fmt: skip
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, camera, inverse_depth, moments
+):
     """Read the frame once: the inverse depth of every pixel and the moments of every block.
 
     The sums that hold q are added up down the image columns first, which runs along the rows and
@@ -53,12 +67,10 @@ def block_moments(
         The frame; a pixel is valid if ``lowest <= raw <= highest``.
     scale, offset, is_disparity
         q = scale / raw, or scale * raw + offset if ``is_disparity``.
-    tan_x, tan_y : (H, W) float64
-    block : int
-        Pixels along a block's side.
-    camera : (R, C, 6) float64
+    tan_x, tan_y : (1, W) and (H, 1), or (H, W) and (H, W) float64
+    camera : (6, R, C) float64
         Of `camera_sums`.
-    inverse_depth : (H, W) float64, written
+    inverse_depth : (H, W) float32, written
         0 where there is no measurement.
     moments : (R, C, 10) float64, written
 
@@ -69,77 +81,78 @@ def block_moments(
     """
     height, width = raw.shape
     rows, columns = moments.shape[0], moments.shape[1]
-    n = np.empty(columns * block)
+    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    n = np.zeros(columns * BLOCK)
     s_q, s_uq, s_vq, s_qq = (
-        np.zeros(columns * block),
-        np.zeros(columns * block),
-        np.zeros(columns * block),
-        np.zeros(columns * block),
+        np.zeros(columns * BLOCK),
+        np.zeros(columns * BLOCK),
+        np.zeros(columns * BLOCK),
+        np.zeros(columns * BLOCK),
     )
-    largest = 0.0
+    largest = np.float32(0.0)
+    v = np.empty(width)
     for row in range(rows):
         n[:] = 0.0
         s_q[:] = 0.0
         s_uq[:] = 0.0
         s_vq[:] = 0.0
         s_qq[:] = 0.0
-        for y in range(row * block, min(row * block + block, height)):
-            values = raw[y]
+        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
             q = inverse_depth[y]
-            u, v = tan_x[y], tan_y[y]
-            if is_disparity:
-                for x in range(width):
-                    valid = (values[x] >= lowest) & (values[x] <= highest)
-                    q[x] = scale * values[x] + offset if valid else 0.0
+            read_row(raw[y], lowest, highest, scale, offset, is_disparity, q)
+            u = tan_x[y * step_y]
+            if step_x:
+                v[:] = tan_y[y]
             else:
-                for x in range(width):
-                    valid = (values[x] >= lowest) & (values[x] <= highest)
-                    q[x] = scale / values[x] if valid else 0.0
+                v[:] = tan_y[y, 0]
             for x in range(width):
-                n[x] += 1.0 if q[x] > 0.0 else 0.0
-                s_q[x] += q[x]
-            for x in range(width):
-                s_uq[x] += u[x] * q[x]
-                s_vq[x] += v[x] * q[x]
-            for x in range(width):
-                s_qq[x] += q[x] * q[x]
                 largest = max(largest, q[x])
+            for x in range(width):
+                p = np.float64(q[x])
+                n[x] += 1.0 if p > 0.0 else 0.0
+                s_q[x] += p
+                s_qq[x] += p * p
+                s_uq[x] += u[x] * p
+                s_vq[x] += v[x] * p
         for column in range(columns):
             m = moments[row, column]
-            left = column * block
-            m[:] = 0.0
-            for x in range(left, left + block):
-                m[0] += n[x]
-                m[3] += s_q[x]
-                m[6] += s_uq[x]
-                m[8] += s_vq[x]
-                m[9] += s_qq[x]
-            if m[0] == camera[row, column, 0]:
-                m[1] = camera[row, column, 1]
-                m[2] = camera[row, column, 2]
-                m[4] = camera[row, column, 3]
-                m[5] = camera[row, column, 4]
-                m[7] = camera[row, column, 5]
-            elif m[0] > 0.0:
-                for y in range(row * block, min(row * block + block, height)):
-                    for x in range(left, min(left + block, width)):
-                        if inverse_depth[y, x] > 0.0:
-                            u_x, v_x = tan_x[y, x], tan_y[y, x]
-                            m[1] += u_x
-                            m[2] += v_x
-                            m[4] += u_x * u_x
-                            m[5] += u_x * v_x
-                            m[7] += v_x * v_x
+            x = column * BLOCK
+            m[0] = (n[x] + n[x + 1]) + (n[x + 2] + n[x + 3])
+            m[3] = (s_q[x] + s_q[x + 1]) + (s_q[x + 2] + s_q[x + 3])
+            m[6] = (s_uq[x] + s_uq[x + 1]) + (s_uq[x + 2] + s_uq[x + 3])
+            m[8] = (s_vq[x] + s_vq[x + 1]) + (s_vq[x + 2] + s_vq[x + 3])
+            m[9] = (s_qq[x] + s_qq[x + 1]) + (s_qq[x + 2] + s_qq[x + 3])
+            m[1] = camera[1, row, column]
+            m[2] = camera[2, row, column]
+            m[4] = camera[3, row, column]
+            m[5] = camera[4, row, column]
+            m[7] = camera[5, row, column]
+        for column in range(columns):
+            m = moments[row, column]
+            if m[0] == camera[0, row, column]:
+                continue
+            m[1] = m[2] = m[4] = m[5] = m[7] = 0.0
+            if m[0] == 0.0:
+                continue
+            for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+                for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+                    valid = 1.0 if inverse_depth[y, x] > 0.0 else 0.0
+                    u_x, v_x = tan_x[y * step_y, x], tan_y[y, x * step_x]
+                    m[1] += valid * u_x
+                    m[2] += valid * v_x
+                    m[4] += valid * u_x * u_x
+                    m[5] += valid * u_x * v_x
+                    m[7] += valid * v_x * v_x
     return largest
 
 
-@kernel()
+@kernel(inline=True)
 def residual(m):
     """Sum of squared residuals of the plane q = α·(u, v, 1) fitted to moments; -1 where there is none."""
     return residual_of(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
 
 
-@kernel()
+@kernel(inline=True)
 def joint_residual(m, k):
     """The same for the union of two."""
     return residual_of(
@@ -148,7 +161,7 @@ def joint_residual(m, k):
     )  # fmt: skip
 
 
-@kernel()
+@kernel(inline=True)
 def residual_of(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
     """`residual` of the ten sums."""
     if n < 3.0:
@@ -168,7 +181,7 @@ def residual_of(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
     return max(qq - (vv * uq * uq - 2.0 * uv * uq * vq + uu * vq * vq) / determinant, 0.0)
 
 
-@kernel()
+@kernel(inline=True)
 def fit(m, alpha):
     """Least squares α of q = α·(u, v, 1); False where the pixels do not determine it."""
     n = m[0]
@@ -193,7 +206,7 @@ def fit(m, alpha):
     return True
 
 
-@kernel()
+@kernel(inline=True)
 def sensor_variance(q, sigma):
     """Variance of an inverse depth.
 
@@ -219,7 +232,7 @@ def waviness(pixels, growth):
     return growth[i] * (1.0 - share) + growth[i + 1] * share
 
 
-@kernel()
+@kernel(inline=True)
 def variance(m, alpha, sigma, lateral_x, lateral_y):
     """Variance of one pixel about its plane: the sensor's at the mean inverse depth, and the slope's.
 

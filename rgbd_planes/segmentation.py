@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.kernels import segment_blocks, segment_merge, segment_pixels
+from rgbd_planes.kernels import segment_blocks, segment_merge, segment_parts, segment_pixels
+from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.segmentation_noise import FrameNoise, estimate
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-BLOCK = 4  # pixels
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
 SMALLEST = 60  # pixels of a region, where the caller does not say
 CUT = 4.0  # standard deviations: the most that a pixel counts for in a region's residual
@@ -238,14 +238,13 @@ def segment_frame(
     rules: Rules,
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
-    tan_x, tan_y = camera.tan_x, camera.tan_y
     grid = _grid(camera)
     room = _rooms.of(camera)
     rows, columns = grid.shapes[0]
     block_moments = room.pyramid[: rows * columns].reshape(rows, columns, 10)
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        tan_x, tan_y, BLOCK, grid.sums, room.inverse_depth, block_moments,
+        grid.tan_x, grid.tan_y, grid.sums, room.inverse_depth, block_moments,
     )  # fmt: skip
     segment_blocks.sum_by_fours(room.pyramid, grid.offsets, grid.shapes)
     noise = estimate(frame, camera, room.pyramid, grid.offsets, BLOCK, nearest, sigma)
@@ -278,8 +277,9 @@ def segment_frame(
         alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
         segment_pixels.planes(moments[:count], *spread, noise.growth, alpha, slope, waves)
         segment_pixels.own_pixels(
-            room.inverse_depth, tan_x, tan_y, BLOCK, region, alpha, slope, waves, noise.sigma,
-            rules.reach, rules.close, rules.settled, CUT, block_moments, trip == rules.trips - 1, room.owner,
+            room.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v,
+            region, alpha, slope, waves, noise.sigma, rules.reach, rules.close, rules.settled, CUT,
+            room.pyramid, grid.offsets, grid.shapes, trip == rules.trips - 1, room.owner, room.pixel_owner,
             moments[:count], squares[:count],
         )  # fmt: skip
     own_squares: NDArray[Any] = np.bincount(
@@ -325,7 +325,9 @@ class _Grid:
 
     shapes: NDArray[np.int64]  # (LEVELS, 2): rows and columns of each level of the pyramid
     offsets: NDArray[np.int64]  # (LEVELS + 1,): where each begins
-    sums: Floats  # (R, C, 6): what the moments hold of the camera alone
+    tan_x: Floats  # (1, W) and (H, 1), or (H, W) both
+    tan_y: Floats
+    sums: Floats  # (6, R, C): what the moments hold of the camera alone
     centre_u: Floats  # (R, C): tanθx, tanθy in the middle of each block
     centre_v: Floats
 
@@ -338,8 +340,8 @@ def _grid(camera: Camera) -> _Grid:
         rows, columns = shapes[-1]
         shapes.append((-(-rows // 2), -(-columns // 2)))
     rows, columns = shapes[0]
-    sums = np.empty((rows, columns, 6))
-    segment_blocks.camera_sums(camera.tan_x, camera.tan_y, BLOCK, sums)
+    sums = np.empty((6, rows, columns))
+    segment_blocks.camera_sums(camera.tan_x, camera.tan_y, sums)
     middle = np.ix_(
         np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
         np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
@@ -348,6 +350,8 @@ def _grid(camera: Camera) -> _Grid:
     return _Grid(
         shapes=np.array(shapes),
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        tan_x=camera.tan_x_columns[None, :] if camera.is_separable else camera.tan_x,
+        tan_y=camera.tan_y_rows[:, None] if camera.is_separable else camera.tan_y,
         sums=sums,
         centre_u=camera.tan_x[middle],
         centre_v=camera.tan_y[middle],
@@ -362,8 +366,9 @@ class _Room:
         pixels = camera.height * camera.width
         grid = _grid(camera)
         blocks = int(grid.shapes[0].prod())
-        self.inverse_depth = np.empty(camera.shape)
-        self.owner = np.empty(camera.shape, np.int32)
+        self.inverse_depth = np.empty(camera.shape, np.float32)
+        self.owner = np.empty(tuple(grid.shapes[0]), np.int32)
+        self.pixel_owner = np.empty((blocks, BLOCK**2), np.int32)
         self.pyramid = np.empty((grid.offsets[-1], 10))
         self.moments = np.empty((blocks, 10))
         self.squares = np.empty(blocks)
@@ -400,19 +405,29 @@ def _result(
     rules: Rules,
 ) -> Segmentation:
     """Split the regions into connected parts, keep those that are planes, and describe them."""
-    tan_x, tan_y, inverse_depth = camera.tan_x, camera.tan_y, room.inverse_depth
+    grid = _grid(camera)
     mean_q = region_moments[:, 3] / np.maximum(region_moments[:, 0], 1.0)
     table = np.arange(len(noise.sigma) - 1) * noise.sigma[0]
     deviation = np.sqrt((np.interp(mean_q, table, noise.sigma[1:]) ** 2 + slope) * waves)
 
     row, start, stop, of, vertical, parent, part, loose = room.runs
-    runs, loose_count = segment_pixels.find_runs(
-        room.owner, number_of, inverse_depth, row, start, stop, of, vertical, parent, loose
+    runs, loose_count = segment_parts.find_runs(
+        room.owner,
+        room.pixel_owner,
+        number_of,
+        *camera.shape[::-1],
+        row,
+        start,
+        stop,
+        of,
+        vertical,
+        parent,
+        loose,
     )
     moments, squares = np.empty((runs, 10)), np.empty(runs)
-    size, across, down, of_part = np.empty((4, runs), np.int64)
-    count = segment_pixels.measure_parts(
-        row, start, stop, of, vertical, parent, runs, part, inverse_depth, tan_x, tan_y,
+    (size, across, down), of_part = np.empty((3, runs)), np.empty(runs, np.int64)
+    count = segment_parts.measure_parts(
+        row, start, stop, of, vertical, parent, runs, part, room.inverse_depth, grid.tan_x, grid.tan_y,
         alpha, deviation, CUT, region_moments, region_squares, moments, squares, size, across, down, of_part,
     )  # fmt: skip
     size = size[:count]
@@ -424,17 +439,17 @@ def _result(
     number = np.zeros(count, np.int32)
     number[kept] = np.arange(1, len(kept) + 1)
 
-    sizes = np.empty(len(kept) + 1, np.int32)
+    sizes = np.append(0, size[kept]).astype(np.int32)
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
-    segment_pixels.write_labels(
+    segment_parts.write_labels(
         row, start, stop, runs, part, number, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
-        inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
+        room.inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
     )  # fmt: skip
 
     chosen = moments[kept]
     alpha = np.empty((len(kept), 3))
     rss = np.empty(len(kept))
-    segment_pixels.final_planes(chosen, alpha, rss)
+    segment_parts.final_planes(chosen, alpha, rss)
     d = 1.0 / np.linalg.norm(alpha, axis=1)
     return Segmentation(
         camera=camera,

@@ -1,0 +1,324 @@
+"""Segmentation, last stage but one: what each region owns in connected parts, and the labels of the parts.
+
+Parts are found from runs of pixels along the rows. A block that one region owns is a run of its own width,
+missing pixels and all, and neighbouring ones are one run: so pixels are looked at only where regions meet.
+"""
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import BLOCK, fit, residual
+from .segment_pixels import MISSING, MIXED, add
+
+# Missing pixels in a row that still are holes in a surface.
+GAP = 3
+
+
+@kernel(inline=True)
+def root_of(parent, i):
+    """The oldest ancestor."""
+    while parent[i] != i:
+        i = parent[i]
+    return i
+
+
+@kernel(inline=True)
+def unite(parent, i, j):
+    """Make two sets one; the older root stays."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    if i < j:
+        parent[j] = i
+    elif j < i:
+        parent[i] = j
+
+
+@kernel(inline=True)
+def put_run(
+    y, start, stop, a, starts, first, runs, run_row, run_start, run_stop, run_label, vertical, parent
+):
+    """Add pixels to the last run of a row, whose runs begin with ``first``, or as a new one; how many there are."""
+    i = runs - 1
+    if i >= first and run_label[i] == a and run_stop[i] == start:
+        run_stop[i] = stop
+        vertical[i] += starts
+        return runs
+    vertical[runs] = starts
+    run_row[runs] = y
+    run_start[runs] = start
+    run_stop[runs] = stop
+    run_label[runs] = a
+    parent[runs] = runs
+    if i >= first and run_label[i] == a and start - run_stop[i] <= GAP:
+        unite(parent, runs, i)
+    return runs + 1
+
+
+@kernel(inline=True)
+def label_of(owner, pixel_owner, number, y, x):
+    """Label of a pixel; below 0 is none."""
+    a = owner[y // BLOCK, x // BLOCK]
+    if a <= MIXED:
+        a = pixel_owner[MIXED - a, y % BLOCK * BLOCK + x % BLOCK]
+    return number[a] if a >= 0 else -1
+
+
+@kernel()
+def find_runs(
+    owner,
+    pixel_owner,
+    number,
+    width,
+    height,
+    run_row,
+    run_start,
+    run_stop,
+    run_label,
+    vertical,
+    parent,
+    loose,
+):
+    """Runs of equal labels along the rows, united into connected parts.
+
+    Runs touch corner to corner or side by side, also across up to GAP pixels that no region owns.
+
+    Parameters
+    ----------
+    owner, pixel_owner
+        Of `segment_pixels.own_pixels`.
+    number : (N,) int64
+        Label of each region, below 0 for none.
+    width, height : int
+        Of the image.
+    run_row, run_start, run_stop, run_label : (K,) int32, written
+        Row, first column, last column + 1 and label of each run.
+    vertical : (K,) int32, written
+        How many of a run's pixels have no pixel of the same label above, missing pixels between them aside.
+    parent : (K,) int32, written
+        Roots stand for parts.
+    loose : (L,) int32, written
+        Measured pixels without a label: row · W + column.
+
+    Returns
+    -------
+    tuple of int
+        Number of runs, and of loose pixels.
+    """
+    rows, columns = owner.shape
+    runs = 0
+    loose_count = 0
+    this_first = row_first = two_first = 0  # first run of this row, of the row above, and the one above that
+    above_label = np.full(width, -1, np.int32)
+    above_row = np.full(width, -GAP - 2, np.int32)
+    starts = np.empty(columns, np.int64)  # stretches of blocks of one label in a row, and of no label
+    kind = np.empty(columns, np.int64)
+    for row in range(rows):
+        count = 0
+        for column in range(columns):
+            a = owner[row, column]
+            if a >= 0:
+                a = number[a]
+            if a <= MIXED or count == 0 or kind[count - 1] != a:
+                starts[count] = column
+                kind[count] = a
+                count += 1
+        top = row * BLOCK
+        for y in range(top, min(top + BLOCK, height)):
+            two_first, row_first, this_first = row_first, this_first, runs
+            for i in range(count):
+                left = starts[i] * BLOCK
+                right = min((starts[i + 1] if i + 1 < count else columns) * BLOCK, width)
+                a = kind[i]
+                if a >= 0:
+                    new = 0
+                    if y == top:
+                        for x in range(left, right):
+                            new += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+                            above_label[x] = a
+                            above_row[x] = y + BLOCK - 1
+                    runs = put_run(
+                        y, left, right, a, new, this_first, runs,
+                        run_row, run_start, run_stop, run_label, vertical, parent,
+                    )  # fmt: skip
+                elif a <= MIXED:
+                    pixels = pixel_owner[MIXED - a, (y - top) * BLOCK : (y - top + 1) * BLOCK]
+                    for x in range(left, right):
+                        b = pixels[x - left]
+                        a = number[b] if b >= 0 else -1
+                        if a >= 0:
+                            new = int((above_label[x] != a) | (y - above_row[x] > GAP + 1))
+                            above_label[x] = a
+                            above_row[x] = y
+                            runs = put_run(
+                                y, x, x + 1, a, new, this_first, runs,
+                                run_row, run_start, run_stop, run_label, vertical, parent,
+                            )  # fmt: skip
+                        elif b != MISSING:
+                            loose[loose_count] = y * width + x
+                            loose_count += 1
+                            above_label[x] = -1
+            for lines in range(1, 3):
+                j, stop = (row_first, this_first) if lines == 1 else (two_first, row_first)
+                for i in range(this_first, runs):
+                    while j < stop and run_stop[j] < run_start[i]:
+                        j += 1
+                    k = j
+                    while k < stop and run_start[k] <= run_stop[i]:
+                        x = max(run_start[i], run_start[k])
+                        if run_label[k] == run_label[i] and (
+                            lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0
+                        ):
+                            unite(parent, i, k)
+                        k += 1
+    return runs, loose_count
+
+
+@kernel()
+def measure_parts(
+    run_row, run_start, run_stop, run_label, vertical, parent, runs, part, inverse_depth, tan_x, tan_y,
+    alpha, deviation, cut, region_moments, region_squares, moments, squares, size, across, down, owner,
+):  # fmt: skip
+    """Number the parts in the order of their first pixels, and share out what the regions own.
+
+    The largest part of a region gets its moments less those of the other parts, whose pixels are counted.
+
+    Parameters
+    ----------
+    part : (K,) int32, written
+        Part of each run.
+    region_moments, region_squares : (N, 10), (N,) float64
+        Of `own_pixels`; changed.
+    moments, squares : (P, 10), (P,) float64, written
+    size, across, down : (P,) float64, written
+        Pixels of each part, runs along its rows and runs along its columns.
+    owner : (P,) int64, written
+        Region that each part is of.
+
+    Returns
+    -------
+    int
+        Number of parts.
+    """
+    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    count = 0
+    for i in range(runs):
+        root = root_of(parent, i)
+        if root == i:
+            part[i] = count
+            size[count] = 0.0
+            across[count] = 0
+            down[count] = 0
+            squares[count] = 0.0
+            moments[count, :] = 0.0
+            owner[count] = run_label[i]
+            count += 1
+        else:
+            part[i] = part[root]
+        k = part[i]
+        size[k] += run_stop[i] - run_start[i]  # holes and all, until the moments say
+        down[k] += vertical[i]
+        # A run that goes on after a short gap is one run.
+        goes_on = (
+            i > 0
+            and run_row[i - 1] == run_row[i]
+            and run_label[i - 1] == run_label[i]
+            and run_start[i] - run_stop[i - 1] <= GAP
+        )
+        across[k] += 0 if goes_on else 1
+    largest = np.full(len(region_moments), -1, np.int64)
+    for k in range(count):
+        a = owner[k]
+        if largest[a] < 0 or size[k] > size[largest[a]]:
+            largest[a] = k
+    for i in range(runs):
+        k = part[i]
+        a = owner[k]
+        if largest[a] == k:
+            continue
+        y = run_row[i]
+        for x in range(run_start[i], run_stop[i]):
+            q = inverse_depth[y, x]
+            if q == 0.0:
+                continue
+            u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
+            e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
+            squares[k] += min(e * e, cut * cut)
+            add(moments[k], u, v, q)
+    for k in range(count):
+        a = owner[k]
+        if largest[a] != k:
+            region_squares[a] -= squares[k]
+            for j in range(10):
+                region_moments[a, j] -= moments[k, j]
+    for k in range(count):
+        a = owner[k]
+        if largest[a] == k:
+            squares[k] = region_squares[a]
+            moments[k] = region_moments[a]
+        size[k] = moments[k, 0]
+    return count
+
+
+@kernel()
+def write_labels(
+    run_row, run_start, run_stop, runs, part, number, why, missing, unclaimed, inverse_depth,
+    loose, loose_count, needed, label, reason, sizes,
+):  # fmt: skip
+    """Write the final labels and the reasons, and let stray pixels go with their neighbours.
+
+    Parameters
+    ----------
+    number : (P,) int32
+        Final label of each part, 0 for none.
+    why : (P,) uint8
+        Reason of each part; ``missing`` and ``unclaimed`` are those of the other pixels.
+    loose, loose_count
+        Of `find_runs`. One goes with a label that ``needed`` or more of its eight neighbours have.
+    label, reason : (H, W) int32 and uint8, written
+    sizes : (N + 1,) int32
+        Pixels of each label; loose ones are added.
+    """
+    height, width = label.shape
+    i = 0
+    for y in range(height):
+        for x in range(width):
+            label[y, x] = 0
+            reason[y, x] = unclaimed if inverse_depth[y, x] > 0.0 else missing
+        while i < runs and run_row[i] == y:
+            a, b = number[part[i]], why[part[i]]
+            for x in range(run_start[i], run_stop[i]):
+                if inverse_depth[y, x] > 0.0:
+                    label[y, x] = a
+                    reason[y, x] = b
+            i += 1
+    found = np.empty(loose_count, np.int32)
+    for _ in range(2):
+        for i in range(loose_count):
+            y, x = loose[i] // width, loose[i] % width
+            found[i] = label[y, x]
+            if label[y, x] > 0 or y == 0 or x == 0 or y == height - 1 or x == width - 1:
+                continue
+            for k in range(4):  # more than half of eight must hold one of the first four
+                a = label[y - 1, x - 1 + k] if k < 3 else label[y, x - 1]
+                if a <= 0:
+                    continue
+                n = 0
+                for r in range(y - 1, y + 2):
+                    for c in range(x - 1, x + 2):
+                        n += label[r, c] == a
+                if n >= needed:
+                    found[i] = a
+                    break
+        for i in range(loose_count):
+            if found[i] > 0:
+                if label[loose[i] // width, loose[i] % width] == 0:
+                    sizes[found[i]] += 1
+                label[loose[i] // width, loose[i] % width] = found[i]
+                reason[loose[i] // width, loose[i] % width] = 0
+
+
+@kernel()
+def final_planes(moments, alpha, rss):
+    """α and the sum of squared residuals of each plane from the moments of its pixels."""
+    for i in range(len(moments)):
+        fit(moments[i], alpha[i])
+        rss[i] = residual(moments[i])
