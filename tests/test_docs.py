@@ -120,3 +120,11 @@ def test_every_status_and_format_is_explained():
     batch = (ROOT / "docs/howto/batch.md").read_text()
     rows = rp.fit_tiles(np.ones((4, 4)), rp.Camera(4, 4, 4.0, 4.0, 1.5, 1.5), tile=2).to_table()
     assert all(name in batch for name in rows)
+
+
+def test_every_public_name_is_in_the_reference():
+    reference = (ROOT / "docs/reference.md").read_text()
+    entries = set(re.findall(r"^::: rgbd_planes\.([\w.]+)$", reference, re.MULTILINE))
+    functions = {f"sequences.{name}" for name in rp.sequences.FORMATS}
+    shown = entries | {".".join(entry.split(".")[::2]) for entry in entries if entry.startswith("sequences.")}
+    assert set(rp.__all__) - {"__version__", "sequences"} | functions <= shown
