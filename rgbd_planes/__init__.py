@@ -39,7 +39,17 @@ _NAMES = {
     "segment_sequence": "tracking",
     "warmup": "warm",
 }
-_MODULES = ("export", "metrics", "noise", "presets", "scenes", "sequences", "uncertainty")
+_MODULES = (
+    "export",
+    "metrics",
+    "noise",
+    "presets",
+    "recording",
+    "scenes",
+    "segmentation_export",
+    "sequences",
+    "uncertainty",
+)
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
@@ -48,7 +58,9 @@ if TYPE_CHECKING:
     from rgbd_planes import metrics as metrics
     from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
+    from rgbd_planes import recording as recording
     from rgbd_planes import scenes as scenes
+    from rgbd_planes import segmentation_export as segmentation_export
     from rgbd_planes import sequences as sequences
     from rgbd_planes import uncertainty as uncertainty
     from rgbd_planes.batch import fit_sequence as fit_sequence

@@ -1,4 +1,6 @@
-"""Planes and points for other tools: Open3D, PLY, ROS, JSON. `rgbd_planes.recording` is for rerun.
+"""Planes of tiles, and points, for other tools: Open3D, PLY, ROS, JSON.
+
+`rgbd_planes.segmentation_export` is for segments, `rgbd_planes.recording` for rerun.
 
 All in the camera's frame (x right, y down, z forward) and in metres, which is also ROS's optical frame and
 Open3D's.
@@ -177,11 +179,17 @@ def to_open3d(tiles: TilePlanes) -> "open3d.geometry.TriangleMesh":
     ModuleNotFoundError
         open3d is not installed.
     """
-    with needs("open3d", None):
-        import open3d
     points, normals, colours = _tile_mesh(tiles)
     quads = np.arange(len(points)).reshape(-1, 4)
-    triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return triangle_mesh(points, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), normals, colours)
+
+
+def triangle_mesh(
+    points: Floats, triangles: NDArray[np.int_], normals: Floats, colours: Floats
+) -> "open3d.geometry.TriangleMesh":
+    """Return an Open3D mesh of (P, 3) points, with their normals and colours, and (T, 3) triangles of them."""
+    with needs("open3d", None):
+        import open3d
     vector = open3d.utility.Vector3dVector
     mesh = open3d.geometry.TriangleMesh(
         vector(points), open3d.utility.Vector3iVector(triangles.astype(np.int32))
@@ -222,9 +230,14 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> 
         header and coefficients, of each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d].
         The fields of ROS 1 and 2, but for the ``seq`` of ROS 1's header.
     """
-    header = _ros_header(frame_id, stamp)
-    planes = tiles.planes[exported(tiles)].tolist()
-    return {"header": header, "coefficients": [{"header": header, "values": plane} for plane in planes]}
+    return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)
+
+
+def ros_planes(planes: Floats, frame_id: str, stamp: float) -> dict[str, Any]:
+    """(N, 4) planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray."""
+    header = ros_header(frame_id, stamp)
+    coefficients = [{"header": header, "values": plane} for plane in planes.tolist()]
+    return {"header": header, "coefficients": coefficients}
 
 
 def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
@@ -240,12 +253,17 @@ def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -
     dict
         header; polygons, each a geometry_msgs/PolygonStamped; labels, 1..N; likelihood, empty.
     """
-    header = _ros_header(frame_id, stamp)
+    polygons = tile_polygons(tiles)
+    return ros_polygons(list(polygons), list(range(1, len(polygons) + 1)), frame_id, stamp)
+
+
+def ros_polygons(rings: list[Floats], labels: list[int], frame_id: str, stamp: float) -> dict[str, Any]:
+    """Polygons of (K, 3) corners each in the shape of jsk_recognition_msgs/PolygonArray."""
+    header = ros_header(frame_id, stamp)
     polygons = [
-        {"header": header, "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in polygon]}}
-        for polygon in tile_polygons(tiles).tolist()
+        {"header": header, "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in ring.tolist()]}}
+        for ring in rings
     ]
-    labels = list(range(1, len(polygons) + 1))
     return {"header": header, "polygons": polygons, "labels": labels, "likelihood": []}
 
 
@@ -267,7 +285,7 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: f
     points = camera.points(depth).astype("<f4")
     height, width, _ = points.shape
     return {
-        "header": _ros_header(frame_id, stamp),
+        "header": ros_header(frame_id, stamp),
         "height": height,
         "width": width,
         "fields": [{"name": "xyz"[i], "offset": 4 * i, "datatype": 7, "count": 1} for i in range(3)],
@@ -279,7 +297,8 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: f
     }
 
 
-def _ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
+def ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
+    """std_msgs/Header; a time that is not known is 0."""
     nanoseconds = round(stamp * 1e9) if math.isfinite(stamp) else 0
     time = {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
     return {"stamp": time, "frame_id": frame_id}

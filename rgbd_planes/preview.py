@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
 
 if TYPE_CHECKING:
+    from rgbd_planes.segmentation import Segmentation
     from rgbd_planes.tile_planes import TilePlanes
 
 _WIDEST = 320  # pixels of a panel
 _GAP = 8
+_LISTED = 4  # planes
 
 
 def tiles_picture(tiles: "TilePlanes") -> NDArray[np.uint8]:
@@ -59,6 +62,25 @@ def tiles_html(tiles: "TilePlanes") -> str:
         f'<img alt="normals and status of the tiles" src="data:image/png;base64,{_png(tiles_picture(first))}">'
         f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
         f'<span style="color:rgb({_css(MISSING)})">&#9632;</span>&nbsp;none. Right: {names}.</small></div></div>'
+    )
+
+
+def segments_html(segments: "Segmentation") -> str:
+    """Return a few lines of HTML: what was found, a picture of the planes, and the largest of them."""
+    step = max(1, -(-segments.camera.width // _WIDEST))
+    picture = np.rint(255.0 * label_image(segments)[::step, ::step]).astype(np.uint8)
+    colours = label_colours(len(segments))
+    largest = " ".join(
+        f'<span style="color:rgb({_css(tuple(colours[i]))})">&#9632;</span>&nbsp;{i + 1}:&nbsp;'
+        f"{segments.sizes[i]}&nbsp;pixels,&nbsp;d&nbsp;=&nbsp;{segments.planes[i, 3]:.3f}&nbsp;m;"
+        for i in np.argsort(-segments.sizes, kind="stable")[:_LISTED]
+    )
+    return (
+        f"<div><div>{html.escape(repr(segments).strip('<>'))}</div>"
+        f'<img alt="the planes in colours" src="data:image/png;base64,{_png(picture)}">'
+        f"<div><small>The largest: {largest} "
+        f'<span style="color:rgb({_css(NO_PLANE)})">&#9632;</span>&nbsp;on no plane, white not measured.'
+        f"</small></div></div>"
     )
 
 

@@ -2,6 +2,9 @@
 
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -9,8 +12,12 @@ from rgbd_planes.colours import normal_colours
 from rgbd_planes.export import exported, tile_polygons
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
-from rgbd_planes.sequences.frames import FrameSequence
+from rgbd_planes.plotting_segments import label_colours
+from rgbd_planes.polygons import plane_polygons
+from rgbd_planes.segmentation import segment
+from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
+from rgbd_planes.tracking import Tracker
 
 
 def record(
@@ -43,12 +50,8 @@ def record(
     length of the tile; red right, green up, blue towards the camera), ``fitted`` (number of fitted tiles).
     Timelines: ``frame``, and ``time`` where the sequence has times.
     """
-    with needs("rerun-sdk", "viewer"):
-        import rerun as rr
     fitters: dict[object, TileFitter] = {}
-    with write_beside(path) as beside, rr.RecordingStream("rgbd_planes") as stream:
-        stream.save(beside)
-        stream.log("/", rr.ViewCoordinates.RDF, static=True)
+    with _recording(path) as (rr, stream):
         for index, frame in enumerate(sequence):
             camera = frame.camera
             if camera not in fitters:
@@ -56,16 +59,7 @@ def record(
                     camera: TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
                 }
             tiles = fitters[camera].fit(frame.depth)
-            stream.set_time("frame", sequence=index)
-            if math.isfinite(frame.timestamp):
-                stream.set_time("time", timestamp=frame.timestamp)
-            focal_length, centre = (abs(camera.fx), abs(camera.fy)), (camera.cx, camera.cy)
-            pinhole = rr.Pinhole(
-                focal_length=focal_length, principal_point=centre, width=camera.width, height=camera.height
-            )
-            stream.log("camera", pinhole)
-            metres = np.nan_to_num(camera.points(frame.depth)[..., 2]).astype(np.float32)
-            stream.log("camera/depth", rr.DepthImage(metres, meter=1.0))
+            _log_frame(rr, stream, index, frame)
             polygons = tile_polygons(tiles)
             normals = tiles.planes[exported(tiles)][:, :3]
             colours = normal_colours(normals)
@@ -75,4 +69,73 @@ def record(
             arrows = rr.Arrows3D(origins=polygons.mean(axis=1), vectors=normals * size, colors=colours)
             stream.log("planes/normals", arrows)
             stream.log("fitted", rr.Scalars(float(np.count_nonzero(tiles.fitted))))
+
+
+def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> None:
+    """Segment a sequence and write a recording that rerun shows; whole or not at all.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    path : .rrd file
+
+    Raises
+    ------
+    ModuleNotFoundError
+        rerun-sdk or shapely is not installed.
+
+    Notes
+    -----
+    Entities: ``camera`` (as in `record`), ``camera/planes`` (the id of each pixel's plane, as
+    `segment_sequence` gives it, 0 for none), ``planes/outlines`` (outlines and holes, in the colour of the
+    plane's id), ``found`` (number of planes). Timelines as in `record`.
+    """
+    tracker = None
+    most = 0
+    with _recording(path) as (rr, stream):
+        for index, frame in enumerate(sequence):
+            if tracker is None or tracker.shape != frame.camera.shape:
+                tracker = Tracker(frame.camera, memory=5)
+            tracked = tracker.follow(segment(frame.depth, frame.camera))
+            _log_frame(rr, stream, index, frame)
+            stream.log("camera/planes", rr.SegmentationImage(tracked.labels.astype(np.uint16)))
+            most = max(most, int(tracked.ids.max(initial=0)))
+            colours = label_colours(most)
+            outlines, own = [], []
+            for plane in plane_polygons(tracked.segmentation):
+                rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
+                outlines += rings
+                own += [colours[tracked.ids[plane.label - 1] - 1]] * len(rings)
+            stream.log("planes/outlines", rr.LineStrips3D(outlines, colors=np.reshape(own, (-1, 3))))
+            stream.log("found", rr.Scalars(float(len(tracked.ids))))
+        classes = [(i, str(i), colour) for i, colour in enumerate(label_colours(most).tolist(), start=1)]
+        stream.log("/", rr.AnnotationContext(classes), static=True)
+
+
+@contextmanager
+def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
+    """The module rerun and a stream into a file."""
+    with needs("rerun-sdk", "viewer"):
+        import rerun as rr
+    with write_beside(path) as beside, rr.RecordingStream("rgbd_planes") as stream:
+        stream.save(beside)
+        stream.log("/", rr.ViewCoordinates.RDF, static=True)
+        yield rr, stream
         stream.flush()
+
+
+def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:
+    """Set the time, and log the camera and its depth."""
+    camera = frame.camera
+    stream.set_time("frame", sequence=index)
+    if math.isfinite(frame.timestamp):
+        stream.set_time("time", timestamp=frame.timestamp)
+    pinhole = rr.Pinhole(
+        focal_length=(abs(camera.fx), abs(camera.fy)),
+        principal_point=(camera.cx, camera.cy),
+        width=camera.width,
+        height=camera.height,
+    )
+    stream.log("camera", pinhole)
+    metres = np.nan_to_num(camera.points(frame.depth)[..., 2]).astype(np.float32)
+    stream.log("camera/depth", rr.DepthImage(metres, meter=1.0))

@@ -114,6 +114,12 @@ class Segmentation:
         share = f"{self.share:.0%} of the measured pixels"
         return f"<Segmentation: {len(self)} planes, {share} of {height} x {width}>"
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import segments_html
+
+        return segments_html(self)
+
     @property
     def share(self) -> float:
         """Share of the measured pixels that belong to a plane."""

@@ -1,4 +1,4 @@
-"""Segmented planes for other tools: JSON, label images and PLY.
+"""Segmented planes for other tools: JSON, label images, PLY, Open3D, ROS. `rgbd_planes.recording` is for rerun.
 
 All in the camera's frame (x right, y down, z forward) and in metres.
 """
@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.export import write_ply
+from rgbd_planes.export import Floats, ros_header, ros_planes, ros_polygons, triangle_mesh, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours
 from rgbd_planes.segmentation import Segmentation
 
 if TYPE_CHECKING:
+    import open3d
+
     from rgbd_planes.polygons import PlanePolygon
 
 
@@ -91,15 +93,83 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
 
 def write_polygons_ply(path: str | os.PathLike[str], polygons: "Sequence[PlanePolygon]") -> None:
     """Write the outlines as a PLY mesh of triangles, each plane in its colour; holes are holes."""
+    points, normals, colours = _mesh(polygons)
+    faces = np.arange(len(points)).reshape(-1, 3)
+    write_ply(path, points, normals=normals, colours=colours, faces=faces)
+
+
+def to_open3d(polygons: "Sequence[PlanePolygon]") -> "open3d.geometry.TriangleMesh":
+    """Return the outlines as an Open3D mesh, each plane in its colour; holes are holes.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        open3d is not installed.
+    """
+    points, normals, colours = _mesh(polygons)
+    return triangle_mesh(points, np.arange(len(points)).reshape(-1, 3), normals, colours)
+
+
+def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+    """Return the planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+    frame_id : str
+        Of the camera's optical frame.
+    stamp : float
+        Seconds.
+
+    Returns
+    -------
+    dict
+        header and coefficients, of each plane its header and values [nx, ny, nz, d], by label.
+    """
+    return ros_planes(segmentation.planes, frame_id, stamp)
+
+
+def to_ros_polygons(
+    polygons: "Sequence[PlanePolygon]", frame_id: str = "", stamp: float = 0.0
+) -> dict[str, Any]:
+    """Return the outlines in the shape of jsk_recognition_msgs/PolygonArray.
+
+    Parameters
+    ----------
+    polygons : sequence of PlanePolygon
+    frame_id, stamp
+        As in `to_ros_planes`.
+
+    Returns
+    -------
+    dict
+        header; polygons, one a part of a plane, without its holes, which the message has no place for;
+        labels, of each part its plane's; likelihood, empty.
+    """
+    parts = [(polygon.label, part[0]) for polygon in polygons for part in polygon.rings()]
+    return ros_polygons([ring for _, ring in parts], [label for label, _ in parts], frame_id, stamp)
+
+
+def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+    """Return the labels in the shape of sensor_msgs/Image, 32SC1; 0 is none."""
+    labels = segmentation.labels.astype("<i4")
+    height, width = labels.shape
+    return {
+        "header": ros_header(frame_id, stamp),
+        "height": height,
+        "width": width,
+        "encoding": "32SC1",
+        "is_bigendian": 0,
+        "step": 4 * width,
+        "data": labels.tobytes(),
+    }
+
+
+def _mesh(polygons: "Sequence[PlanePolygon]") -> tuple[Floats, Floats, Floats]:
+    """Three points for each triangle of the outlines, with their normals and colours."""
     colours = label_colours(len(polygons))
     triangles = [polygon.triangles() for polygon in polygons]
     corners = [3 * len(own) for own in triangles]
     points = np.concatenate([*triangles, np.empty((0, 3, 3))]).reshape(-1, 3)
     normals = np.array([polygon.plane[:3] for polygon in polygons]).reshape(-1, 3)
-    write_ply(
-        path,
-        points,
-        normals=normals.repeat(corners, axis=0),
-        colours=colours.repeat(corners, axis=0),
-        faces=np.arange(len(points)).reshape(-1, 3),
-    )
+    return points, normals.repeat(corners, axis=0), colours.repeat(corners, axis=0)

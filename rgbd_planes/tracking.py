@@ -69,14 +69,15 @@ def segment_sequence(
     """
     if memory < 0:
         raise ValueError(f"memory must be a number of frames, 0 or more, got {memory}")
-    tracker = _Tracker(camera, memory)
+    tracker = Tracker(camera, memory)
     return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in frames)
 
 
-class _Tracker:
+class Tracker:
     """What was last seen at each pixel, and the planes that it belongs to."""
 
     def __init__(self, camera: Camera, memory: int) -> None:
+        self.shape = camera.shape
         self._memory = memory
         self._seen = np.zeros(camera.shape, np.int32)
         self._age = np.zeros(camera.shape, np.int32)

@@ -5,6 +5,8 @@ import sys
 
 import numpy as np
 import pytest
+from recordings import columns_of
+from ros_messages import round_trip
 
 import rgbd_planes as rp
 from rgbd_planes import export, images, recording, scenes
@@ -129,71 +131,23 @@ def test_open3d(tiles, depth, tmp_path):
     assert len(open3d.io.read_point_cloud(str(tmp_path / "points.ply")).points) == len(cloud.points)
 
 
-def as_message(store, kind, values):
-    """A ROS message made from a dict of its shape: every field, and no other."""
-    about = store.types[kind]
-    fields = {name: t for name, (_, t) in zip(about.__annotations__, store.fielddefs[kind][1], strict=False)}
-    assert set(values) == set(fields)
-    return about(**{name: as_field(store, *fields[name], values[name]) for name in fields})
-
-
-def as_field(store, node, detail, value):
-    from rosbags.interfaces import Nodetype
-
-    if node == Nodetype.NAME:
-        return as_message(store, detail, value)
-    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        inner, of = detail[0]
-        if inner == Nodetype.NAME:
-            return [as_message(store, of, item) for item in value]
-        array = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value)
-        return array.astype({"octet": np.uint8}.get(of[0], of[0]))
-    return value
-
-
-@pytest.fixture(scope="module")
-def store():
+def test_ros_messages(tiles, depth):
     pytest.importorskip("rosbags")
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in {  # as in the packages' own .msg files
-        "pcl_msgs/msg/ModelCoefficients": "std_msgs/Header header\nfloat32[] values",
-        "jsk_recognition_msgs/msg/ModelCoefficientsArray": (
-            "std_msgs/Header header\npcl_msgs/ModelCoefficients[] coefficients"
-        ),
-        "jsk_recognition_msgs/msg/PolygonArray": (
-            "std_msgs/Header header\ngeometry_msgs/PolygonStamped[] polygons\n"
-            "uint32[] labels\nfloat32[] likelihood"
-        ),
-    }.items():
-        store.register(get_types_from_msg(text, name))
-    return store
-
-
-def round_trip(store, kind, values):
-    message = as_message(store, kind, values)
-    return store.deserialize_cdr(store.serialize_cdr(message, kind), kind)
-
-
-def test_ros_messages(tiles, depth, store):
     chosen = export.exported(tiles)
     about = ("camera_depth_optical_frame", 12.345678901)
     planes = round_trip(
-        store, "jsk_recognition_msgs/msg/ModelCoefficientsArray", export.to_ros_planes(tiles, *about)
+        "jsk_recognition_msgs/msg/ModelCoefficientsArray", export.to_ros_planes(tiles, *about)
     )
     assert planes.header.frame_id == about[0]
     assert (planes.header.stamp.sec, planes.header.stamp.nanosec) == (12, 345678901)
     read = np.array([one.values for one in planes.coefficients])
     np.testing.assert_allclose(read, tiles.planes[chosen], rtol=1e-6, atol=1e-7)
-    polygons = round_trip(
-        store, "jsk_recognition_msgs/msg/PolygonArray", export.to_ros_polygons(tiles, *about)
-    )
+    polygons = round_trip("jsk_recognition_msgs/msg/PolygonArray", export.to_ros_polygons(tiles, *about))
     read = np.array([[(p.x, p.y, p.z) for p in one.polygon.points] for one in polygons.polygons])
     np.testing.assert_allclose(read, export.tile_polygons(tiles), rtol=1e-6)
     assert list(polygons.labels) == list(range(1, chosen.sum() + 1))
     cloud = round_trip(
-        store, "sensor_msgs/msg/PointCloud2", export.to_ros_points(depth, CAMERA, "camera", float("nan"))
+        "sensor_msgs/msg/PointCloud2", export.to_ros_points(depth, CAMERA, "camera", float("nan"))
     )
     assert (cloud.height, cloud.width, cloud.is_dense) == (60, 80, False)
     dtype = np.dtype(
@@ -212,7 +166,6 @@ def test_ros_messages(tiles, depth, store):
 
 def test_rerun(depth, tiles, tmp_path):
     pytest.importorskip("rerun")
-    from rerun.chunk import RrdReader
 
     for i in range(3):
         images.write_png(tmp_path / f"{i}.png", depth)
@@ -220,12 +173,7 @@ def test_rerun(depth, tiles, tmp_path):
         (FrameEntry(str(i), 100.5 + i, CAMERA, tmp_path / f"{i}.png") for i in range(3)), images.read_depth
     )
     recording.record(sequence, tmp_path / "planes.rrd", (12, 16), max_error=0.02)
-    chunks = [chunk.to_record_batch() for chunk in RrdReader(tmp_path / "planes.rrd").stream().to_chunks()]
-    columns = {}
-    for chunk in chunks:
-        entity = (chunk.schema.metadata or {}).get(b"rerun:entity_path", b"?").decode()
-        for name in chunk.schema.names:
-            columns.setdefault((entity, name), []).extend(chunk[name].to_pylist())
+    columns = columns_of(tmp_path / "planes.rrd")
     strips = columns["/planes/outlines", "LineStrips3D:strips"]
     assert len(strips) == 3
     polygons = export.tile_polygons(tiles)

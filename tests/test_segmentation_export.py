@@ -1,13 +1,22 @@
 """Segmentations as files, and the command that writes them."""
 
+import base64
+import io
 import json
+import re
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
+from recordings import columns_of
+from ros_messages import round_trip
 
-from rgbd_planes import Camera, cli, images, scenes, segment
+from rgbd_planes import Camera, cli, images, recording, scenes, segment, segment_sequence, segmentation_export
+from rgbd_planes.plotting_segments import label_colours
+from rgbd_planes.segmentation import Reason
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
+from rgbd_planes.sequences import FrameEntry, FrameSequence
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
 
@@ -114,3 +123,100 @@ def test_command_fails_in_one_line(folder, capsys, options, message):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_a_segmentation_shows_itself(depth):
+    found = segment(depth, CAMERA)
+    text = found._repr_html_()
+    assert f"{len(found)} planes, " in text
+    (content,) = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(content))))
+    assert picture.shape == (120, 160, 3)
+    for label, colour in enumerate(label_colours(len(found)), start=1):
+        assert (picture[found.labels == label] == np.rint(255 * colour)).all()
+    assert (picture[found.reason == Reason.MISSING] == 255).all()
+    largest = int(found.sizes.argmax())
+    listed = f"{largest + 1}:&nbsp;{found.sizes[largest]}&nbsp;pixels,&nbsp;d&nbsp;=&nbsp;"
+    assert listed + f"{found.planes[largest, 3]:.3f}" in text
+    assert len(text) < 20_000
+    nothing = segment(np.zeros(CAMERA.shape, np.uint16), CAMERA)._repr_html_()
+    assert "0 planes" in nothing
+
+
+def test_open3d_mesh(depth, tmp_path):
+    pytest.importorskip("shapely")
+    open3d = pytest.importorskip("open3d")
+    from rgbd_planes import plane_polygons
+
+    polygons = plane_polygons(segment(depth, CAMERA))
+    mesh = segmentation_export.to_open3d(polygons)
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
+    expected = np.concatenate([polygon.triangles() for polygon in polygons])
+    np.testing.assert_allclose(corners, expected)
+    assert mesh.get_surface_area() == pytest.approx(sum(polygon.area for polygon in polygons), rel=1e-6)
+    write_polygons_ply(tmp_path / "mesh.ply", polygons)
+    read = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
+    assert len(read.triangles) == len(expected)
+
+
+def test_open3d_is_asked_for_by_name(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(ModuleNotFoundError, match="this needs open3d: pip install open3d"):
+        segmentation_export.to_open3d([])
+
+
+def test_ros_messages(depth):
+    pytest.importorskip("shapely")
+    pytest.importorskip("rosbags")
+    from rgbd_planes import plane_polygons
+
+    depth = depth.copy()
+    depth[20:40, 70:90] = 0  # a hole, which a message has no place for
+    found = segment(depth, CAMERA)
+    polygons = plane_polygons(found)
+    assert any(len(part) > 1 for polygon in polygons for part in polygon.rings())
+    about = ("camera_depth_optical_frame", 12.345678901)
+    planes = round_trip(
+        "jsk_recognition_msgs/msg/ModelCoefficientsArray", segmentation_export.to_ros_planes(found, *about)
+    )
+    read = np.array([one.values for one in planes.coefficients])
+    np.testing.assert_allclose(read, found.planes, rtol=1e-6, atol=1e-7)
+    assert (planes.header.stamp.sec, planes.header.frame_id) == (12, about[0])
+    outlines = round_trip(
+        "jsk_recognition_msgs/msg/PolygonArray", segmentation_export.to_ros_polygons(polygons, *about)
+    )
+    parts = [(polygon.label, part[0]) for polygon in polygons for part in polygon.rings()]
+    assert list(outlines.labels) == [label for label, _ in parts]
+    for message, (_, ring) in zip(outlines.polygons, parts, strict=True):
+        read = np.array([(point.x, point.y, point.z) for point in message.polygon.points])
+        np.testing.assert_allclose(read, ring, rtol=1e-6, atol=1e-6)
+    image = round_trip("sensor_msgs/msg/Image", segmentation_export.to_ros_labels(found, *about))
+    assert (image.encoding, image.is_bigendian) == ("32SC1", 0)
+    read = np.asarray(image.data, np.uint8).view("<i4").reshape(image.height, image.step // 4)
+    assert np.array_equal(read, found.labels)
+
+
+def test_rerun(depth, tmp_path):
+    pytest.importorskip("rerun")
+    pytest.importorskip("shapely")
+    rendering = scenes.room().render(CAMERA)
+    frames = [rendering.measure(holes=0.05, seed=seed) for seed in range(3)]
+    frames[0][:, :80] = 0  # so that ids are not labels
+    entries = [FrameEntry(str(i), 100.5 + i, CAMERA, i) for i in range(3)]
+    recording.record_segments(FrameSequence(entries, frames.__getitem__), tmp_path / "planes.rrd")
+    columns = columns_of(tmp_path / "planes.rrd")
+    tracked = list(segment_sequence(frames, CAMERA))
+    assert not np.array_equal(tracked[1].labels, tracked[1].segmentation.labels)
+    assert columns["/found", "Scalars:scalars"] == [[float(len(one.ids))] for one in tracked]
+    images_read = columns["/camera/planes", "SegmentationImage:buffer"]
+    for read, one in zip(images_read, tracked, strict=True):
+        assert np.array_equal(np.array(read[0], np.uint8).view(np.uint16), one.labels.ravel())
+    from rgbd_planes import plane_polygons
+
+    expected = [ring for p in plane_polygons(tracked[1].segmentation) for part in p.rings() for ring in part]
+    strips = columns["/planes/outlines", "LineStrips3D:strips"][1]
+    assert len(strips) == len(expected)
+    for strip, ring in zip(strips, expected, strict=True):
+        np.testing.assert_allclose(np.array(strip), [*ring, ring[0]], rtol=1e-5, atol=1e-6)
+    (classes,) = columns["/", "AnnotationContext:context"]
+    assert len(classes[0]) == max(one.ids.max() for one in tracked)
