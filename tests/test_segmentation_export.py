@@ -171,6 +171,7 @@ def test_ros_messages(depth):
     from rgbd_planes import plane_polygons
 
     depth = depth.copy()
+    depth[:60] = 2000
     depth[20:40, 70:90] = 0  # a hole, which a message has no place for
     found = segment(depth, CAMERA)
     polygons = plane_polygons(found)
