@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.kernels import segment_blocks, segment_merge, segment_parts, segment_pixels
+from rgbd_planes.kernels import (
+    segment_blocks,
+    segment_merge,
+    segment_parts,
+    segment_pixels,
+    segment_shape,
+)
 from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.segmentation_noise import FrameNoise, estimate
 
@@ -47,6 +53,7 @@ class Rules:
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left in peace
     rough: float = 3.0  # deviations of a region that is several planes, or none
+    sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
     trips: int = 3  # from planes to pixels and back
 
@@ -66,6 +73,8 @@ class Reason(enum.IntEnum):
     """Its region is no plane: the residual is too large."""
     NARROW = 5
     """Its region is a strip of a pixel or two, as depth edges make."""
+    CURVED = 6
+    """Its region is part of a curved surface."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -293,8 +302,21 @@ def segment_frame(
     )[1:]
     alpha, slope, waves = np.empty((merged, 3)), np.empty(merged), np.empty(merged)
     segment_pixels.planes(moments[:merged], *spread, noise.growth, alpha, slope, waves)
+    region = number[region]
+    pair_count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
+    pair_count = segment_merge.distinct(room.pairs, room.contact, np.zeros(pair_count), pair_count, merged)
+    curved = np.empty(merged, np.bool_)
+    means = np.empty((rows, columns, 4))
+    segment_shape.owned_means(
+        room.owner, room.pixel_owner, number, room.inverse_depth, grid.tan_x, grid.tan_y, region,
+        block_moments, means,
+    )  # fmt: skip
+    segment_shape.find_curved(
+        region, means, moments[:merged], alpha, slope, waves, noise.sigma, rules.reach,
+        rules.region_spread, np.radians(rules.sharp), room.pairs, room.contact, pair_count, curved,
+    )  # fmt: skip
     return _result(
-        camera, room, number, alpha, slope, waves, moments[:merged], own_squares, noise, min_size, rules
+        camera, room, number, alpha, slope, waves, moments[:merged], own_squares, curved, noise, min_size, rules
     )
 
 
@@ -406,6 +428,7 @@ def _result(
     waves: Floats,
     region_moments: Floats,
     region_squares: NDArray[Any],
+    curved: NDArray[np.bool_],
     noise: FrameNoise,
     min_size: int,
     rules: Rules,
@@ -439,6 +462,7 @@ def _result(
     size = size[:count]
     why = np.full(count, Reason.PLANE, np.uint8)
     why[size < rules.narrow * np.maximum(across, down)[:count]] = Reason.NARROW
+    why[curved[of_part[:count]]] = Reason.CURVED
     why[squares[:count] > rules.rough**2 * size] = Reason.ROUGH
     why[size < min_size] = Reason.SMALL
     kept = np.flatnonzero(why == Reason.PLANE)

@@ -1,0 +1,361 @@
+"""Segmentation, what is left to ask of the regions: are they planes, or parts of something curved?
+
+A curved surface breaks into planes that fit it within the noise. Two such neighbours are told from two real
+planes by comparing models with as many parameters: two planes, six, and one quadric, six:
+q = α·(u, v, 1) + a u² + b uv + c v². Where planes meet in an edge, two planes leave less; on a surface that goes
+on smoothly, one quadric does. The blocks' means are enough for that, so no pixel is touched.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import BLOCK, sensor_variance
+from .segment_pixels import MIXED
+
+TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
+PLANE_TERMS = 3
+# Of what two planes are better than one, a quadric must be better than two planes by this share.
+MARGIN = 0.02
+# A direction in which a region extends by less than this share (squared) of the others says nothing.
+SLIGHT = 1e-6
+FEWEST = 5  # blocks across a region whose own shape can be told: the pixels on its edges are mixed ones
+ENOUGH = 600  # blocks along which a shape shows
+
+
+@kernel()
+def boxes(region, box):
+    """First row, row after the last, first column, column after the last of each region's blocks.
+
+    ``region`` is (R, C) int64, below 0 none; ``box`` (N, 4) int64 is written.
+    """
+    box[:, 0], box[:, 2] = region.shape[0], region.shape[1]
+    box[:, 1], box[:, 3] = 0, 0
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            if a >= 0:
+                box[a, 0] = min(box[a, 0], row)
+                box[a, 1] = max(box[a, 1], row + 1)
+                box[a, 2] = min(box[a, 2], column)
+                box[a, 3] = max(box[a, 3], column + 1)
+
+
+@kernel()
+def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region, moments, means):
+    """Number and mean (u, v, q) of the pixels of each block that its region owns.
+
+    Parameters
+    ----------
+    owner, pixel_owner
+        Of `segment_pixels.own_pixels`.
+    number : (N,) int64
+        What became of the regions there, below 0 for nothing.
+    region : (R, C) int64
+        Region of each block, below 0 for none.
+    moments : (R, C, 10) float64
+        Of all measured pixels of the block.
+    means : (R, C, 4) float64, written
+    """
+    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    height, width = inverse_depth.shape
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            m = means[row, column]
+            m[:] = 0.0
+            if a < 0:
+                continue
+            if owner[row, column] >= 0:
+                m[:] = moments[row, column, :4]
+            elif owner[row, column] <= MIXED:
+                own = pixel_owner[MIXED - owner[row, column]]
+                for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+                    for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+                        b = own[y % BLOCK * BLOCK + x % BLOCK]
+                        if b >= 0 and number[b] == a:
+                            m[0] += 1.0
+                            m[1] += tan_x[y * step_y, x]
+                            m[2] += tan_y[y, x * step_x]
+                            m[3] += inverse_depth[y, x]
+            m[1:] /= max(m[0], 1.0)
+
+
+@kernel()
+def add_blocks(region, means, a, reference, deviation, window, step, centre, scale, products):
+    """Add the blocks of region ``a`` in a window to the sums of products that a fit needs.
+
+    Parameters
+    ----------
+    region, means : (R, C) int64, (R, C, 4) float64
+        See `owned_means`.
+    reference : (3,) float64
+        α of the plane from which residuals are taken.
+    deviation : float
+        Their unit, 1/m.
+    window : (4,) int64
+        As in `boxes`; every ``step``-th row and column counts.
+    centre, scale
+        x = (u - centre[0]) / scale, y = (v - centre[1]) / scale.
+    products : (7, 7) float64, added to
+        Of 1, x, y, x², xy, y² and the residual, weighted by pixels.
+
+    Returns
+    -------
+    float
+        Pixels of the blocks that were added.
+    """
+    p = np.empty(TERMS + 1)
+    pixels = 0.0
+    for row in range(window[0], window[1], step):
+        for column in range(window[2], window[3], step):
+            n = means[row, column, 0]
+            if region[row, column] != a or n == 0.0:
+                continue
+            u, v = means[row, column, 1], means[row, column, 2]
+            e = (means[row, column, 3] - (reference[0] * u + reference[1] * v + reference[2])) / deviation
+            x, y = (u - centre[0]) / scale, (v - centre[1]) / scale
+            p[0], p[1], p[2], p[3], p[4], p[5], p[6] = 1.0, x, y, x * x, x * y, y * y, e
+            for i in range(TERMS + 1):
+                for j in range(i, TERMS + 1):
+                    products[i, j] += n * p[i] * p[j]
+            pixels += n
+    return pixels
+
+
+@kernel()
+def eliminate(products, first, stop):
+    """Regress what is left on terms ``first`` to ``stop``; returns the sum of squares that then is left.
+
+    Only the upper triangle is used. A term that the others already span is passed over.
+    """
+    last = TERMS
+    for k in range(first, stop):
+        pivot = products[k, k]
+        if not pivot > SLIGHT * products[0, 0] or (k > 0 and not pivot > 0.0):
+            products[k, k:] = 0.0
+            continue
+        for i in range(k + 1, last + 1):
+            factor = products[k, i] / pivot
+            for j in range(i, last + 1):
+                products[i, j] -= factor * products[k, j]
+    return max(products[last, last], 0.0)
+
+
+@kernel()
+def second_derivatives(products, scale, deviation, h):
+    """Of the quadric, after `eliminate`: h[0], h[1], h[2] = q_uu, q_uv, q_vv."""
+    c = np.zeros(TERMS)
+    for k in range(TERMS - 1, PLANE_TERMS - 1, -1):
+        if products[k, k] > 0.0:
+            total = products[k, TERMS]
+            for i in range(k + 1, TERMS):
+                total -= products[k, i] * c[i]
+            c[k] = total / products[k, k]
+    unit = deviation / (scale * scale)
+    h[0], h[1], h[2] = 2.0 * c[3] * unit, c[4] * unit, 2.0 * c[5] * unit
+
+
+@kernel()
+def turn(m, alpha, h):
+    """Mean squared angle, in radians, of a bent region's normals against the normal of its plane.
+
+    A step (du, dv) away from the middle the tangent plane is α + dα, dα = (g, -g·(u, v)) with g = H (du, dv);
+    the normal turns by the part of dα / ‖α‖ across α.
+    """
+    n = m[0]
+    u, v = m[1] / n, m[2] / n
+    uu, uv, vv = m[4] / n - u * u, m[5] / n - u * v, m[7] / n - v * v
+    square = alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2
+    # The columns of dα/d(u, v), and their parts along α.
+    a_u, b_u = h[0], h[1]
+    a_v, b_v = h[1], h[2]
+    c_u, c_v = -(a_u * u + b_u * v), -(a_v * u + b_v * v)
+    along_u = (a_u * alpha[0] + b_u * alpha[1] + c_u * alpha[2]) / math.sqrt(square)
+    along_v = (a_v * alpha[0] + b_v * alpha[1] + c_v * alpha[2]) / math.sqrt(square)
+    total = (
+        uu * (a_u * a_u + b_u * b_u + c_u * c_u - along_u * along_u)
+        + 2.0 * uv * (a_u * a_v + b_u * b_v + c_u * c_v - along_u * along_v)
+        + vv * (a_v * a_v + b_v * b_v + c_v * c_v - along_v * along_v)
+    )
+    return max(total, 0.0) / square
+
+
+@kernel()
+def step_of(window):
+    """Every how many rows and columns of blocks are enough."""
+    area = (window[1] - window[0]) * (window[3] - window[2])
+    return max(1, int(math.sqrt(area / ENOUGH)))
+
+
+@kernel()
+def find_turns(
+    region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned
+):  # fmt: skip
+    """How far the normals of each region turn within it: mean squared angle, 0 where noise would do it.
+
+    ``turned`` (N,) float64 is written.
+    """
+    products = np.empty((TERMS + 1, TERMS + 1))
+    h = np.empty(3)
+    centre = np.empty(2)
+    for a in range(len(turned)):
+        turned[a] = 0.0
+        m = region_moments[a]
+        narrow = min(box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]) < FEWEST
+        if narrow or not alpha[a, 0] < math.inf:
+            continue
+        variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a]
+        deviation = math.sqrt(variance)
+        centre[0], centre[1] = m[1] / m[0], m[2] / m[0]
+        scale = extent(m)
+        products[:] = 0.0
+        step = step_of(box[a])
+        pixels = add_blocks(
+            region, means, a, alpha[a], deviation, box[a], step, centre, scale, products
+        )  # fmt: skip
+        if pixels == 0.0:
+            continue
+        flat = eliminate(products, 0, PLANE_TERMS)
+        drop = flat - eliminate(products, PLANE_TERMS, TERMS)
+        if drop * step * step > significant * spread[a]:
+            second_derivatives(products, scale, deviation, h)
+            turned[a] = turn(m, alpha[a], h)
+
+
+@kernel()
+def extent(m):
+    """Root mean square distance of a region's pixels from their middle."""
+    n = m[0]
+    return math.sqrt(max(m[4] / n - (m[1] / n) ** 2 + m[7] / n - (m[2] / n) ** 2, 1e-30))
+
+
+@kernel()
+def continues(
+    region, means, a, b, region_moments, alpha, slope_variance, spread, sigma, box, covered, bend
+):  # fmt: skip
+    """How much better one quadric fits two neighbouring regions than two planes: sums of squares, in variances.
+
+    ``a`` is the smaller one; of ``b`` only what is no farther from ``a`` than ``a`` is wide is looked at.
+    ``covered`` (1,) is written: the share of ``b``'s pixels that is; and ``bend`` (1,): how much better two
+    planes are than one.
+    """
+    m = region_moments[a]
+    window = np.empty(4, np.int64)
+    high, wide = box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]
+    window[0], window[1] = max(box[a, 0] - high, 0), min(box[a, 1] + high, region.shape[0])
+    window[2], window[3] = max(box[a, 2] - wide, 0), min(box[a, 3] + wide, region.shape[1])
+    variance = sensor_variance(m[3] / m[0], sigma) + min(slope_variance[a], slope_variance[b])
+    deviation = math.sqrt(variance)
+    centre = np.array([m[1] / m[0], m[2] / m[0]])
+    scale = extent(m)
+    step = step_of(box[a])
+    products = np.zeros((2, TERMS + 1, TERMS + 1))
+    joint = np.zeros((TERMS + 1, TERMS + 1))
+    pixels = np.empty(2)
+    for k in range(2):
+        c = b if k else a
+        pixels[k] = add_blocks(
+            region, means, c, alpha[a], deviation, window, step, centre, scale, products[k]
+        )  # fmt: skip
+    covered[0] = pixels[1] * step * step / region_moments[b, 0]
+    if pixels[0] == 0.0 or pixels[1] == 0.0:
+        return -1.0
+    for i in range(TERMS + 1):
+        for j in range(i, TERMS + 1):
+            joint[i, j] = products[0, i, j] + products[1, i, j]
+    two = eliminate(products[0], 0, PLANE_TERMS) + eliminate(products[1], 0, PLANE_TERMS)
+    bend[0] = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
+    return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step
+
+
+@kernel()
+def root_of(parent, i):
+    """The oldest ancestor."""
+    while parent[i] != i:
+        i = parent[i]
+    return i
+
+
+@kernel()
+def find_curved(
+    region, means, region_moments, alpha, slope_variance, spread, sigma, reach, significant, sharp,
+    pairs, contact, count, curved,
+):  # fmt: skip
+    """Mark the regions that are part of a curved surface.
+
+    Neighbours that one quadric fits better than two planes form groups. A group is curved if its normals turn
+    by more than ``sharp`` radians, root mean square: less than that, and it is the sensor that bends a plane.
+
+    Parameters
+    ----------
+    region, means
+        See `owned_means`.
+    region_moments, alpha, slope_variance, spread, sigma
+        See `segment_pixels.own_pixels`.
+    reach : float
+        Deviations within which neighbours touch.
+    significant : float
+        Variances by which a quadric must be better.
+    pairs, contact, count
+        Of `segment_merge.neighbours` and `segment_merge.distinct`.
+    curved : (N,) bool, written
+    """
+    regions = len(alpha)
+    box = np.empty((regions, 4), np.int64)
+    boxes(region, box)
+    turned = np.empty(regions)
+    find_turns(
+        region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned
+    )  # fmt: skip
+    parent = np.arange(regions)
+    covered, bend = np.empty(1), np.empty(1)
+    smooth = 0
+    for i in range(count):
+        a, b = pairs[i, 0], pairs[i, 1]
+        if region_moments[a, 0] > region_moments[b, 0]:
+            a, b = b, a
+        u, v = contact[i, 1] / contact[i, 0], contact[i, 2] / contact[i, 0]
+        jump = (alpha[a, 0] - alpha[b, 0]) * u + (alpha[a, 1] - alpha[b, 1]) * v + alpha[a, 2] - alpha[b, 2]
+        q = region_moments[a, 3] / region_moments[a, 0]
+        noise = (sensor_variance(q, sigma) + slope_variance[a]) * spread[a]
+        if not jump * jump < reach * reach * noise:
+            continue
+        better = continues(
+            region, means, a, b, region_moments, alpha, slope_variance, spread, sigma, box, covered, bend
+        )  # fmt: skip
+        if not better > significant * spread[a]:
+            continue
+        pairs[smooth, 0], pairs[smooth, 1] = a, b
+        smooth += 1
+        if covered[0] > 0.5 and better > MARGIN * bend[0]:
+            a, b = root_of(parent, a), root_of(parent, b)
+            parent[max(a, b)] = min(a, b)
+    normal = np.zeros((regions, 3))
+    pixels = np.zeros(regions)
+    for a in range(regions):
+        if not alpha[a, 0] < math.inf:
+            continue
+        root = root_of(parent, a)
+        length = math.sqrt(alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2)
+        for k in range(3):
+            normal[root, k] += region_moments[a, 0] * alpha[a, k] / length
+        pixels[root] += region_moments[a, 0]
+    total = np.zeros(regions)
+    for a in range(regions):
+        total[root_of(parent, a)] += region_moments[a, 0] * turned[a]
+    for a in range(regions):
+        root = root_of(parent, a)
+        curved[a] = False
+        if pixels[root] > 0.0:
+            mean = (normal[root, 0] ** 2 + normal[root, 1] ** 2 + normal[root, 2] ** 2) / pixels[root] ** 2
+            # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
+            curved[a] = 1.0 - mean + total[root] / pixels[root] > sharp * sharp
+    changed = True
+    while changed:
+        changed = False
+        for i in range(smooth):
+            if curved[pairs[i, 1]] and not curved[pairs[i, 0]]:
+                curved[pairs[i, 0]] = True
+                changed = True
