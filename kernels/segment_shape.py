@@ -20,6 +20,7 @@ PLANE_TERMS = 3
 MARGIN = 0.02
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
+BENT = 2.0  # variances per pixel that a region's own bend must make to be more than the sensor's
 FEWEST = 5  # blocks across a region whose own shape can be told: the pixels on its edges are mixed ones
 ENOUGH = 600  # blocks along which a shape shows
 
@@ -219,7 +220,7 @@ def find_turns(
             continue
         flat = eliminate(products, 0, PLANE_TERMS)
         drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        if drop * step * step > significant * spread[a]:
+        if drop > spread[a] * (BENT * pixels + significant / (step * step)):
             second_derivatives(products, scale, deviation, h)
             turned[a] = turn(m, alpha[a], h)
 
