@@ -47,7 +47,7 @@ def _turned(turn: float) -> Floats:
 
 
 def render(scene: scenes.Scene, bodies: tuple[Body, ...], camera: Camera) -> tuple[Floats, NDArray[np.int32]]:
-    """Depth in metres and labels: those of the scene's planes, new ones for the ends of cylinders, 0 on what is curved."""
+    """Depth in metres, and labels: 0 on what is curved, new ones on the ends of cylinders."""
     rendering = scene.render(camera)
     depth, labels = rendering.depth.copy(), rendering.labels.copy()
     depth[np.isnan(depth)] = np.inf
@@ -55,7 +55,10 @@ def render(scene: scenes.Scene, bodies: tuple[Body, ...], camera: Camera) -> tup
     rays = rays @ scene.camera_to_scene[:3, :3].T
     for body in bodies:
         start = scene.camera_to_scene[:3, 3] - body.centre
-        p, m = body.axes @ start, rays @ body.axes.T  # the ray is p + Z m, where |·|² = 1 the surface
+        p, m = (
+            body.axes @ start,
+            rays @ body.axes.T,
+        )  # the ray is p + Z m, and the surface where that is 1 long
         a, b, c = (m * m).sum(axis=-1), m @ p, p @ p - 1.0
         root = np.sqrt(np.maximum(b * b - a * c, 0.0))
         z = np.where(b * b > a * c, (-b - root) / a, np.inf)

@@ -16,13 +16,21 @@ from .segment_pixels import MIXED
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
-# Of what two planes are better than one, a quadric must be better than two planes by this share.
-MARGIN = 0.02
+# What two planes are better than one, a quadric is better by 1/15 of that on a parabola, worse by 1/16 on an edge.
+MARGIN = 1.0 / 32.0
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
 BENT = 2.0  # variances per pixel that a region's own bend must make to be more than the sensor's
-FEWEST = 5  # blocks across a region whose own shape can be told: the pixels on its edges are mixed ones
+# Blocks across a region whose own shape can be told, and of which it can be told that it goes on beyond its edge.
+FEWEST = 5
+FEWEST_BESIDE = 2
 ENOUGH = 600  # blocks along which a shape shows
+
+
+@kernel(inline=True)
+def breadth(window):
+    """Blocks along the shorter side."""
+    return min(window[1] - window[0], window[3] - window[2])
 
 
 @kernel()
@@ -55,8 +63,8 @@ def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region,
         What became of the regions there, below 0 for nothing.
     region : (R, C) int64
         Region of each block, below 0 for none.
-    moments : (R, C, 10) float64
-        Of all measured pixels of the block.
+    moments : (T, 10) float64
+        Of all measured pixels of each block, row after row.
     means : (R, C, 4) float64, written
     """
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
@@ -69,7 +77,7 @@ def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region,
             if a < 0:
                 continue
             if owner[row, column] >= 0:
-                m[:] = moments[row, column, :4]
+                m[:] = moments[row * region.shape[1] + column, :4]
             elif owner[row, column] <= MIXED:
                 own = pixel_owner[MIXED - owner[row, column]]
                 for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
@@ -192,20 +200,20 @@ def step_of(window):
 
 @kernel()
 def find_turns(
-    region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned
+    region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned, bent
 ):  # fmt: skip
     """How far the normals of each region turn within it: mean squared angle, 0 where noise would do it.
 
-    ``turned`` (N,) float64 is written.
+    ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
     products = np.empty((TERMS + 1, TERMS + 1))
     h = np.empty(3)
     centre = np.empty(2)
     for a in range(len(turned)):
         turned[a] = 0.0
+        bent[a] = False
         m = region_moments[a]
-        narrow = min(box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]) < FEWEST
-        if narrow or not alpha[a, 0] < math.inf:
+        if breadth(box[a]) < FEWEST or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a]
         deviation = math.sqrt(variance)
@@ -220,7 +228,8 @@ def find_turns(
             continue
         flat = eliminate(products, 0, PLANE_TERMS)
         drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        if drop > spread[a] * (BENT * pixels + significant / (step * step)):
+        bent[a] = drop > BENT * spread[a] * pixels
+        if drop * step * step > significant * spread[a]:
             second_derivatives(products, scale, deviation, h)
             turned[a] = turn(m, alpha[a], h)
 
@@ -307,8 +316,9 @@ def find_curved(
     box = np.empty((regions, 4), np.int64)
     boxes(region, box)
     turned = np.empty(regions)
+    bent = np.empty(regions, np.bool_)
     find_turns(
-        region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned
+        region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned, bent
     )  # fmt: skip
     parent = np.arange(regions)
     covered, bend = np.empty(1), np.empty(1)
@@ -326,13 +336,15 @@ def find_curved(
         better = continues(
             region, means, a, b, region_moments, alpha, slope_variance, spread, sigma, box, covered, bend
         )  # fmt: skip
-        if not better > significant * spread[a]:
+        if not better > -MARGIN * bend[0]:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
-        if covered[0] > 0.5 and better > MARGIN * bend[0]:
+        enough = covered[0] > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
+        if enough and better > max(MARGIN * bend[0], significant * spread[a]):
             a, b = root_of(parent, a), root_of(parent, b)
             parent[max(a, b)] = min(a, b)
+            bent[min(a, b)] = True
     normal = np.zeros((regions, 3))
     pixels = np.zeros(regions)
     for a in range(regions):
@@ -349,7 +361,7 @@ def find_curved(
     for a in range(regions):
         root = root_of(parent, a)
         curved[a] = False
-        if pixels[root] > 0.0:
+        if pixels[root] > 0.0 and bent[root]:
             mean = (normal[root, 0] ** 2 + normal[root, 1] ** 2 + normal[root, 2] ** 2) / pixels[root] ** 2
             # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
             curved[a] = 1.0 - mean + total[root] / pixels[root] > sharp * sharp

@@ -302,22 +302,39 @@ def segment_frame(
     )[1:]
     alpha, slope, waves = np.empty((merged, 3)), np.empty(merged), np.empty(merged)
     segment_pixels.planes(moments[:merged], *spread, noise.growth, alpha, slope, waves)
-    region = number[region]
-    pair_count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
-    pair_count = segment_merge.distinct(room.pairs, room.contact, np.zeros(pair_count), pair_count, merged)
-    curved = np.empty(merged, np.bool_)
-    means = np.empty((rows, columns, 4))
-    segment_shape.owned_means(
-        room.owner, room.pixel_owner, number, room.inverse_depth, grid.tan_x, grid.tan_y, region,
-        block_moments, means,
-    )  # fmt: skip
-    segment_shape.find_curved(
-        region, means, moments[:merged], alpha, slope, waves, noise.sigma, rules.reach,
-        rules.region_spread, np.radians(rules.sharp), room.pairs, room.contact, pair_count, curved,
-    )  # fmt: skip
-    return _result(
-        camera, room, number, alpha, slope, waves, moments[:merged], own_squares, curved, noise, min_size, rules
+    curved = _find_curved(
+        number[region], number, moments[:merged], alpha, slope, waves, room, grid, noise, rules
     )
+    described = (moments[:merged], own_squares, curved)
+    return _result(camera, room, number, alpha, slope, waves, *described, noise, min_size, rules)
+
+
+def _find_curved(
+    region: NDArray[np.int64],
+    number: NDArray[np.int64],
+    moments: Floats,
+    alpha: Floats,
+    slope: Floats,
+    waves: Floats,
+    room: "_Room",
+    grid: "_Grid",
+    noise: FrameNoise,
+    rules: Rules,
+) -> NDArray[np.bool_]:
+    """Which regions are parts of curved surfaces."""
+    count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
+    count = segment_merge.distinct(room.pairs, room.contact, np.zeros(count), count, len(moments))
+    means = np.empty((*region.shape, 4))
+    segment_shape.owned_means(
+        room.owner, room.pixel_owner, number, room.inverse_depth, grid.tan_x, grid.tan_y, region, room.pyramid,
+        means,
+    )  # fmt: skip
+    curved = np.empty(len(moments), np.bool_)
+    segment_shape.find_curved(
+        region, means, moments, alpha, slope, waves, noise.sigma, rules.reach, rules.region_spread,
+        np.radians(rules.sharp), room.pairs, room.contact, count, curved,
+    )  # fmt: skip
+    return curved
 
 
 def _split_rough(
