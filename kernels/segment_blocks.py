@@ -226,7 +226,9 @@ def waviness(pixels, growth):
 
     ``growth`` holds the ratio for squares of 8, 16, 32, ... pixels; in between it follows log2 of the side.
     """
-    position = min(max(0.5 * math.log2(max(pixels, 1.0)) - 3.0, 0.0), len(growth) - 1.0)
+    if pixels <= 64.0:
+        return growth[0]
+    position = min(0.5 * math.log2(pixels) - 3.0, len(growth) - 1.0)
     i = min(int(position), len(growth) - 2)
     share = position - i
     return growth[i] * (1.0 - share) + growth[i + 1] * share
@@ -348,7 +350,7 @@ def join_blocks(
 def leaves(offsets, shapes, state, moments, region, region_moments):
     """Number the largest planar node over each planar block, in the order of their first blocks.
 
-    ``region`` is (R, C) int64, written: the node's number, -1 where the block is not planar or has too few
+    ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
     pixels; ``region_moments`` (R·C, 10) is written. Returns how many there are.
     """
     levels = shapes.shape[0]

@@ -16,20 +16,51 @@ from .segment_blocks import fit, joint_residual, residual, variance, waviness
 MUCH_LARGER = 4.0
 
 
+@kernel(inline=True)
+def scrambled(x):
+    """A fixed pseudo-random order of the integers, so that ties do not make long chains."""
+    y = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
+    y ^= y >> np.uint64(29)
+    y *= np.uint64(0xBF58476D1CE4E5B9)
+    return y ^ (y >> np.uint64(32))
+
+
+@kernel(inline=True)
+def row_of(a, b, pairs, count, table):
+    """The row of a pair of regions among the first ``count``, or ``count`` if it is none of them.
+
+    ``pairs[row]`` is a, b and the slot of ``table`` (2^k,) int32 that says ``row``; for a new pair that slot is
+    written to ``pairs[count]``. What earlier lists of pairs left in the table does no harm: no row names it.
+    """
+    mask = np.uint64(len(table) - 1)
+    slot = np.int64(scrambled(np.int64(a) * 0x100000001 + b) & mask)
+    while True:
+        row = table[slot]
+        if row >= count or pairs[row, 2] != slot:
+            table[slot] = count
+            pairs[count, 2] = slot
+            return count
+        if pairs[row, 0] == a and pairs[row, 1] == b:
+            return np.int64(row)
+        slot = (slot + 1) & np.int64(mask)
+
+
 @kernel()
-def neighbours(region, centre_u, centre_v, pairs, contact):
+def neighbours(region, centre_u, centre_v, pairs, contact, table):
     """Write the pairs of different regions that blocks side by side or corner to corner have.
 
     Parameters
     ----------
-    region : (R, C) int64
+    region : (R, C) int32
         -1 is none.
     centre_u, centre_v : (R, C) float64
         tanθx, tanθy of the centre of each block.
-    pairs : (K, 2) int64, written
-        Smaller first; with repetitions. At most 4·R·C.
+    pairs : (K, 3) int32, written
+        Smaller first, and what `row_of` needs. At most 4·R·C.
     contact : (K, 3) float64, written
-        1 and the (u, v) in the middle between the two blocks: what sums to the place where regions touch.
+        How many pairs of blocks touch, and the sum of the (u, v) in the middle between them.
+    table : (2^k,) int32
+        See `row_of`; larger than K.
 
     Returns
     -------
@@ -43,6 +74,11 @@ def neighbours(region, centre_u, centre_v, pairs, contact):
             a = region[row, column]
             if a < 0:
                 continue
+            if 0 < column < columns - 1 and row < rows - 1 and (
+                (region[row, column + 1] == a) & (region[row + 1, column - 1] == a)
+                & (region[row + 1, column] == a) & (region[row + 1, column + 1] == a)
+            ):  # fmt: skip
+                continue
             for k in range(4):
                 down = int(k > 0)
                 right = int(k == 0) + int(k == 2) - int(k == 3)
@@ -55,55 +91,19 @@ def neighbours(region, centre_u, centre_v, pairs, contact):
                         continue
                 b = region[r, c]
                 if b >= 0 and b != a:
-                    pairs[count, 0] = min(a, b)
-                    pairs[count, 1] = max(a, b)
-                    contact[count, 0] = 1.0
-                    contact[count, 1] = 0.5 * (centre_u[row, column] + centre_u[r, c])
-                    contact[count, 2] = 0.5 * (centre_v[row, column] + centre_v[r, c])
-                    count += 1
+                    i = row_of(min(a, b), max(a, b), pairs, count, table)
+                    if i == count:
+                        pairs[i, 0] = min(a, b)
+                        pairs[i, 1] = max(a, b)
+                        contact[i, :] = 0.0
+                        count += 1
+                    contact[i, 0] += 1.0
+                    contact[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
+                    contact[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
     return count
 
 
-@kernel()
-def scrambled(x):
-    """A fixed pseudo-random order of the integers, so that ties do not make long chains."""
-    y = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
-    y ^= y >> np.uint64(29)
-    y *= np.uint64(0xBF58476D1CE4E5B9)
-    return y ^ (y >> np.uint64(32))
-
-
-@kernel()
-def distinct(pairs, contact, cost, count, regions):
-    """Sort pairs by their first region and add up the contacts of equal ones; returns how many remain."""
-    start = np.zeros(regions + 1, np.int64)
-    for i in range(count):
-        start[pairs[i, 0] + 1] += 1
-    for a in range(regions):
-        start[a + 1] += start[a]
-    order = np.empty(count, np.int64)
-    for i in range(count):
-        order[start[pairs[i, 0]]] = i
-        start[pairs[i, 0]] += 1
-    old_pairs, old_contact, old_cost = pairs[:count].copy(), contact[:count].copy(), cost[:count].copy()
-    seen = np.full(regions, -1, np.int64)  # where a pair with this second region was written last
-    kept = 0
-    for j in range(count):
-        i = order[j]
-        a, b = old_pairs[i, 0], old_pairs[i, 1]
-        k = seen[b]
-        if k >= 0 and pairs[k, 0] == a:
-            contact[k] += old_contact[i]
-            continue
-        seen[b] = kept
-        pairs[kept] = old_pairs[i]
-        contact[kept] = old_contact[i]
-        cost[kept] = old_cost[i]
-        kept += 1
-    return kept
-
-
-@kernel()
+@kernel(inline=True)
 def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, waves, floor, jump, spread):
     """How far two regions are from being one plane: they are at 1 or less.
 
@@ -114,17 +114,15 @@ def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, waves, floor, 
     smaller = min(m_a[0], m_b[0])
     rise = max(joint_residual(m_a, m_b) - rss, 0.0)
     bend = rise / (noise * (floor * floor * waves * smaller + spread))
-    step = (
-        (alpha_a[0] - alpha_b[0]) * contact[1] / contact[0]
-        + (alpha_a[1] - alpha_b[1]) * contact[2] / contact[0]
-        + (alpha_a[2] - alpha_b[2])
-    )
+    step = (alpha_a[2] - alpha_b[2]) + (
+        (alpha_a[0] - alpha_b[0]) * contact[1] + (alpha_a[1] - alpha_b[1]) * contact[2]
+    ) / contact[0]
     return max(bend, step * step / (noise * (jump * jump * waves + 8.0 * spread / smaller)))
 
 
 @kernel()
 def merge(
-    moments, pairs, contact, count, sigma, lateral_x, lateral_y, growth, floor, jump, spread, parent
+    moments, pairs, contact, table, count, sigma, lateral_x, lateral_y, growth, floor, jump, spread, parent
 ):  # fmt: skip
     """Join neighbouring regions until no pair agrees.
 
@@ -132,7 +130,7 @@ def merge(
     ----------
     moments : (N, 10) float64
         Of each region; the moments of a joined region are written to the row that ``parent`` names.
-    pairs, contact, count
+    pairs, contact, table, count
         Of `neighbours`; they are overwritten.
     sigma, lateral_x, lateral_y
         Noise: see `segment_blocks.variance`.
@@ -146,7 +144,6 @@ def merge(
     """
     regions = moments.shape[0]
     cost = np.full(count, -1.0)
-    count = distinct(pairs, contact, cost, count, regions)
     rss = np.empty(regions)
     noise = np.empty(regions)
     waves = np.empty(regions)
@@ -201,14 +198,23 @@ def merge(
         kept = 0
         for i in range(count):
             a, b = parent[pairs[i, 0]], parent[pairs[i, 1]]
+            if a == b:
+                continue
             # Pairs that disagree stay: one of the two may change yet.
-            if a != b:
-                pairs[kept, 0] = min(a, b)
-                pairs[kept, 1] = max(a, b)
-                contact[kept] = contact[i]
-                cost[kept] = cost[i]
-                kept += 1
-        count = distinct(pairs, contact, cost, kept, regions)
+            pairs[kept, 2] = -1
+            if changed[a] or changed[b]:
+                a, b = min(a, b), max(a, b)
+                row = row_of(a, b, pairs, kept, table)
+                if row < kept:
+                    for k in range(3):
+                        contact[row, k] += contact[i, k]
+                    continue
+            pairs[kept, 0] = a
+            pairs[kept, 1] = b
+            contact[kept] = contact[i]
+            cost[kept] = cost[i]
+            kept += 1
+        count = kept
     for a in range(regions):
         root = a
         while parent[root] != root:
@@ -280,3 +286,12 @@ def number_regions(parent, moments, least, number, region_moments):
     for i in range(len(parent)):
         number[i] = number[parent[i]]
     return count
+
+
+@kernel()
+def renumber(region, number):
+    """Give the blocks of regions, (R, C) int32, their new ``number`` (N,); none stays -1."""
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            region[row, column] = number[a] if a >= 0 else -1

@@ -165,20 +165,24 @@ def look_around(region, around):
     """Compare every block's region with its eight neighbours': ALIKE, OWN_OR_NONE or OTHERS."""
     rows, columns = region.shape
     around[:] = OTHERS
+    none = np.int32(np.iinfo(np.int32).max)
+    least, most, lowest = (
+        np.empty(columns, np.int32),
+        np.empty(columns, np.int32),
+        np.empty(columns, np.int32),
+    )
     for row in range(1, rows - 1):
-        above, own, below = region[row - 1], region[row], region[row + 1]
-        for column in range(1, columns - 1):
-            a = own[column]
-            alike = True
-            own_or_none = True
-            for c in range(column - 1, column + 2):
-                alike &= (above[c] == a) & (own[c] == a) & (below[c] == a)
-                own_or_none &= (
-                    ((above[c] == a) | (above[c] < 0))
-                    & ((own[c] == a) | (own[c] < 0))
-                    & ((below[c] == a) | (below[c] < 0))
-                )
-            around[row, column] = ALIKE if alike else OWN_OR_NONE if own_or_none & (a >= 0) else OTHERS
+        for c in range(columns):
+            a, b, d = region[row - 1, c], region[row, c], region[row + 1, c]
+            most[c] = max(a, b, d)
+            least[c] = min(a, b, d)
+            lowest[c] = min(a if a >= 0 else none, b if b >= 0 else none, d if d >= 0 else none)
+        for c in range(1, columns - 1):
+            a = region[row, c]
+            high = max(most[c - 1], most[c], most[c + 1])
+            alike = high == min(least[c - 1], least[c], least[c + 1])
+            own_or_none = (high == a) & (a == min(lowest[c - 1], lowest[c], lowest[c + 1]))
+            around[row, c] = ALIKE if alike else OWN_OR_NONE if own_or_none else OTHERS
 
 
 @kernel()
@@ -256,7 +260,7 @@ def own_pixels(
     tan_x, tan_y : (1, W) and (H, 1), or (H, W) and (H, W) float64
     centre_u, centre_v : (R, C) float64
         tanθx, tanθy in the middle of each block.
-    region : (R, C) int64
+    region : (R, C) int32
         Region of each block, or -1; a block becomes, on return, the region that owns most of its pixels.
     alpha, slope_variance, spread : (N, 3), (N,), (N,) float64
         Of `planes`.

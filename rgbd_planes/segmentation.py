@@ -270,15 +270,17 @@ def segment_frame(
         room.pyramid, grid.offsets, grid.shapes, *spread,
         rules.rough_block, rules.steep_block, rules.square_floor, rules.square_spread, state,
     )  # fmt: skip
-    region = np.empty((rows, columns), np.int64)
+    region = np.empty((rows, columns), np.int32)
     moments, squares = room.moments, room.squares
     count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, moments)
     for trip in range(rules.trips + 1):
-        pair_count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
+        pair_count = segment_merge.neighbours(
+            region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
+        )
         parent = np.empty(count, np.int64)
         before = moments[:count].copy()
         segment_merge.merge(
-            moments[:count], room.pairs, room.contact, pair_count, *spread, noise.growth,
+            moments[:count], room.pairs, room.contact, room.table, pair_count, *spread, noise.growth,
             rules.region_floor, rules.region_jump, rules.region_spread, parent,
         )  # fmt: skip
         _split_rough(before, moments[:count], parent, region, room, grid, spread, noise, rules)
@@ -288,7 +290,7 @@ def segment_frame(
         if trip == rules.trips:
             break
         count = merged
-        region = number[region]
+        segment_merge.renumber(region, number)
         alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
         segment_pixels.planes(moments[:count], *spread, noise.growth, alpha, slope, waves)
         segment_pixels.own_pixels(
@@ -341,7 +343,7 @@ def _split_rough(
     before: Floats,
     moments: Floats,
     parent: NDArray[np.int64],
-    region: NDArray[np.int64],
+    region: NDArray[np.int32],
     room: "_Room",
     grid: "_Grid",
     spread: tuple[Floats, float, float],
@@ -352,11 +354,13 @@ def _split_rough(
     rough = np.empty(len(parent), np.bool_)
     if not segment_merge.find_rough(moments, parent, *spread, noise.growth, rules.rough, rough):
         return
-    count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
+    count = segment_merge.neighbours(
+        region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
+    )
     count = segment_merge.keep_pairs_inside(room.pairs, room.contact, count, parent, rough)
     again = np.empty_like(parent)
     segment_merge.merge(
-        before, room.pairs, room.contact, count, *spread, noise.growth,
+        before, room.pairs, room.contact, room.table, count, *spread, noise.growth,
         0.5 * rules.region_floor, 0.5 * rules.region_jump, rules.region_spread, again,
     )  # fmt: skip
     inside = rough[parent]
@@ -417,8 +421,9 @@ class _Room:
         self.pyramid = np.empty((grid.offsets[-1], 10))
         self.moments = np.empty((blocks, 10))
         self.squares = np.empty(blocks)
-        self.pairs = np.empty((4 * blocks, 2), np.int64)
+        self.pairs = np.empty((4 * blocks + 1, 3), np.int32)
         self.contact = np.empty((4 * blocks, 3))
+        self.table = np.zeros(1 << (4 * blocks).bit_length(), np.int32)
         self.runs = np.empty((8, pixels), np.int32)
 
 
