@@ -14,6 +14,8 @@ from ._jit import kernel
 
 # Pixels along a block's side.
 BLOCK = 4
+# Owner of a block: EMPTY where no pixel is measured; MIXED - i where row i of a table has the owner of each.
+EMPTY, MIXED = -1, -2
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
 
@@ -347,11 +349,11 @@ def join_blocks(
 
 
 @kernel()
-def leaves(offsets, shapes, state, moments, region, region_moments):
+def leaves(offsets, shapes, state, moments, region, owner, region_moments):
     """Number the largest planar node over each planar block, in the order of their first blocks.
 
     ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
-    pixels; ``region_moments`` (R·C, 10) is written. Returns how many there are.
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or MIXED; ``region_moments`` (R·C, 10) is written. Returns how many there are.
     """
     levels = shapes.shape[0]
     number = np.full(len(state), -1, np.int64)
@@ -359,6 +361,7 @@ def leaves(offsets, shapes, state, moments, region, region_moments):
     for row in range(shapes[0, 0]):
         for column in range(shapes[0, 1]):
             region[row, column] = -1
+            owner[row, column] = EMPTY if moments[row * shapes[0, 1] + column, 0] == 0.0 else MIXED
             if state[row * shapes[0, 1] + column] != 1:
                 continue
             for level in range(levels - 1, -1, -1):

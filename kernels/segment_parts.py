@@ -7,8 +7,8 @@ missing pixels and all, and neighbouring ones are one run: so pixels are looked 
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, fit, residual
-from .segment_pixels import MISSING, MIXED, add
+from .segment_blocks import BLOCK, MIXED, fit, residual
+from .segment_pixels import MISSING, add
 
 # Missing pixels in a row that still are holes in a surface.
 GAP = 3

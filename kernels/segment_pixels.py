@@ -11,14 +11,12 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, fit, sensor_variance, variance, waviness
+from .segment_blocks import BLOCK, EMPTY, MIXED, fit, sensor_variance, variance, waviness
 
 NEIGHBOURS = 9
 # What is around a block: its own region only, or nothing else, or other regions. SETTLED: no need to know.
 OTHERS, OWN_OR_NONE, ALIKE, SETTLED = 0, 1, 2, 3
 SIDE = BLOCK + 2  # of a block with the pixels around it
-# Owner of a block: EMPTY where no pixel is measured; MIXED - i where row i of a table has the owner of each.
-EMPTY, MIXED = -1, -2
 # Owner of a pixel: measured but nobody's; not measured.
 UNOWNED, MISSING = -1, -2
 # A block with more measured pixels than this is a solid one.
@@ -95,7 +93,11 @@ def gather(inverse_depth, tan_x, tan_y, top, left, q, u, v):
             for j in range(SIDE):
                 q[i * SIDE + j] = inverse_depth[top + i, left + j]
                 u[i * SIDE + j] = tan_x[(top + i) * step_y, left + j]
-                v[i * SIDE + j] = tan_y[top + i, (left + j) * step_x]
+            if step_x:
+                for j in range(SIDE):
+                    v[i * SIDE + j] = tan_y[top + i, left + j]
+            else:
+                v[i * SIDE : (i + 1) * SIDE] = tan_y[top + i, 0]
         return
     q[:] = u[:] = v[:] = 0.0
     for y in range(max(top, 0), min(top + SIDE, height)):
@@ -161,10 +163,12 @@ def find_lines(count, candidate, centre, alpha, line):
 
 
 @kernel()
-def look_around(region, around):
-    """Compare every block's region with its eight neighbours': ALIKE, OWN_OR_NONE or OTHERS."""
+def look_around(region, owner, around):
+    """Compare every block's region with its eight neighbours': ALIKE, OWN_OR_NONE or OTHERS; EMPTY is SETTLED."""
     rows, columns = region.shape
-    around[:] = OTHERS
+    for row in range(rows):
+        for c in range(columns):
+            around[row, c] = SETTLED if owner[row, c] == EMPTY else OTHERS
     none = np.int32(np.iinfo(np.int32).max)
     least, most, lowest = (
         np.empty(columns, np.int32),
@@ -182,7 +186,8 @@ def look_around(region, around):
             high = max(most[c - 1], most[c], most[c + 1])
             alike = high == min(least[c - 1], least[c], least[c + 1])
             own_or_none = (high == a) & (a == min(lowest[c - 1], lowest[c], lowest[c + 1]))
-            around[row, c] = ALIKE if alike else OWN_OR_NONE if own_or_none else OTHERS
+            if around[row, c] == OTHERS:
+                around[row, c] = ALIKE if alike else OWN_OR_NONE if own_or_none else OTHERS
 
 
 @kernel()
@@ -246,6 +251,27 @@ def is_far_from_others(a, count, candidate, alpha, tan_x, tan_y, top, left, bott
     return True
 
 
+@kernel(inline=True)
+def contend(j, q, u, v, n, line, square, sums, penalty, limit, close, winner):
+    """Let region ``j`` contend for the pixels of a block with those that have them; ``winner`` is -1 for none.
+
+    Without branches, which no processor could foresee.
+    """
+    for row in range(BLOCK):
+        for column in range(BLOCK):
+            k = row * BLOCK + column
+            p = (row + 1) * SIDE + column + 1
+            i = winner[k]
+            free = i < 0
+            i = max(i, 0)
+            meet = (line[i, j, 3] > 0.0) & (max(sums[i, k], sums[j, k]) < close * n[k])
+            beyond = line[i, j, 0] * u[p] + line[i, j, 1] * v[p] + line[i, j, 2] > 0.0
+            cheaper = sums[j, k] + penalty[j] * n[k] < sums[i, k] + penalty[i] * n[k]
+            better = beyond if meet else cheaper
+            wins = (q[p] > 0.0) & (square[j, p] < limit) & (free | better)
+            winner[k] = j if wins else winner[k]
+
+
 @kernel()
 def own_pixels(
     inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, spread, sigma,
@@ -277,8 +303,8 @@ def own_pixels(
         Moments of the squares of 1, 2, 4, ... blocks: see `segment_blocks.sum_by_fours`.
     is_last : bool
         Whether to write ``owner`` and ``pixel_owner``.
-    owner : (R, C) int32, written
-        Region that owns all measured pixels of a block, which are most; or EMPTY, or MIXED - i.
+    owner : (R, C) int32
+        EMPTY or not; on return, if ``is_last``, region that owns all measured pixels of a block, which are most; or EMPTY, or MIXED - i.
     pixel_owner : (R * C, BLOCK²) int32, written
         Row i holds the region of each pixel of one block, or UNOWNED or MISSING.
     moments : (N, 10) float64, written
@@ -292,19 +318,21 @@ def own_pixels(
     candidate = np.empty(NEIGHBOURS, np.int64)
     centre = np.empty((NEIGHBOURS, 3))
     square = np.empty((NEIGHBOURS, SIDE * SIDE), np.float32)
-    sums = np.empty((NEIGHBOURS, BLOCK * BLOCK), np.float32)
-    penalty = np.empty(NEIGHBOURS, np.float32)
+    sums = np.zeros((NEIGHBOURS, BLOCK * BLOCK), np.float32)
+    penalty = np.zeros(NEIGHBOURS, np.float32)
     near = np.empty(NEIGHBOURS, np.int64)
     owned = np.empty(NEIGHBOURS, np.int64)
-    line = np.empty((NEIGHBOURS, NEIGHBOURS, 4), np.float32)
+    line = np.zeros((NEIGHBOURS, NEIGHBOURS, 4), np.float32)
+    winner = np.empty(BLOCK * BLOCK, np.int32)
+    cut_square = np.float32(cut * cut)
     q, u, v, measured, room = (
         np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32),
         np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32),
     )  # fmt: skip
-    n = np.empty(BLOCK * BLOCK, np.float32)
+    n = np.zeros(BLOCK * BLOCK, np.float32)
     before = region.copy()
     around = np.empty((rows, columns), np.int8)
-    look_around(before, around)
+    look_around(before, owner, around)
     moments[:] = 0.0
     squares[:] = 0.0
     for level in (2, 1):
@@ -322,10 +350,6 @@ def own_pixels(
             a = before[row, column]
             m = pyramid[row * columns + column]
             pixels = m[0]
-            if pixels == 0.0:
-                region[row, column] = -1
-                owner[row, column] = EMPTY
-                continue
             left = column * BLOCK
             right = min(left + BLOCK, width)
             count = 1
@@ -369,6 +393,7 @@ def own_pixels(
                     near[near_count] = i
                     near_count += 1
                     penalty[i] = math.log(total)
+            winner[:] = -1
             if near_count > 1:
                 find_lines(count, candidate, centre, alpha, line)
                 for k in range(near_count):
@@ -376,23 +401,34 @@ def own_pixels(
                 for p in range(SIDE * SIDE):
                     measured[p] = 1.0 if q[p] > 0.0 else 0.0
                 sums_of_nine(measured, room, n)
-            for y in range(top, bottom):
-                for x in range(left, right):
-                    p = (y - top + 1) * SIDE + x - left + 1
-                    k = (y - top) * BLOCK + x - left
-                    winner = -1
-                    if q[p] > 0.0:
-                        winner = choose(
-                            p, k, u[p], v[p], n, near_count, near, line, square, sums,
-                            penalty, limit, close_square,
-                        )  # fmt: skip
-                    a = candidate[winner] if winner >= 0 else UNOWNED
-                    if is_last:
-                        pixel_owner[mixed, k] = a if q[p] > 0.0 else MISSING
-                    if winner >= 0:
-                        owned[winner] += 1
-                        squares[a] += min(square[winner, p], cut * cut)
-                        add(moments[a], u[p], v[p], q[p])
+            for k in range(near_count):
+                contend(near[k], q, u, v, n, line, square, sums, penalty, limit, close_square, winner)
+            for k in range(BLOCK * BLOCK):
+                if winner[k] >= 0:
+                    owned[winner[k]] += 1
+            for j in range(near_count):
+                i = near[j]
+                a = candidate[i]
+                if owned[i] == 0:
+                    continue
+                error = 0.0
+                for y in range(BLOCK):
+                    for x in range(BLOCK):
+                        p = (y + 1) * SIDE + x + 1
+                        if winner[y * BLOCK + x] == i:
+                            error += min(square[i, p], cut_square)
+                            if owned[i] < pixels:
+                                add(moments[a], u[p], v[p], q[p])
+                squares[a] += error
+                if owned[i] == pixels:
+                    for k in range(10):
+                        moments[a, k] += m[k]
+            if is_last:
+                for y in range(BLOCK):
+                    for x in range(BLOCK):
+                        i = winner[y * BLOCK + x]
+                        a = UNOWNED if q[(y + 1) * SIDE + x + 1] > 0.0 else MISSING
+                        pixel_owner[mixed, y * BLOCK + x] = candidate[i] if i >= 0 else a
             if is_last:
                 owner[row, column] = MIXED - mixed
                 mixed += 1
@@ -405,24 +441,6 @@ def own_pixels(
                 if candidate[i] == before[row, column] and 4 * owned[i] >= pixels:
                     most = i
             region[row, column] = candidate[most] if count > 0 and owned[most] > 2 else -1
-
-
-@kernel(inline=True)
-def choose(p, k, u, v, n, near_count, near, line, square, sums, penalty, limit, close):
-    """Which of the contending regions gets pixel ``k`` of the block, ``p`` of the block and its rim, or -1."""
-    winner = -1
-    for j in range(near_count):
-        i = near[j]
-        if not square[i, p] < limit:
-            continue
-        if winner < 0:
-            winner = i
-        elif line[winner, i, 3] > 0.0 and max(sums[i, k], sums[winner, k]) < close * n[k]:
-            if line[winner, i, 0] * u + line[winner, i, 1] * v + line[winner, i, 2] > 0.0:
-                winner = i
-        elif sums[i, k] + penalty[i] * n[k] < sums[winner, k] + penalty[winner] * n[k]:
-            winner = i
-    return winner
 
 
 @kernel(inline=True)

@@ -272,7 +272,7 @@ def segment_frame(
     )  # fmt: skip
     region = np.empty((rows, columns), np.int32)
     moments, squares = room.moments, room.squares
-    count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, moments)
+    count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, room.owner, moments)
     for trip in range(rules.trips + 1):
         pair_count = segment_merge.neighbours(
             region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
