@@ -16,6 +16,8 @@ from ._jit import kernel
 BLOCK = 4
 # Owner of a block: EMPTY where no pixel is measured; MIXED - i where row i of a table has the owner of each.
 EMPTY, MIXED = -1, -2
+# Which moments hold nothing of the frame.
+CAMERA = (1, 2, 4, 5, 7)
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
 
@@ -41,24 +43,70 @@ def camera_sums(tan_x, tan_y, sums):
 
 
 @kernel(inline=True)
-def read_row(raw, lowest, highest, scale, offset, is_disparity, q):
-    """Inverse depths of a row, 0 where there is no measurement."""
+def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
+    """Least squares plane q = α·(u, v, 1) of ten sums: the sum of squared residuals, and α.
+
+    The residual is -1 and α 0 where the pixels do not determine a plane.
+    """
+    share = 1.0 / max(n, 1.0)
+    mean_u, mean_v, mean_q = s_u * share, s_v * share, s_q * share
+    uu = s_uu - s_u * mean_u
+    uv = s_uv - s_u * mean_v
+    vv = s_vv - s_v * mean_v
+    uq = s_uq - s_u * mean_q
+    vq = s_vq - s_v * mean_q
+    qq = s_qq - s_q * mean_q
+    determinant = uu * vv - uv * uv
+    known = (n >= 3.0) & (determinant > COLLINEAR * uu * vv)
+    inverse = 1.0 / (determinant if known else math.inf)
+    a = (vv * uq - uv * vq) * inverse
+    b = (uu * vq - uv * uq) * inverse
+    rss = max(qq - (a * uq + b * vq), 0.0) if known else -1.0
+    return rss, a, b, mean_q - a * mean_u - b * mean_v if known else 0.0
+
+
+@kernel(inline=True)
+def residual(m):
+    """Sum of squared residuals of the plane fitted to moments; -1 where there is none."""
+    return solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])[0]
+
+
+@kernel(inline=True)
+def joint_residual(m, k):
+    """The same for the union of two."""
+    return solve(
+        m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
+        m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
+    )[0]  # fmt: skip
+
+
+@kernel(inline=True)
+def fit(m, alpha):
+    """Write α of the plane fitted to moments; False where the pixels do not determine it."""
+    rss, a, b, c = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+    if rss < 0.0:
+        return False
+    alpha[0] = a
+    alpha[1] = b
+    alpha[2] = c
+    return True
+
+
+@kernel(inline=True)
+def inverse_of(value, lowest, highest, scale, offset, is_disparity):
+    """Inverse depth of a raw value, 0 where it is no measurement."""
+    valid = (value >= lowest) & (value <= highest)
     if is_disparity:
-        for x in range(len(q)):
-            valid = (raw[x] >= lowest) & (raw[x] <= highest)
-            q[x] = scale * raw[x] + offset if valid else 0.0
-    else:
-        scale = np.float32(scale)
-        for x in range(len(q)):
-            valid = (raw[x] >= lowest) & (raw[x] <= highest)
-            q[x] = scale / np.float32(raw[x] if valid else lowest) if valid else np.float32(0.0)
+        return np.float32(scale * value + offset) if valid else np.float32(0.0)
+    return np.float32(scale) / np.float32(value if valid else lowest) if valid else np.float32(0.0)
 
 
 @kernel(reduction=True)
 def block_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, camera, inverse_depth, moments
-):
-    """Read the frame once: the inverse depth of every pixel and the moments of every block.
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, camera, pitch_x, pitch_y,
+    inverse_depth, moments, rss, slope,
+):  # fmt: skip
+    """Read the frame once: the inverse depth of every pixel, and moments and plane of every block.
 
     The sums that hold q are added up down the image columns first, which runs along the rows and
     vectorises; those that don't are the camera's, unless pixels are missing.
@@ -72,9 +120,15 @@ def block_moments(
     tan_x, tan_y : (1, W) and (H, 1), or (H, W) and (H, W) float64
     camera : (6, R, C) float64
         Of `camera_sums`.
+    pitch_x, pitch_y : float
+        Change of tanθx and tanθy from pixel to pixel.
     inverse_depth : (H, W) float32, written
         0 where there is no measurement.
-    moments : (R, C, 10) float64, written
+    moments : (R * C, 10) float64, written
+    rss : (R * C,) float64, written
+        Sum of squared residuals of each block's plane, or -1.
+    slope : (R * C,) float64, written
+        Squared slope of each block's plane: change of q from pixel to pixel.
 
     Returns
     -------
@@ -82,130 +136,75 @@ def block_moments(
         The largest inverse depth.
     """
     height, width = raw.shape
-    rows, columns = moments.shape[0], moments.shape[1]
+    rows, columns = camera.shape[1], camera.shape[2]
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    n = np.zeros(columns * BLOCK)
-    s_q, s_uq, s_vq, s_qq = (
+    n, s_q, s_uq, s_vq, s_qq = (
+        np.zeros(columns * BLOCK),
         np.zeros(columns * BLOCK),
         np.zeros(columns * BLOCK),
         np.zeros(columns * BLOCK),
         np.zeros(columns * BLOCK),
     )
-    largest = np.float32(0.0)
+    sums = np.empty((10, columns))
     v = np.empty(width)
+    largest = np.zeros(width, np.float32)
     for row in range(rows):
-        n[:] = 0.0
-        s_q[:] = 0.0
-        s_uq[:] = 0.0
-        s_vq[:] = 0.0
-        s_qq[:] = 0.0
-        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
-            q = inverse_depth[y]
-            read_row(raw[y], lowest, highest, scale, offset, is_disparity, q)
+        top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
+        for y in range(top, bottom):
+            values, q = raw[y], inverse_depth[y]
             u = tan_x[y * step_y]
             if step_x:
                 v[:] = tan_y[y]
             else:
                 v[:] = tan_y[y, 0]
+            keep = 0.0 if y == top else 1.0
             for x in range(width):
-                largest = max(largest, q[x])
+                q[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
+                largest[x] = q[x] if q[x] > largest[x] else largest[x]
             for x in range(width):
                 p = np.float64(q[x])
-                n[x] += 1.0 if p > 0.0 else 0.0
-                s_q[x] += p
-                s_qq[x] += p * p
-                s_uq[x] += u[x] * p
-                s_vq[x] += v[x] * p
-        for column in range(columns):
-            m = moments[row, column]
-            x = column * BLOCK
-            m[0] = (n[x] + n[x + 1]) + (n[x + 2] + n[x + 3])
-            m[3] = (s_q[x] + s_q[x + 1]) + (s_q[x + 2] + s_q[x + 3])
-            m[6] = (s_uq[x] + s_uq[x + 1]) + (s_uq[x + 2] + s_uq[x + 3])
-            m[8] = (s_vq[x] + s_vq[x + 1]) + (s_vq[x + 2] + s_vq[x + 3])
-            m[9] = (s_qq[x] + s_qq[x + 1]) + (s_qq[x + 2] + s_qq[x + 3])
-            m[1] = camera[1, row, column]
-            m[2] = camera[2, row, column]
-            m[4] = camera[3, row, column]
-            m[5] = camera[4, row, column]
-            m[7] = camera[5, row, column]
-        for column in range(columns):
-            m = moments[row, column]
-            if m[0] == camera[0, row, column]:
+                n[x] = n[x] * keep + (1.0 if p > 0.0 else 0.0)
+                s_q[x] = s_q[x] * keep + p
+                s_qq[x] = s_qq[x] * keep + p * p
+                s_uq[x] = s_uq[x] * keep + u[x] * p
+                s_vq[x] = s_vq[x] * keep + v[x] * p
+        for c in range(columns):
+            x = c * BLOCK
+            sums[0, c] = (n[x] + n[x + 1]) + (n[x + 2] + n[x + 3])
+            sums[3, c] = (s_q[x] + s_q[x + 1]) + (s_q[x + 2] + s_q[x + 3])
+            sums[6, c] = (s_uq[x] + s_uq[x + 1]) + (s_uq[x + 2] + s_uq[x + 3])
+            sums[8, c] = (s_vq[x] + s_vq[x + 1]) + (s_vq[x + 2] + s_vq[x + 3])
+            sums[9, c] = (s_qq[x] + s_qq[x + 1]) + (s_qq[x + 2] + s_qq[x + 3])
+        for k in range(5):
+            sums[CAMERA[k]] = camera[k + 1, row]
+        for c in range(columns):
+            if sums[0, c] == camera[0, row, c]:
                 continue
-            m[1] = m[2] = m[4] = m[5] = m[7] = 0.0
-            if m[0] == 0.0:
+            for k in range(5):
+                sums[CAMERA[k], c] = 0.0
+            if sums[0, c] == 0.0:
                 continue
-            for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
-                for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+            for y in range(top, bottom):
+                for x in range(c * BLOCK, min(c * BLOCK + BLOCK, width)):
                     valid = 1.0 if inverse_depth[y, x] > 0.0 else 0.0
                     u_x, v_x = tan_x[y * step_y, x], tan_y[y, x * step_x]
-                    m[1] += valid * u_x
-                    m[2] += valid * v_x
-                    m[4] += valid * u_x * u_x
-                    m[5] += valid * u_x * v_x
-                    m[7] += valid * v_x * v_x
-    return largest
-
-
-@kernel(inline=True)
-def residual(m):
-    """Sum of squared residuals of the plane q = α·(u, v, 1) fitted to moments; -1 where there is none."""
-    return residual_of(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
-
-
-@kernel(inline=True)
-def joint_residual(m, k):
-    """The same for the union of two."""
-    return residual_of(
-        m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
-        m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
-    )  # fmt: skip
-
-
-@kernel(inline=True)
-def residual_of(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
-    """`residual` of the ten sums."""
-    if n < 3.0:
-        return -1.0
-    mean_u = s_u / n
-    mean_v = s_v / n
-    mean_q = s_q / n
-    uu = s_uu - s_u * mean_u
-    uv = s_uv - s_u * mean_v
-    vv = s_vv - s_v * mean_v
-    uq = s_uq - s_u * mean_q
-    vq = s_vq - s_v * mean_q
-    qq = s_qq - s_q * mean_q
-    determinant = uu * vv - uv * uv
-    if not determinant > COLLINEAR * uu * vv:
-        return -1.0
-    return max(qq - (vv * uq * uq - 2.0 * uv * uq * vq + uu * vq * vq) / determinant, 0.0)
-
-
-@kernel(inline=True)
-def fit(m, alpha):
-    """Least squares α of q = α·(u, v, 1); False where the pixels do not determine it."""
-    n = m[0]
-    if n < 3.0:
-        return False
-    mean_u = m[1] / n
-    mean_v = m[2] / n
-    mean_q = m[3] / n
-    uu = m[4] - m[1] * mean_u
-    uv = m[5] - m[1] * mean_v
-    vv = m[7] - m[2] * mean_v
-    uq = m[6] - m[1] * mean_q
-    vq = m[8] - m[2] * mean_q
-    determinant = uu * vv - uv * uv
-    if not determinant > COLLINEAR * uu * vv:
-        return False
-    a = (vv * uq - uv * vq) / determinant
-    b = (uu * vq - uv * uq) / determinant
-    alpha[0] = a
-    alpha[1] = b
-    alpha[2] = mean_q - a * mean_u - b * mean_v
-    return True
+                    sums[1, c] += valid * u_x
+                    sums[2, c] += valid * v_x
+                    sums[4, c] += valid * u_x * u_x
+                    sums[5, c] += valid * u_x * v_x
+                    sums[7, c] += valid * v_x * v_x
+        first = row * columns
+        for c in range(columns):
+            error, a, b, _ = solve(
+                sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c],
+                sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
+            )  # fmt: skip
+            rss[first + c] = error
+            slope[first + c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
+        for c in range(columns):
+            for k in range(10):
+                moments[first + c, k] = sums[k, c]
+    return largest.max()
 
 
 @kernel(inline=True)
@@ -251,52 +250,57 @@ def variance(m, alpha, sigma, lateral_x, lateral_y):
 
 
 @kernel()
-def sum_by_fours(moments, offsets, shapes):
-    """Moments of squares of 2x2, 4x4, ... blocks, whatever they hold: one level of the pyramid after another.
+def sum_by_fours(moments, offsets, shapes, pitch_x, pitch_y, rss, slope):
+    """Moments and planes of squares of 2x2, 4x4, ... blocks: one level of the pyramid after another.
 
-    Level l of ``shapes`` (L, 2) is at rows ``offsets[l]`` and on of ``moments`` (T, 10); level 0 is given.
+    Level l of ``shapes`` (L, 2) is at rows ``offsets[l]`` and on of ``moments`` (T, 10), ``rss`` and ``slope``
+    (T,); level 0 is given, see `block_moments`.
     """
     for level in range(1, shapes.shape[0]):
         finer_rows, finer_columns = shapes[level - 1, 0], shapes[level - 1, 1]
         for row in range(shapes[level, 0]):
             for column in range(shapes[level, 1]):
-                m = moments[offsets[level] + row * shapes[level, 1] + column]
+                i = offsets[level] + row * shapes[level, 1] + column
+                m = moments[i]
                 m[:] = 0.0
                 for r in range(2 * row, min(2 * row + 2, finer_rows)):
                     for c in range(2 * column, min(2 * column + 2, finer_columns)):
                         child = moments[offsets[level - 1] + r * finer_columns + c]
                         for k in range(10):
                             m[k] += child[k]
+                rss[i], a, b, _ = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+                slope[i] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
 
 
 @kernel()
-def square_residuals(moments, least, pitch_x, pitch_y, mean_square, slope_square):
-    """Mean squared residual of the squares with at least ``least`` valid pixels, and their squared slope.
+def square_residuals(moments, rss, slope, least, mean_square, slope_square):
+    """Mean squared residual and squared slope of the squares with a plane and ``least`` valid pixels.
 
-    The slope is the change of inverse depth from pixel to pixel, ``pitch_x`` and ``pitch_y`` being the
-    change of tanθx and tanθy. Returns how many are written.
+    Returns how many are written.
     """
-    alpha = np.empty(3)
     count = 0
     for i in range(len(moments)):
-        if moments[i, 0] < least or not fit(moments[i], alpha):
+        if moments[i, 0] < least or rss[i] < 0.0:
             continue
-        mean_square[count] = residual(moments[i]) / (moments[i, 0] - 3.0)
-        slope_square[count] = (pitch_x * alpha[0]) ** 2 + (pitch_y * alpha[1]) ** 2
+        mean_square[count] = rss[i] / (moments[i, 0] - 3.0)
+        slope_square[count] = slope[i]
         count += 1
     return count
 
 
 @kernel()
 def join_blocks(
-    moments, offsets, shapes, sigma, lateral_x, lateral_y, roughness, steepness, floor, spread, state
+    moments, offsets, shapes, rss, slope, sigma, lateral, roughness, steepness, floor, spread, state
 ):
     """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
 
     Parameters
     ----------
-    moments, offsets, shapes
+    moments, offsets, shapes, rss, slope
         See `sum_by_fours`.
+    sigma : see `sensor_variance`
+    lateral : float
+        Variance, in pixels, of where a measurement lies: see `variance`.
     roughness, steepness : float
         A block is planar if its residual is below ``roughness`` standard deviations, the slope's part of
         which counts ``steepness`` times (a block across a depth jump looks steep, too).
@@ -305,29 +309,21 @@ def join_blocks(
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """
-    alpha = np.empty(3)
     for i in range(shapes[0, 0] * shapes[0, 1]):
         n = moments[i, 0]
-        if n < 6.0:
-            state[i] = 2
-            continue
-        rss = residual(moments[i])
-        if rss < 0.0 or not fit(moments[i], alpha):
-            state[i] = 2
-            continue
-        allowed = roughness * roughness * sensor_variance(moments[i, 3] / n, sigma) + (
-            steepness * steepness * (lateral_x * alpha[0] * alpha[0] + lateral_y * alpha[1] * alpha[1])
+        allowed = roughness * roughness * sensor_variance(moments[i, 3] / max(n, 1.0), sigma) + (
+            steepness * steepness * lateral * slope[i]
         )
-        state[i] = 1 if rss <= (n - 3.0) * allowed else 0
+        planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
+        state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
     for level in range(1, shapes.shape[0]):
         rows, columns = shapes[level, 0], shapes[level, 1]
         finer = shapes[level - 1, 1]
         for row in range(rows):
             for column in range(columns):
                 parent = offsets[level] + row * columns + column
-                m = moments[parent]
                 planar = 0
-                rss = 0.0
+                total = 0.0
                 smallest = math.inf
                 for r in range(2 * row, min(2 * row + 2, shapes[level - 1, 0])):
                     for c in range(2 * column, min(2 * column + 2, finer)):
@@ -337,14 +333,16 @@ def join_blocks(
                         if state[child] != 1:
                             continue
                         planar += 1
-                        rss += residual(moments[child])
-                        fit(moments[child], alpha)
-                        smallest = min(smallest, variance(moments[child], alpha, sigma, lateral_x, lateral_y))
+                        total += rss[child]
+                        mean_q = moments[child, 3] / moments[child, 0]
+                        smallest = min(smallest, sensor_variance(mean_q, sigma) + lateral * slope[child])
                 if planar <= 0:
                     state[parent] = 2 if planar == 0 else 0
                     continue
-                joint = residual(m)
-                agree = joint >= 0.0 and joint - rss <= smallest * (floor * floor * m[0] + spread)
+                rise = rss[parent] - total
+                agree = rss[parent] >= 0.0 and rise <= smallest * (
+                    floor * floor * moments[parent, 0] + spread
+                )
                 state[parent] = 1 if agree else 0
 
 
@@ -353,7 +351,8 @@ def leaves(offsets, shapes, state, moments, region, owner, region_moments):
     """Number the largest planar node over each planar block, in the order of their first blocks.
 
     ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
-    pixels; ``owner`` (R, C) int32 is written: EMPTY or MIXED; ``region_moments`` (R·C, 10) is written. Returns how many there are.
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or MIXED; ``region_moments`` (R·C, 10) is written.
+    Returns how many there are.
     """
     levels = shapes.shape[0]
     number = np.full(len(state), -1, np.int64)

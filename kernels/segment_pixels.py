@@ -304,7 +304,8 @@ def own_pixels(
     is_last : bool
         Whether to write ``owner`` and ``pixel_owner``.
     owner : (R, C) int32
-        EMPTY or not; on return, if ``is_last``, region that owns all measured pixels of a block, which are most; or EMPTY, or MIXED - i.
+        EMPTY or not; on return, if ``is_last``, region that owns all measured pixels of a block, which are
+        most; or EMPTY, or MIXED - i.
     pixel_owner : (R * C, BLOCK²) int32, written
         Row i holds the region of each pixel of one block, or UNOWNED or MISSING.
     moments : (N, 10) float64, written

@@ -255,22 +255,22 @@ def segment_frame(
     """`segment` by other rules, which is for experiments."""
     grid = _grid(camera)
     room = _rooms.of(camera)
-    rows, columns = grid.shapes[0]
-    block_moments = room.pyramid[: rows * columns].reshape(rows, columns, 10)
+    pitch = 1.0 / camera.fx, 1.0 / camera.fy
+    squares_of = room.pyramid, grid.offsets, grid.shapes
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        grid.tan_x, grid.tan_y, grid.sums, room.inverse_depth, block_moments,
+        grid.tan_x, grid.tan_y, grid.sums, *pitch, room.inverse_depth, room.pyramid, room.rss, room.slope,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(room.pyramid, grid.offsets, grid.shapes)
-    noise = estimate(frame, camera, room.pyramid, grid.offsets, BLOCK, nearest, sigma)
+    segment_blocks.sum_by_fours(*squares_of, *pitch, room.rss, room.slope)
+    noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, nearest, sigma)
     spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
 
     state = np.empty(grid.offsets[-1], np.int8)
     segment_blocks.join_blocks(
-        room.pyramid, grid.offsets, grid.shapes, *spread,
+        *squares_of, room.rss, room.slope, noise.sigma, noise.lateral**2,
         rules.rough_block, rules.steep_block, rules.square_floor, rules.square_spread, state,
     )  # fmt: skip
-    region = np.empty((rows, columns), np.int32)
+    region = np.empty(grid.shapes[0], np.int32)
     moments, squares = room.moments, room.squares
     count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, room.owner, moments)
     for trip in range(rules.trips + 1):
@@ -296,7 +296,7 @@ def segment_frame(
         segment_pixels.own_pixels(
             room.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v,
             region, alpha, slope, waves, noise.sigma, rules.reach, rules.close, rules.settled, CUT,
-            room.pyramid, grid.offsets, grid.shapes, trip == rules.trips - 1, room.owner, room.pixel_owner,
+            *squares_of, trip == rules.trips - 1, room.owner, room.pixel_owner,
             moments[:count], squares[:count],
         )  # fmt: skip
     own_squares: NDArray[Any] = np.bincount(
@@ -419,6 +419,7 @@ class _Room:
         self.owner = np.empty(tuple(grid.shapes[0]), np.int32)
         self.pixel_owner = np.empty((blocks, BLOCK**2), np.int32)
         self.pyramid = np.empty((grid.offsets[-1], 10))
+        self.rss, self.slope = np.empty(grid.offsets[-1]), np.empty(grid.offsets[-1])
         self.moments = np.empty((blocks, 10))
         self.squares = np.empty(blocks)
         self.pairs = np.empty((4 * blocks + 1, 3), np.int32)
