@@ -11,8 +11,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, sensor_variance
-from .segment_pixels import MIXED
+from .segment_blocks import BLOCK, MIXED, sensor_variance
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
@@ -309,7 +308,7 @@ def find_curved(
     significant : float
         Variances by which a quadric must be better.
     pairs, contact, count
-        Of `segment_merge.neighbours` and `segment_merge.distinct`.
+        Of `segment_merge.neighbours`.
     curved : (N,) bool, written
     """
     regions = len(alpha)

@@ -324,8 +324,9 @@ def _find_curved(
     rules: Rules,
 ) -> NDArray[np.bool_]:
     """Which regions are parts of curved surfaces."""
-    count = segment_merge.neighbours(region, grid.centre_u, grid.centre_v, room.pairs, room.contact)
-    count = segment_merge.distinct(room.pairs, room.contact, np.zeros(count), count, len(moments))
+    count = segment_merge.neighbours(
+        region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
+    )
     means = np.empty((*region.shape, 4))
     segment_shape.owned_means(
         room.owner, room.pixel_owner, number, room.inverse_depth, grid.tan_x, grid.tan_y, region, room.pyramid,
