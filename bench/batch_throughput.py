@@ -110,8 +110,8 @@ def table(result: dict[str, Any]) -> str:
     kilobytes = result["bytes_per_frame"] / 1e3
     lines += [
         "",
-        f"{result['frames']} frames of 640 x 480, tiles of 16 x 16, {result['threads']} threads. The table has "
-        f"{result['tiles']} rows and {kilobytes:.0f} kB a frame: to copy so many bytes once and write them to a "
+        f"{result['frames']} frames of 640 x 480, tiles of 16 x 16, {result['threads']} threads. The table has",
+        f"{result['tiles']} rows and {kilobytes:.0f} kB a frame: to copy so many bytes once and write them to a",
         f"file, and nothing else, takes {result['bare_share']:.0%} of the time of fitting.",
     ]
     return "\n".join(lines)

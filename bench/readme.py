@@ -12,21 +12,21 @@ from pathlib import Path
 from bench.report import readme_table
 
 README = Path(__file__).resolve().parents[1] / "README.md"
-_BLOCK = re.compile(r"(<!-- bench:paper -->\n).*?(<!-- /bench -->)", re.DOTALL)
 
 
-def with_table(text: str, table: str) -> str:
-    """The text with the table between its markers.
+def with_table(text: str, table: str, name: str = "paper") -> str:
+    """The text with the table between its markers, ``<!-- bench:NAME -->`` and ``<!-- /bench -->``.
 
     Raises
     ------
     ValueError
         The markers are not there exactly once.
     """
-    found = len(_BLOCK.findall(text))
+    block = re.compile(rf"(<!-- bench:{name} -->\n).*?(<!-- /bench -->)", re.DOTALL)
+    found = len(block.findall(text))
     if found != 1:
-        raise ValueError(f"expected one block <!-- bench:paper --> ... <!-- /bench -->, found {found}")
-    return _BLOCK.sub(lambda match: f"{match[1]}{table}\n{match[2]}", text)
+        raise ValueError(f"expected one block <!-- bench:{name} --> ... <!-- /bench -->, found {found}")
+    return block.sub(lambda match: f"{match[1]}{table}\n{match[2]}", text)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -7,6 +7,7 @@ method: the median angle between them, and how often larger PCA's is. Reads the 
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,11 @@ import rgbd_planes as rp
 from rgbd_planes.images import read_depth
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-SETS = ("abw_segcomp_cal0", "abw_segcomp_cal1", "icl_nuim_evops_gt")
+SETS = {
+    "abw_segcomp_cal0": "ABW, calibration 0",
+    "abw_segcomp_cal1": "ABW, calibration 1",
+    "icl_nuim_evops_gt": "ICL-NUIM",
+}
 METHODS = ("range_explicit", "standard_pca", "standard_explicit")
 LEAST_PIXELS = 1000
 RESAMPLES = 1000
@@ -45,27 +50,50 @@ def angles(folder: Path, tile: int) -> NDArray[np.float64]:
     return np.concatenate(found)
 
 
+def measure() -> list[dict[str, Any]]:
+    """A row for each data set and size of tile: medians in degrees, and PCA's error in units of ours."""
+    rng = np.random.default_rng(1)
+    rows: list[dict[str, Any]] = []
+    for name in SETS:
+        for tile in (10, 20):
+            found = angles(DATA / name, tile)
+            ours, pca, explicit = np.median(found, axis=0).tolist()
+            ratios = []
+            for _ in range(RESAMPLES):
+                one, other, _ = np.median(found[rng.integers(len(found), size=len(found))], axis=0)
+                ratios.append(other / one)
+            low, high = np.percentile(ratios, [2.5, 97.5]).tolist()
+            row = {
+                "data": name,
+                "tile": tile,
+                "tiles": len(found),
+                "range_explicit": ours,
+                "standard_pca": pca,
+            }
+            rows.append({**row, "standard_explicit": explicit, "ratio": [pca / ours, low, high]})
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown."""
+    lines = ["| data | tile | tiles | 1/Z | PCA | Z(X, Y) | PCA ÷ 1/Z (95 % interval) |"]
+    lines.append("|---|---:|---:|---:|---:|---:|---:|")
+    for row in rows:
+        medians = " | ".join(f"{row[method]:.2f}°" for method in METHODS)
+        ratio, low, high = row["ratio"]
+        lines.append(
+            f"| {SETS[row['data']]} | {row['tile']} | {row['tiles']} | {medians} "
+            f"| {ratio:.2f} ({low:.2f}–{high:.2f}) |"
+        )
+    return "\n".join(lines)
+
+
 def main() -> int:
     """Print the table."""
     if not DATA.is_dir():
         print(f"no labelled frames in {DATA.parent.name}/{DATA.name}", file=sys.stderr)
         return 1
-    print("| data | tile | tiles | 1/Z | PCA | Z(X, Y) | PCA ÷ 1/Z (95 % interval) |")
-    print("|---|---|---|---|---|---|---|")
-    rng = np.random.default_rng(1)
-    for name in SETS:
-        for tile in (10, 20):
-            rows = angles(DATA / name, tile)
-            median = np.median(rows, axis=0)
-            ratios = []
-            for _ in range(RESAMPLES):
-                ours, pca, _ = np.median(rows[rng.integers(len(rows), size=len(rows))], axis=0)
-                ratios.append(pca / ours)
-            low, high = np.percentile(ratios, [2.5, 97.5])
-            print(
-                f"| {name} | {tile} | {len(rows)} | {median[0]:.2f}° | {median[1]:.2f}° | {median[2]:.2f}° "
-                f"| {median[1] / median[0]:.2f} ({low:.2f}–{high:.2f}) |"
-            )
+    print(table(measure()))
     return 0
 
 

@@ -1,12 +1,14 @@
-"""Five tasks of a new user, each written with this library, OpenCV and Open3D: ``python bench/user_tasks.py``.
+"""Five tasks of a new user, with this library, OpenCV, Open3D and PCL: ``python -m bench.user_tasks``.
 
-A task is a function of a depth frame (or a folder of them) and a camera. What is counted is its lines; what is printed
-beside them is the time of the second and later calls, in turns, and how good the answer is. A library that is not
-installed is left out.
+A task is a function of a depth frame (or a folder of them) and a camera; PCL's, in C++, are in pcl_tasks.cpp. What is
+counted is its lines; what is printed beside them is the time of the second and later calls, in turns, and how good the
+answer is. A library that is not installed is left out.
 """
 
 import inspect
+import re
 import statistics
+import subprocess
 import tempfile
 import time
 from pathlib import Path
@@ -145,6 +147,60 @@ def table_opencv(folder, camera):
     ).to_parquet(folder / "p.parquet")
 
 
+class PclTask:
+    """A task of pcl_tasks.cpp. Its time is the program's own, without what it takes to hand data over."""
+
+    def __init__(self, program, task):
+        self._program, self._task = program, task
+        self.seconds = 0.0
+
+    def __call__(self, depth, camera):
+        with tempfile.TemporaryDirectory() as name:
+            frame, result = Path(name) / "frame", Path(name) / "result"
+            depth.tofile(frame)
+            command = [self._program, frame, *(str(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))]
+            # Twice: the first warms the memory up, as a call does for the one after it in the other libraries.
+            asked = f"{self._task} {result}\n" * 2
+            ran = subprocess.run(command, input=asked, capture_output=True, text=True, check=True)
+            self.seconds = float(ran.stdout.split()[-1])
+            if self._task == "segments":
+                return np.fromfile(result, np.int32).reshape(480, 640)
+            values = np.fromfile(result, np.float32)
+            return (values.reshape(30, 40, 4), None) if self._task == "tiles" else values.reshape(480, 640, 3)
+
+    @property
+    def lines(self):
+        """Lines of the function's body, and of those of its own file that it calls; braces do not count."""
+        return sum(self._lines(name) for name in self._needed(self._task) | {"cloud_of"})
+
+    def _needed(self, name):
+        return {name} | ({"normals"} if "normals(cloud" in self._body(name) else set())
+
+    def _body(self, name):
+        return re.search(rf"^[\w:<>]+ {name}\(.*?^{{\n(.*?)^}}", PCL.read_text(), re.MULTILINE | re.DOTALL)[1]
+
+    def _lines(self, name):
+        return sum(line.strip() not in ("", "{", "}") for line in self._body(name).splitlines())
+
+
+PCL = Path(__file__).with_name("pcl_tasks.cpp")
+
+
+def build_pcl(folder):
+    """The program of PCL's tasks, where there are a compiler and the library (Debian: libpcl-dev), or None."""
+    libraries = ["pcl_segmentation", "pcl_features", "pcl_search", "pcl_kdtree", "pcl_common"]
+    program = folder / "pcl_tasks"
+    command = ["g++", "-std=c++17", "-O3", "-w", str(PCL), "-o", str(program)]
+    try:
+        asked = ["pkg-config", "--cflags-only-I", "pcl_segmentation"]
+        flags = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()
+        link = [f"-l{library}" for library in libraries]
+        subprocess.run([*command, *flags, *link], capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return program
+
+
 def lines(function):
     """Lines of a function's body, and of `tiles_opencv` where it calls that."""
     text = inspect.getsource(function)
@@ -155,7 +211,7 @@ def lines(function):
 def angles(planes, labels, rendering):
     seen = (labels > 0) & np.isfinite(planes[..., 0])
     cosine = np.abs((planes[seen][..., :3] * rendering.planes[labels[seen] - 1][..., :3]).sum(axis=-1))
-    return f"{np.median(np.degrees(np.arccos(np.clip(cosine, 0, 1)))):.1f} degrees"
+    return f"{np.median(np.degrees(np.arccos(np.clip(cosine, 0, 1)))):.1f}°"
 
 
 def found(labels, rendering):
@@ -172,55 +228,121 @@ def found(labels, rendering):
     return f"{good} of {len(wanted)} planes"
 
 
-def main() -> None:
+def available(which):
+    return which == "ours" or globals().get({"opencv": "cv2"}.get(which, which)) is not None
+
+
+def versions(program):
+    found = {"OpenCV": cv2 and cv2.__version__, "Open3D": open3d and open3d.__version__}
+    if program is not None:
+        asked = ["pkg-config", "--modversion", "pcl_segmentation"]
+        found["PCL"] = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    return {name: version for name, version in found.items() if version}
+
+
+def measure():
+    """Return a row for each task and library."""
     camera = rp.presets.kinect_v1()
     rendering = rp.scenes.room().render(camera)
     depth = rendering.measure(holes=0.05, patches=0.03, seed=1)
     whole = rendering.measure(seed=1)
     tile_labels = rendering.tile_labels((16, 16))
-    deviation = rendering.planes[np.maximum(tile_labels, 1) - 1][..., 3]
+    distance = rendering.planes[np.maximum(tile_labels, 1) - 1][..., 3]
 
     def honest(sigma):
-        off = (rp.fit_tiles(depth, camera, 16).planes[..., 3] - deviation)[tile_labels > 0]
+        off = (rp.fit_tiles(depth, camera, 16).planes[..., 3] - distance)[tile_labels > 0]
         share = np.nanmean(np.abs(off) < 1.96 * sigma[tile_labels > 0]) if np.isfinite(off).any() else 0.0
-        return f"{share:.0%} within 1.96 deviations"
+        return f"{share:.0%} of distances within 1.96 deviations"
 
+    rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "freiburg1"
         (folder / "depth").mkdir(parents=True)
         for i in range(10):
             write_png(folder / "depth" / f"{i}.png", rendering.measure(holes=0.05, seed=i))
         (folder / "depth.txt").write_text("".join(f"{i}.5 depth/{i}.png\n" for i in range(10)))
+        program = build_pcl(Path(name))
         tasks = {
-            "planes of tiles": ("tiles", depth, lambda made: angles(made[0], tile_labels, rendering)),
-            "planes of the frame": ("segments", depth, lambda made: found(made, rendering)),
-            "normals of pixels": ("normals", depth, lambda made: angles(made, rendering.labels, rendering)),
-            "how good a plane is": ("deviations", depth, honest),
-            "10 frames to a table": ("table", folder, lambda made: "on disk"),
+            "tiles": (depth, lambda made: angles(made[0], tile_labels, rendering)),
+            "segments": (depth, lambda made: found(made, rendering)),
+            "normals": (depth, lambda made: angles(made, rendering.labels, rendering)),
+            "deviations": (depth, honest),
+            "table": (folder, lambda made: ""),
         }
-        print("| task | | lines | ms | ours = 1 | result |\n|---|---|---|---|---|---|")
-        for task, (name, argument, judge) in tasks.items():
-            functions = {w: globals().get(f"{name}_{w}") for w in ("ours", "opencv", "open3d")}
+        for task, (argument, judge) in tasks.items():
+            functions = {w: globals().get(f"{task}_{w}") for w in ("ours", "opencv", "open3d")}
             runs = {w: f for w, f in functions.items() if f is not None and available(w)}
+            if program is not None and task in ("tiles", "segments", "normals"):
+                runs["pcl"] = PclTask(program, task)
             results, times = {w: f(argument, camera) for w, f in runs.items()}, {w: [] for w in runs}
             for _ in range(5):
                 for w, f in runs.items():
-                    for left in Path(argument).glob("planes.parquet/*") if name == "table" else ():
+                    for left in Path(argument).glob("planes.parquet/*") if task == "table" else ():
                         left.unlink()
                     start = time.perf_counter()
                     f(argument, camera)
-                    times[w].append(time.perf_counter() - start)
+                    took = time.perf_counter() - start
+                    times[w].append(f.seconds if w == "pcl" else took)
             for w, f in runs.items():
                 ratio = statistics.median(t / o for t, o in zip(times[w], times["ours"], strict=True))
-                milliseconds = 1e3 * statistics.median(times[w])
-                result = judge(results[w])
-                if name in ("tiles", "segments", "normals"):
-                    result += f"; without holes {judge(f(whole, camera))}"
-                print(f"| {task} | {w} | {lines(f)} | {milliseconds:.1f} | {ratio:.1f} | {result} |")
+                pictured = task in ("tiles", "segments", "normals")
+                rows.append(
+                    {
+                        "task": task,
+                        "with": w,
+                        "lines": f.lines if w == "pcl" else lines(f),
+                        "milliseconds": 1e3 * statistics.median(times[w]),
+                        "ratio": ratio,
+                        "result": judge(results[w]),
+                        "without_holes": judge(f(whole, camera)) if pictured else "",
+                    }
+                )
+    return {"versions": versions(program), "rows": rows}
 
 
-def available(which):
-    return which == "ours" or globals().get({"opencv": "cv2"}.get(which, which)) is not None
+NAMES = {
+    "tiles": "planes of tiles, 16 x 16",
+    "segments": "planes of the frame",
+    "normals": "normals of pixels, window 7",
+    "deviations": "how good a plane is",
+    "table": "10 frames of a TUM sequence to a table",
+}
+WITH = {
+    ("tiles", "opencv"): "OpenCV, a loop of `PCACompute2`",
+    ("tiles", "open3d"): "Open3D, a loop of covariances",
+    ("tiles", "pcl"): "PCL, a loop of `computePointNormal`",
+    ("segments", "opencv"): "OpenCV, `findPlanes`",
+    ("segments", "open3d"): "Open3D, `detect_planar_patches`",
+    ("segments", "pcl"): "PCL, `OrganizedMultiPlaneSegmentation`",
+    ("normals", "opencv"): "OpenCV, FALS",
+    ("normals", "open3d"): "Open3D, 49 neighbours",
+    ("normals", "pcl"): "PCL, integral images",
+    ("table", "opencv"): "OpenCV and pandas",
+}
+
+
+def table(result):
+    """The result as Markdown."""
+    shown = [
+        "| task | with | lines | time, ours = 1 | result | without holes |",
+        "|---|---|---:|---:|---|---|",
+    ]
+    for row in result["rows"]:
+        ours = row["with"] == "ours"
+        task, name = (NAMES[row["task"]], "**ours**") if ours else ("", WITH[row["task"], row["with"]])
+        ratio = f"{row['ratio']:.2g}" if row["ratio"] < 99.5 else f"{row['ratio']:.0f}"
+        shown.append(
+            f"| {task} | {name} | {row['lines']} | {ratio} | {row['result']} | {row['without_holes']} |"
+        )
+    shown += ["", ", ".join(f"{name} {version}" for name, version in result["versions"].items()) + "."]
+    return "\n".join(shown)
+
+
+def main() -> None:
+    result = measure()
+    print(table(result))
+    for row in result["rows"]:
+        print(f"{row['task']:10} {row['with']:7} {row['milliseconds']:8.1f} ms")
 
 
 try:

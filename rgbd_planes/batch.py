@@ -26,6 +26,7 @@ from rgbd_planes.sequences.frames import FrameSequence
 
 # Of a part: what is lost by an interruption, and what each thread holds in memory.
 MOST_FRAMES = 256
+FEWEST_FRAMES = 4
 MOST_ROWS = 300_000
 CONNECT_SECONDS = 30.0
 _ABOUT = "_about.json"
@@ -187,9 +188,10 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
-    # A few parts for each thread, so that all have work to the end.
+    # A few parts for each thread, so that all have work to the end; but a file takes a millisecond itself.
     fitting = MOST_ROWS // settings.rows_of_frame(sequence.camera)
-    size = max(1, min(MOST_FRAMES, fitting, len(sequence) // (4 * slots)))
+    shared = max(len(sequence) // (4 * slots), min(FEWEST_FRAMES, -(-len(sequence) // slots)))
+    size = max(1, min(MOST_FRAMES, fitting, shared))
     with write_beside(file) as beside:
         beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")
     return size

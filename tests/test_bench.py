@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from bench import methods, operations, readme, report, sequence
+from bench import batch_throughput, measured, methods, operations, readme, report, sequence
 from bench.__main__ import main
 from rgbd_planes.kernels import summed_area
 
@@ -129,3 +129,20 @@ def test_readme_table_replaces_the_old_one(quick_run, tmp_path):
 def test_readme_without_markers_is_an_error():
     with pytest.raises(ValueError, match=r"expected one block .* found 0"):
         readme.with_table("nothing here", "table")
+
+
+def test_the_page_is_what_was_measured():
+    page, results = measured.PAGE.read_text(), json.loads(measured.RESULTS.read_text())
+    assert measured.page_of(page, results) == page, "run python -m bench.measured --page"
+    with_other = results | {"batch": results["batch"] | {"frames": 1}}
+    assert measured.page_of(page, with_other) != page
+
+
+def test_a_batch_is_measured():
+    pytest.importorskip("pyarrow")
+    result = batch_throughput.measure(frames=64, rounds=1)
+    assert result["throughput"]["fit_batch"] == 1.0
+    assert set(result["throughput"]) == {"fit_batch", "memory", "png", "bare"}
+    assert result["work"]["memory"]["write"] + result["work"]["memory"]["fit"] > 0.5
+    assert 30_000 < result["bytes_per_frame"] < 50_000
+    assert "64 frames" in batch_throughput.table(result)

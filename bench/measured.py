@@ -1,0 +1,51 @@
+"""``python -m bench.measured``: measure what docs/measured.md shows, and put it there.
+
+What was measured is kept in docs/measured.json, from which ``python -m bench.measured --page`` makes the page's tables
+again; names of sections measure these alone.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from bench import batch_throughput, real_sensors, user_tasks
+from bench.readme import with_table
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "measured.md"
+RESULTS = PAGE.with_suffix(".json")
+SECTIONS = {"tasks": user_tasks, "batch": batch_throughput, "sensors": real_sensors}
+
+
+def page_of(text: str, results: dict[str, object]) -> str:
+    """The page with the tables of these results between its markers."""
+    for name, section in SECTIONS.items():
+        text = with_table(text, section.table(results[name]), name)
+    return text
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, keep the results, and rewrite the page."""
+    parser = argparse.ArgumentParser(prog="python -m bench.measured", description=__doc__)
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help=", ".join(SECTIONS))
+    parser.add_argument("--page", action="store_true", help="measure nothing")
+    options = parser.parse_args(arguments)
+    unknown = set(options.sections) - set(SECTIONS)
+    if unknown:
+        parser.error(f"expected of {', '.join(SECTIONS)}, got {', '.join(sorted(unknown))}")
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for name in () if options.page else options.sections or SECTIONS:
+        print(f"{name} ...", flush=True)
+        results[name] = SECTIONS[name].measure()
+        RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    if missing := set(SECTIONS) - set(results):
+        print(
+            f"nothing measured yet of {', '.join(sorted(missing))}: the page stays as it is", file=sys.stderr
+        )
+        return 1
+    PAGE.write_text(page_of(PAGE.read_text(), results))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
