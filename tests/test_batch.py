@@ -414,6 +414,8 @@ def test_a_cluster_loses_a_worker_and_no_row(recording, tmp_path, cluster):
     def kill_one_at_work(done):
         if not seen:  # the first part has come back: others are under way
             victims = {worker.pid for worker in workers}
+            before = set(notes.iterdir())
+            until(lambda: set(notes.iterdir()) > before)  # someone has just begun a frame
             latest = max(notes.iterdir(), key=lambda note: int(note.name.split("-")[2]))
             pid = int(latest.name.split("-")[1])
             assert pid in victims
