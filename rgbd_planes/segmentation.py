@@ -15,6 +15,7 @@ from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.kernels import (
     segment_blocks,
+    segment_gaps,
     segment_merge,
     segment_parts,
     segment_pixels,
@@ -211,7 +212,8 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     Returns
     -------
     Segmentation
-        Labels 1..N in the order of their first pixels. An empty or a formless frame has none.
+        Labels 1..N in the order of their first pixels. An empty or a formless frame has none. Parts of a plane
+        that something thin in front separates have one label; curved surfaces have none.
 
     Raises
     ------
@@ -500,22 +502,66 @@ def _result(
         room.inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
     )  # fmt: skip
 
-    chosen = moments[kept]
-    alpha = np.empty((len(kept), 3))
-    rss = np.empty(len(kept))
+    chosen, deviation = moments[kept], deviation[of_part[kept]]
+    alpha, rss = np.empty((len(kept), 3)), np.empty(len(kept))
     segment_parts.final_planes(chosen, alpha, rss)
+    parent = _join_across_gaps(labels, chosen, alpha, deviation, room, grid, rules)
+    first = np.flatnonzero(parent == np.arange(len(parent)))
+    if len(first) < len(parent):
+        new = np.append(0, np.searchsorted(first, parent) + 1).astype(np.int32)
+        labels = new[labels]
+        sizes = np.bincount(new, weights=sizes).astype(np.int32)
+        joined = np.flatnonzero(parent != np.arange(len(parent)))
+        np.add.at(chosen, parent[joined], chosen[joined])
+        chosen, deviation = chosen[first], deviation[first]
+        alpha, rss = alpha[first], rss[first]
+        segment_parts.final_planes(chosen, alpha, rss)
     d = 1.0 / np.linalg.norm(alpha, axis=1)
     return Segmentation(
         camera=camera,
         labels=labels,
         planes=np.column_stack([-alpha * d[:, None], d]),
         alpha=alpha,
-        alpha_covariance=_covariance(chosen, rss, deviation[of_part[kept]]),
+        alpha_covariance=_covariance(chosen, rss, deviation),
         sizes=sizes[1:],
         rmse=np.sqrt(rss / np.maximum(chosen[:, 0], 1.0)),
         reason=reason,
         sigma=float(np.median(noise.sigma[1:])),
     )
+
+
+def _join_across_gaps(
+    labels: NDArray[np.int32],
+    moments: Floats,
+    alpha: Floats,
+    deviation: Floats,
+    room: _Room,
+    grid: _Grid,
+    rules: Rules,
+) -> NDArray[np.int64]:
+    """(N,) int64: the first plane that each is one with, though something thin in front separates them."""
+    parent = np.arange(len(moments))
+    pairs = np.empty((4 * len(moments), 2), np.int64)
+    count = segment_gaps.find_coplanar(
+        moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
+    )
+    pairs = pairs[:count]
+    closed, opened = np.empty((count, max(labels.shape)), np.int64), np.empty(count, np.int64)
+    for across in (True, False) if count else ():
+        segment_gaps.measure_gaps(
+            labels,
+            room.inverse_depth,
+            grid.tan_x,
+            grid.tan_y,
+            alpha,
+            deviation,
+            pairs,
+            across,
+            closed,
+            opened,
+        )
+        segment_gaps.join_across(pairs, closed, opened, parent)
+    return parent
 
 
 def _covariance(moments: Floats, rss: Floats, deviation: Floats) -> Floats:

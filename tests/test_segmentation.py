@@ -158,7 +158,7 @@ def test_a_column_of_eight_sides_is_its_sides(noise):
     found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
     assert (found.reason == Reason.CURVED).sum() == 0
     large = found.sizes > 500
-    assert np.count_nonzero(large) == 5  # the wall left and right, and three sides
+    assert np.count_nonzero(large) == 4  # the wall and three sides
 
 
 def test_holes_and_thin_gaps_do_not_cut_a_plane():
@@ -170,6 +170,39 @@ def test_holes_and_thin_gaps_do_not_cut_a_plane():
     assert len(found) == 1
     assert ((found.reason == Reason.MISSING) == (depth == 0)).all()
     assert (found.labels[depth > 0] == 1).mean() > 0.99
+
+
+@pytest.mark.parametrize(
+    ("between", "right", "wall_parts"),
+    [
+        (0.9, 0.5, 1),  # a pole before one wall
+        (0.0, 0.5, 1),  # nothing was measured there
+        (0.3, 0.5, 2),  # one sees through: two walls beside each other
+        (0.9, 0.53, 2),  # the wall on the right is nearer
+    ],
+)
+def test_what_a_thin_thing_separates_is_one_plane(between, right, wall_parts):
+    rng = np.random.default_rng(16)
+    q = np.full(CAMERA.shape, 0.5)
+    q[:, 150:170] = between
+    q[:, 170:] = right
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / np.where(q > 0.0, q + rng.normal(0.0, 1e-3, q.shape), 0.0)
+    depth[~np.isfinite(depth)] = 0.0
+    found = segment(depth, CAMERA)
+    assert len({*found.labels[20:220:20, 50], *found.labels[20:220:20, 250]}) == wall_parts
+    assert found.labels.max() == len(found) == wall_parts + (between > 0.0)
+    assert np.bincount(found.labels.ravel())[1:].tolist() == found.sizes.tolist()
+    left = found.labels[100, 50]
+    assert found.planes[left - 1, 3] == pytest.approx(2.0, abs=1e-3)
+
+
+def test_a_large_thing_leaves_two_planes():
+    rng = np.random.default_rng(17)
+    q = np.full(CAMERA.shape, 0.5)
+    q[:, 20:300] = 0.8
+    found = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA)
+    assert len(found) == 3
 
 
 def test_small_planes_and_the_reason_why_not():
