@@ -505,14 +505,14 @@ def _result(
     chosen, deviation = moments[kept], deviation[of_part[kept]]
     alpha, rss = np.empty((len(kept), 3)), np.empty(len(kept))
     segment_parts.final_planes(chosen, alpha, rss)
-    parent = _join_across_gaps(labels, chosen, alpha, deviation, room, grid, rules)
-    first = np.flatnonzero(parent == np.arange(len(parent)))
-    if len(first) < len(parent):
-        new = np.append(0, np.searchsorted(first, parent) + 1).astype(np.int32)
+    whole = _join_across_gaps(labels, chosen, alpha, deviation, room, grid, rules)
+    first = np.flatnonzero(whole == np.arange(len(whole)))
+    if len(first) < len(whole):
+        new = np.append(0, np.searchsorted(first, whole) + 1).astype(np.int32)
         labels = new[labels]
         sizes = np.bincount(new, weights=sizes).astype(np.int32)
-        joined = np.flatnonzero(parent != np.arange(len(parent)))
-        np.add.at(chosen, parent[joined], chosen[joined])
+        joined = np.flatnonzero(whole != np.arange(len(whole)))
+        np.add.at(chosen, whole[joined], chosen[joined])
         chosen, deviation = chosen[first], deviation[first]
         alpha, rss = alpha[first], rss[first]
         segment_parts.final_planes(chosen, alpha, rss)
