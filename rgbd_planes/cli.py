@@ -185,7 +185,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--format",
         metavar="NAME",
-        help="if it is not recognised: arkitscenes, folder, icl_nuim, rosbag, scannet, scannet_sens, "
+        help="if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, scannet_sens, "
         "seven_scenes, tum",
     )
     parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")

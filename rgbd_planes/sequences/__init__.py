@@ -13,6 +13,7 @@ from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
 from rgbd_planes.sequences.formats import FORMATS, open_sequence
 from rgbd_planes.sequences.frames import Frame, FrameEntry, FrameSequence
+from rgbd_planes.sequences.mkv import mkv
 from rgbd_planes.sequences.scannet import scannet, scannet_sens
 from rgbd_planes.sequences.seven_scenes import seven_scenes
 from rgbd_planes.sequences.tum import icl_nuim, tum
@@ -25,6 +26,7 @@ __all__ = [
     "arkitscenes",
     "folder",
     "icl_nuim",
+    "mkv",
     "open_sequence",
     "rosbag",
     "scannet",

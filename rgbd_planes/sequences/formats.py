@@ -9,6 +9,7 @@ from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
 from rgbd_planes.sequences.frames import FrameSequence
+from rgbd_planes.sequences.mkv import mkv
 from rgbd_planes.sequences.scannet import scannet, scannet_sens
 from rgbd_planes.sequences.seven_scenes import seven_scenes
 from rgbd_planes.sequences.tum import icl_nuim, tum
@@ -17,6 +18,7 @@ FORMATS: dict[str, Callable[..., FrameSequence]] = {
     "arkitscenes": arkitscenes,
     "folder": folder,
     "icl_nuim": icl_nuim,
+    "mkv": mkv,
     "rosbag": rosbag,
     "scannet": scannet,
     "scannet_sens": scannet_sens,
@@ -66,7 +68,9 @@ def _recognise(path: Path, has_camera: bool) -> str:
             return "scannet_sens"
         if path.suffix in (".bag", ".mcap", ".db3"):
             return "rosbag"
-        raise ValueError(f"{path}: expected a folder, or a .sens, .bag, .mcap or .db3 file")
+        if path.suffix == ".mkv":
+            return "mkv"
+        raise ValueError(f"{path}: expected a folder, or a .sens, .bag, .mcap, .db3 or .mkv file")
     if (path / "metadata.yaml").is_file():
         return "rosbag"
     if (path / "camera.json").is_file():

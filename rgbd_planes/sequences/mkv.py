@@ -1,0 +1,162 @@
+"""Matroska recordings of depth, as the Azure Kinect and its successors make them, read by PyAV."""
+
+import json
+import os
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.extras import needs
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
+
+_TRACK = "DEPTH"
+_CALIBRATION = "calibration.json"
+# Of each size (width, height) of a depth frame: sides in pixels of the whole sensor, square, and where in it the
+# frame begins. As the Azure Kinect's SDK has it.
+_MODES = {
+    (320, 288): (512, 96, 90),
+    (640, 576): (1024, 192, 180),
+    (512, 512): (512, 0, 0),
+    (1024, 1024): (1024, 0, 0),
+}
+
+
+def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open the depth of a Matroska recording of an Azure Kinect, or of a camera whose recorder writes the same.
+
+    Parameters
+    ----------
+    path : .mkv file
+        With a track of 16-bit grey named DEPTH, or one such track alone, uncompressed (b16g) or without loss.
+    camera : Camera, optional
+        If not given, that of the calibration which is attached to the recording; depth in millimetres.
+
+    Returns
+    -------
+    FrameSequence
+        Seconds on the recording's clock.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        PyAV is not installed.
+    ValueError
+        It is no recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
+    """
+    source = Path(path)
+    recording = _OpenRecording(source)
+    try:
+        camera = camera or recording.camera()
+        entries = [
+            FrameEntry(f"{i:06d}", seconds, camera, _Location(source, time))
+            for i, (seconds, time) in enumerate(recording.times())
+        ]
+    finally:
+        recording.close()
+    return FrameSequence(entries, _read_frame)
+
+
+class _Location(NamedTuple):
+    """Where a frame is: its time in the units of its track."""
+
+    path: Path
+    time: int
+
+
+class _OpenRecording:
+    """A recording that is open for reading."""
+
+    def __init__(self, path: Path) -> None:
+        with needs("av", "mkv"):
+            import av
+        self.path = path
+        self._error = av.FFmpegError
+        try:
+            self._container = av.open(str(path))
+        except av.FFmpegError as error:
+            raise ValueError(f"{path}: not a Matroska recording, or damaged ({error.strerror})") from None
+        grey = [s for s in self._container.streams.video if str(s.codec_context.pix_fmt).startswith("gray16")]
+        named = [stream for stream in grey if stream.metadata.get("title") == _TRACK]
+        if len(named or grey) != 1:
+            self.close()
+            raise ValueError(
+                f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
+            )
+        (self._stream,) = named or grey
+
+    def close(self) -> None:
+        self._container.close()
+
+    def __del__(self) -> None:
+        with suppress(Exception):  # closed already, or never opened
+            self._container.close()
+
+    def camera(self) -> Camera:
+        """The depth camera of the calibration that is attached."""
+        for attached in self._container.streams.attachments:
+            if attached.name == _CALIBRATION:
+                size = self._stream.codec_context.width, self._stream.codec_context.height
+                return _depth_camera(attached.data, size, self.path)
+        raise ValueError(f"{self.path}: expected {_CALIBRATION} attached to the recording, or a camera")
+
+    def times(self) -> list[tuple[float, int]]:
+        """(seconds, units of the track) of each frame, in order."""
+        base = self._stream.time_base
+        try:
+            times = [p.pts for p in self._container.demux(self._stream) if p.pts is not None and p.size]
+        except self._error as error:
+            raise ValueError(f"{self.path}: damaged ({error.strerror})") from None
+        return [(float(time * base), time) for time in times]
+
+    def read(self, time: int) -> NDArray[Any]:
+        """The frame of a time."""
+        try:
+            self._container.seek(time, stream=self._stream)
+            for frame in self._container.decode(self._stream):
+                if frame.pts == time:
+                    return np.asarray(frame.to_ndarray()).astype(np.uint16)
+                if frame.pts is not None and frame.pts > time:
+                    break
+        except self._error as error:
+            raise ValueError(f"{self.path}: damaged frame ({error.strerror})") from None
+        raise ValueError(f"{self.path}: the frame of {float(time * self._stream.time_base):.6f} s is gone")
+
+
+_open = threading.local()
+
+
+def _read_frame(location: _Location) -> NDArray[Any]:
+    # A recording stays open in its thread: opening it reads its index.
+    recording: _OpenRecording | None = getattr(_open, "recording", None)
+    if recording is None or recording.path != location.path:
+        recording = _open.recording = _OpenRecording(location.path)
+    return recording.read(location.time)
+
+
+def _depth_camera(content: bytes, size: tuple[int, int], path: Path) -> Camera:
+    """The camera of an Azure Kinect's calibration, which is for the whole sensor and in units of its sides."""
+    if size not in _MODES:
+        known = ", ".join(f"{width} x {height}" for width, height in _MODES)
+        raise ValueError(f"{path}: expected depth of {known}, or a camera, got {size[0]} x {size[1]}")
+    side, left, top = _MODES[size]
+    try:
+        cameras = json.loads(content)["CalibrationInformation"]["Cameras"]
+        (found,) = (one for one in cameras if one["Purpose"] == "CALIBRATION_CameraPurposeDepth")
+        values = [float(value) for value in found["Intrinsics"]["ModelParameters"]]
+        cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = values[:14]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: cannot read the calibration that is attached ({error!r})") from None
+    return Camera(
+        *size,
+        fx=side * fx,
+        fy=side * fy,
+        cx=side * cx - left - 0.5,  # its pixels begin at integers, ours have their centres there
+        cy=side * cy - top - 0.5,
+        distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
+        depth_scale=1000.0,
+    )

@@ -1,0 +1,118 @@
+"""Matroska recordings of depth, made here element by element."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import real_data
+from matroska import write_recording
+
+import rgbd_planes as rp
+from rgbd_planes import cli, scenes, sequences
+from rgbd_planes.sequences.mkv import _depth_camera
+
+pytest.importorskip("av")
+
+# cx cy fx fy k1..k6, two that are not used, p2 p1, in sides of the sensor of 1024 x 1024 pixels.
+PARAMETERS = [0.51, 0.52, 0.4928, 0.4929, 0.5, -0.02, -0.003, 0.85, 0.08, -0.01, 0, 0, -7e-5, 2e-5, 1.7]
+
+
+def calibration(purposes=("CALIBRATION_CameraPurposePhotoVideo", "CALIBRATION_CameraPurposeDepth")):
+    cameras = [
+        {"Purpose": p, "Intrinsics": {"ModelParameters": PARAMETERS if "Depth" in p else []}}
+        for p in purposes
+    ]
+    return json.dumps({"CalibrationInformation": {"Cameras": cameras}}).encode()
+
+
+@pytest.fixture
+def frames(rng):
+    return rng.integers(0, 65535, (4, 288, 320)).astype(np.uint16)
+
+
+def timed(frames, first=100_000):
+    return [(first + 33_333 * i, frame) for i, frame in enumerate(frames)]
+
+
+def test_a_recording_of_an_azure_kinect(tmp_path, frames):
+    tracks = {"IR": timed(frames[::-1] // 2), "DEPTH": timed(frames)}
+    write_recording(tmp_path / "a.mkv", tracks, {"calibration.json": calibration(), "other.txt": b"?"})
+    sequence = rp.open_sequence(tmp_path / "a.mkv")
+    assert len(sequence) == 4
+    for i in (2, 0, 3, 1, 2):
+        assert sequence[i].depth.dtype == np.uint16
+        assert np.array_equal(sequence[i].depth, frames[i])
+    assert sequence.timestamps == pytest.approx([0.1, 0.133333, 0.166666, 0.199999], abs=1e-9)
+    camera = sequence.camera
+    assert camera.shape == (288, 320)
+    # Half the sensor's resolution, of which a part: 96 pixels from the left, 90 from the top.
+    assert (camera.fx, camera.fy) == pytest.approx((512 * 0.4928, 512 * 0.4929))
+    assert (camera.cx, camera.cy) == pytest.approx((512 * 0.51 - 96 - 0.5, 512 * 0.52 - 90 - 0.5))
+    assert camera.distortion == (0.5, -0.02, 2e-5, -7e-5, -0.003, 0.85, 0.08, -0.01)
+    assert camera.depth_scale == 1000.0
+
+
+def test_the_camera_is_that_of_the_sdk():
+    folder = real_data.FOLDER / "azure_kinect_nfov"
+    if not folder.is_dir():
+        pytest.skip(real_data.REASON)
+    content = (folder / "k4a_calibration.json").read_bytes()
+    found = _depth_camera(content, (640, 576), folder).to_dict()
+    stated = json.loads((folder / "camera.json").read_text())
+    for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion", "depth_scale"):
+        assert found[name] == pytest.approx(stated[name], rel=1e-6), name
+
+
+def test_one_track_and_a_camera_will_do(tmp_path):
+    camera = rp.Camera(80, 60, 65.0, 65.0, 39.5, 29.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(seed=1)
+    write_recording(tmp_path / "a.mkv", {"grey": timed([depth])}, {})
+    assert np.array_equal(sequences.mkv(tmp_path / "a.mkv", camera)[0].depth, depth)
+    with pytest.raises(
+        ValueError, match=r"expected calibration\.json attached to the recording, or a camera"
+    ):
+        sequences.mkv(tmp_path / "a.mkv")
+    pytest.importorskip("pyarrow")
+    camera.save(tmp_path / "c.json")
+    arguments = ["--camera", str(tmp_path / "c.json"), "--out", str(tmp_path / "out")]
+    assert cli.main(["batch", str(tmp_path / "a.mkv"), *arguments]) == 0
+
+
+def test_what_is_wrong_with_a_recording(tmp_path, frames):
+    def error_of(tracks, attached, **options):
+        write_recording(tmp_path / "a.mkv", tracks, attached, **options)
+        with pytest.raises(ValueError) as caught:  # noqa: PT011 (its words are what this is for)
+            rp.open_sequence(tmp_path / "a.mkv")
+        return str(caught.value)
+
+    good = {"calibration.json": calibration()}
+    two = {"a": timed(frames), "b": timed(frames)}
+    assert "expected a track named DEPTH, or one track alone, of 16-bit grey, got 2" in error_of(two, good)
+    depth = {"DEPTH": timed(frames)}
+    bad = {"calibration.json": calibration(purposes=["CALIBRATION_CameraPurposePhotoVideo"])}
+    assert "cannot read the calibration that is attached" in error_of(depth, bad)
+    assert "cannot read the calibration" in error_of(depth, {"calibration.json": b"{"})
+    odd = {"DEPTH": timed(frames[:, :60, :80])}
+    assert "expected depth of 320 x 288, 640 x 576" in error_of(odd, good)
+    (tmp_path / "b.mkv").write_bytes(b"nothing" * 100)
+    with pytest.raises(ValueError, match=r"b\.mkv: not a Matroska recording, or damaged"):
+        rp.open_sequence(tmp_path / "b.mkv")
+    with pytest.raises(FileNotFoundError):
+        rp.open_sequence(tmp_path / "gone.mkv")
+
+
+def test_a_recording_that_ends_early_has_the_frames_before(tmp_path, frames):
+    write_recording(tmp_path / "a.mkv", {"DEPTH": timed(frames)}, {"calibration.json": calibration()})
+    whole = (tmp_path / "a.mkv").read_bytes()
+    (tmp_path / "a.mkv").write_bytes(whole[: -frames[0].nbytes // 2])
+    sequence = rp.open_sequence(tmp_path / "a.mkv")
+    for frame, expected in zip(sequence[:3], frames, strict=False):
+        assert np.array_equal(frame.depth, expected)
+
+
+def test_without_the_library(tmp_path, monkeypatch):
+    (tmp_path / "a.mkv").touch()
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[mkv\]"'):
+        rp.open_sequence(tmp_path / "a.mkv")
