@@ -223,13 +223,13 @@ def merge(
 
 
 @kernel()
-def keep_pairs_inside(pairs, contact, count, parent, chosen):
+def keep_pairs_inside(pairs, contact, parent, chosen):
     """Keep the pairs whose two lie in one chosen region; returns how many.
 
     ``parent`` (N,) is the region of each, ``chosen`` (N,) bool is read at the regions.
     """
     kept = 0
-    for i in range(count):
+    for i in range(len(pairs)):
         root = parent[pairs[i, 0]]
         if root == parent[pairs[i, 1]] and chosen[root]:
             pairs[kept] = pairs[i]
@@ -257,8 +257,8 @@ def find_rough(moments, parent, sigma, lateral_x, lateral_y, growth, rough, chos
 
 
 @kernel()
-def number_regions(parent, moments, least, number, region_moments):
-    """Number the regions that are left 0, 1, ... in their order.
+def number_regions(parent, moments, least, number):
+    """Number the regions that are left 0, 1, ... in their order, and move their moments there.
 
     Parameters
     ----------
@@ -269,7 +269,6 @@ def number_regions(parent, moments, least, number, region_moments):
         Regions of fewer pixels are given up.
     number : (N,) int64, written
         New number of each old region, or -1.
-    region_moments : (N, 10) float64, written
 
     Returns
     -------
@@ -281,7 +280,7 @@ def number_regions(parent, moments, least, number, region_moments):
         number[i] = -1
         if parent[i] == i and moments[i, 0] >= least:
             number[i] = count
-            region_moments[count] = moments[i]
+            moments[count] = moments[i]
             count += 1
     for i in range(len(parent)):
         number[i] = number[parent[i]]

@@ -19,6 +19,7 @@ from rgbd_planes.kernels import (
     segment_merge,
     segment_parts,
     segment_pixels,
+    segment_regions,
     segment_shape,
 )
 from rgbd_planes.kernels.segment_blocks import BLOCK
@@ -273,48 +274,22 @@ def segment_frame(
         rules.rough_block, rules.steep_block, rules.square_floor, rules.square_spread, state,
     )  # fmt: skip
     region = np.empty(grid.shapes[0], np.int32)
-    moments, squares = room.moments, room.squares
-    count = segment_blocks.leaves(grid.offsets, grid.shapes, state, room.pyramid, region, room.owner, moments)
-    for trip in range(rules.trips + 1):
-        pair_count = segment_merge.neighbours(
-            region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
-        )
-        parent = np.empty(count, np.int64)
-        before = moments[:count].copy()
-        segment_merge.merge(
-            moments[:count], room.pairs, room.contact, room.table, pair_count, *spread, noise.growth,
-            rules.region_floor, rules.region_jump, rules.region_spread, parent,
-        )  # fmt: skip
-        _split_rough(before, moments[:count], parent, region, room, grid, spread, noise, rules)
-        number = np.full(count + 1, -1)  # the last entry is what -1, no region, stays
-        least = float(min_size) if trip else 0.0
-        merged = segment_merge.number_regions(parent, moments, least, number, moments)
-        if trip == rules.trips:
-            break
-        count = merged
-        segment_merge.renumber(region, number)
-        alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
-        segment_pixels.planes(moments[:count], *spread, noise.growth, alpha, slope, waves)
-        segment_pixels.own_pixels(
-            room.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v,
-            region, alpha, slope, waves, noise.sigma, rules.reach, rules.close, rules.settled, CUT,
-            *squares_of, trip == rules.trips - 1, room.owner, room.pixel_owner,
-            moments[:count], squares[:count],
-        )  # fmt: skip
-    own_squares: NDArray[Any] = np.bincount(
-        number[:count] + 1, weights=squares[:count], minlength=merged + 1
-    )[1:]
-    alpha, slope, waves = np.empty((merged, 3)), np.empty(merged), np.empty(merged)
-    segment_pixels.planes(moments[:merged], *spread, noise.growth, alpha, slope, waves)
-    curved = _find_curved(
-        number[region], number, moments[:merged], alpha, slope, waves, room, grid, noise, rules
-    )
-    described = (moments[:merged], own_squares, curved)
+    number, count = segment_regions.find_regions(
+        room.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v, *squares_of, state,
+        *spread, noise.growth, rules.region_floor, rules.region_jump, rules.region_spread, rules.rough,
+        rules.reach, rules.close, rules.settled, CUT, rules.trips, float(min_size),
+        region, room.owner, room.pixel_owner, room.pairs, room.contact, room.table, room.moments, room.squares,
+    )  # fmt: skip
+    moments = room.moments[:count]
+    alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
+    segment_pixels.planes(moments, *spread, noise.growth, alpha, slope, waves)
+    curved = _find_curved(region, number, moments, alpha, slope, waves, room, grid, noise, rules)
+    described = (moments, room.squares[:count], curved)
     return _result(camera, room, number, alpha, slope, waves, *described, noise, min_size, rules)
 
 
 def _find_curved(
-    region: NDArray[np.int64],
+    region: NDArray[np.int32],
     number: NDArray[np.int64],
     moments: Floats,
     alpha: Floats,
@@ -340,35 +315,6 @@ def _find_curved(
         np.radians(rules.sharp), room.pairs, room.contact, count, curved,
     )  # fmt: skip
     return curved
-
-
-def _split_rough(
-    before: Floats,
-    moments: Floats,
-    parent: NDArray[np.int64],
-    region: NDArray[np.int32],
-    room: "_Room",
-    grid: "_Grid",
-    spread: tuple[Floats, float, float],
-    noise: FrameNoise,
-    rules: Rules,
-) -> None:
-    """Merge anew, by half the tolerance, what became part of a region that is no plane."""
-    rough = np.empty(len(parent), np.bool_)
-    if not segment_merge.find_rough(moments, parent, *spread, noise.growth, rules.rough, rough):
-        return
-    count = segment_merge.neighbours(
-        region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
-    )
-    count = segment_merge.keep_pairs_inside(room.pairs, room.contact, count, parent, rough)
-    again = np.empty_like(parent)
-    segment_merge.merge(
-        before, room.pairs, room.contact, room.table, count, *spread, noise.growth,
-        0.5 * rules.region_floor, 0.5 * rules.region_jump, rules.region_spread, again,
-    )  # fmt: skip
-    inside = rough[parent]
-    parent[inside] = again[inside]
-    moments[inside] = before[inside]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,87 @@
+"""Segmentation, the rounds: from joined blocks to regions, from regions to the pixels they own, and back."""
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import leaves
+from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
+from .segment_pixels import own_pixels, planes
+
+
+@kernel()
+def find_regions(
+    inverse_depth, tan_x, tan_y, centre_u, centre_v, pyramid, offsets, shapes, state,
+    sigma, lateral_x, lateral_y, growth, floor, jump, spread, rough, reach, close, settled, cut, rounds, least,
+    region, owner, pixel_owner, pairs, contact, table, moments, squares,
+):  # fmt: skip
+    """Merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
+
+    Parameters
+    ----------
+    inverse_depth, tan_x, tan_y, centre_u, centre_v, reach, close, settled, cut, owner, pixel_owner
+        See `segment_pixels.own_pixels`.
+    pyramid, offsets, shapes, state
+        See `segment_blocks.join_blocks`.
+    sigma, lateral_x, lateral_y, growth, floor, jump, spread, pairs, contact, table
+        See `segment_merge.merge` and `segment_merge.neighbours`.
+    rough : float
+        See `segment_merge.find_rough`; such regions are merged anew, by half the tolerance.
+    rounds : int
+    least : float
+        Pixels that a region must have after the first round.
+    region : (R, C) int32, written
+        Region that owns most of a block, or -1.
+    moments, squares : (R·C, 10), (R·C,) float64, written
+        Of the regions.
+
+    Returns
+    -------
+    number : (M,) int64
+        Region that the regions of ``owner`` and ``pixel_owner`` became in the end, or -1.
+    count : int
+        Regions in the end.
+    """
+    count = leaves(offsets, shapes, state, pyramid, region, owner, moments)
+    number = np.empty(0, np.int64)
+    for trip in range(rounds + 1):
+        pair_count = neighbours(region, centre_u, centre_v, pairs, contact, table)
+        first_moments = moments[:count].copy()
+        first_pairs, first_contact = pairs[:pair_count].copy(), contact[:pair_count].copy()
+        parent = np.empty(count, np.int64)
+        merge(
+            moments[:count], pairs, contact, table, pair_count, sigma, lateral_x, lateral_y, growth,
+            floor, jump, spread, parent,
+        )  # fmt: skip
+        several = np.empty(count, np.bool_)
+        if find_rough(moments, parent, sigma, lateral_x, lateral_y, growth, rough, several):
+            pair_count = keep_pairs_inside(first_pairs, first_contact, parent, several)
+            again = np.empty(count, np.int64)
+            merge(
+                first_moments, first_pairs, first_contact, table, pair_count, sigma, lateral_x, lateral_y, growth,
+                0.5 * floor, 0.5 * jump, spread, again,
+            )  # fmt: skip
+            for a in range(count):
+                if several[parent[a]]:
+                    moments[a] = first_moments[a]
+                else:
+                    again[a] = parent[a]
+            parent = again
+        number = np.empty(count, np.int64)
+        merged = number_regions(parent, moments, least if trip else 0.0, number)
+        renumber(region, number)
+        if trip == rounds:
+            own_squares = squares[:count].copy()
+            squares[:merged] = 0.0
+            for a in range(count):
+                if number[a] >= 0:
+                    squares[number[a]] += own_squares[a]
+            return number, merged
+        count = merged
+        alpha, slope_variance, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
+        planes(moments[:count], sigma, lateral_x, lateral_y, growth, alpha, slope_variance, waves)
+        own_pixels(
+            inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, waves, sigma,
+            reach, close, settled, cut, pyramid, offsets, shapes, trip == rounds - 1, owner, pixel_owner,
+            moments[:count], squares[:count],
+        )  # fmt: skip
+    return number, count
