@@ -230,12 +230,15 @@ def settle_squares(
 
 
 @kernel(inline=True)
-def is_far_from_others(a, count, candidate, alpha, tan_x, tan_y, top, left, bottom, right, distance):
-    """Whether region a's plane is farther than ``distance`` from all other contenders' all over a block.
+def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, top, left, bottom, right, distance):
+    """Whether no other contender comes near to region a's plane in a block, or only beyond where they meet.
 
-    Planes are, so it is enough to look at the corners.
+    Planes are farthest apart, and on one side of the line in which they meet, at the corners.
     """
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    own = 0
+    while candidate[own] != a:
+        own += 1
     for i in range(count):
         b = candidate[i]
         if b == a:
@@ -246,7 +249,10 @@ def is_far_from_others(a, count, candidate, alpha, tan_x, tan_y, top, left, bott
             for x in (left, right - 1):
                 d = d_u * tan_x[y * step_y, x] + d_v * tan_y[y, x * step_x] + d_1
                 low, high = min(low, d), max(high, d)
-        if not (low > distance or high < -distance):
+        side_a = d_u * centre[own, 0] + d_v * centre[own, 1] + d_1
+        side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
+        beyond = side_a * side_b < 0.0 and (low > 0.0 if side_a > 0.0 else high < 0.0)
+        if not (low > distance or high < -distance or beyond):
             return False
     return True
 
@@ -365,8 +371,8 @@ def own_pixels(
             if a >= 0:
                 total = (sensor + slope_variance[a]) * spread[a]
                 error = misfit(m, alpha[a])
-                if error <= settled * settled * pixels * total and is_far_from_others(
-                    a, count, candidate, alpha, tan_x, tan_y, top, left, bottom, right,
+                if error <= settled * settled * pixels * total and is_undisputed(
+                    a, count, candidate, centre, alpha, tan_x, tan_y, top, left, bottom, right,
                     reach * math.sqrt(total),
                 ):  # fmt: skip
                     for k in range(10):
