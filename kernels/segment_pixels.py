@@ -109,11 +109,12 @@ def gather(inverse_depth, tan_x, tan_y, top, left, q, u, v):
 
 
 @kernel(inline=True)
-def misfits(q, u, v, alpha, deviation, limit, square):
-    """Squared residuals of a block and its rim against one plane, in variances; whether it is near a pixel.
+def misfits(q, u, v, alpha, deviation, limit, square, within):
+    """Squared residuals of a block and its rim against one plane, in variances.
 
     They are cut off at ``limit``, so that pixels beyond a depth jump do not outweigh the others, and 0 where
-    nothing was measured. A plane is near if it is within ``limit`` of a pixel of the block.
+    nothing was measured. ``within`` becomes 1 for the block's pixels below the limit, 0 for the others; returns
+    how many they are.
     """
     scale = np.float32(1.0 / deviation)
     a, b, c = np.float32(alpha[0]) * scale, np.float32(alpha[1]) * scale, np.float32(alpha[2]) * scale
@@ -121,11 +122,22 @@ def misfits(q, u, v, alpha, deviation, limit, square):
     for p in range(SIDE * SIDE):
         e = q[p] * scale - (a * u[p] + b * v[p] + c)
         square[p] = min(e * e, limit) if q[p] > 0.0 else np.float32(0.0)
-    near = False
-    for i in range(SIDE, SIDE * (SIDE - 1), SIDE):
-        for p in range(i + 1, i + 1 + BLOCK):
-            near |= (square[p] < limit) & (q[p] > 0.0)
-    return near
+    count = 0
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            p = (y + 1) * SIDE + x + 1
+            near = np.int32((square[p] < limit) & (q[p] > 0.0))
+            within[y * BLOCK + x] = near
+            count += near
+    return count
+
+
+@kernel(inline=True)
+def take_middle(values, middle):
+    """Leave out the rim around a block."""
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            middle[y * BLOCK + x] = values[(y + 1) * SIDE + x + 1]
 
 
 @kernel(inline=True)
@@ -258,24 +270,48 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, top, left, b
 
 
 @kernel(inline=True)
-def contend(j, q, u, v, n, line, square, sums, penalty, limit, close, winner):
-    """Let region ``j`` contend for the pixels of a block with those that have them; ``winner`` is -1 for none.
+def contend(i, j, within, u, v, n, line, sums_i, sums_j, penalty_i, penalty_j, close, winner):
+    """Let region ``j`` contend with region ``i`` for those pixels of a block that this one has.
 
     Without branches, which no processor could foresee.
     """
-    for row in range(BLOCK):
-        for column in range(BLOCK):
-            k = row * BLOCK + column
-            p = (row + 1) * SIDE + column + 1
-            i = winner[k]
-            free = i < 0
-            i = max(i, 0)
-            meet = (line[i, j, 3] > 0.0) & (max(sums[i, k], sums[j, k]) < close * n[k])
-            beyond = line[i, j, 0] * u[p] + line[i, j, 1] * v[p] + line[i, j, 2] > 0.0
-            cheaper = sums[j, k] + penalty[j] * n[k] < sums[i, k] + penalty[i] * n[k]
-            better = beyond if meet else cheaper
-            wins = (q[p] > 0.0) & (square[j, p] < limit) & (free | better)
-            winner[k] = j if wins else winner[k]
+    meet = line[3] > 0.0
+    for k in range(BLOCK * BLOCK):
+        by_side = meet & (sums_i[k] < close * n[k]) & (sums_j[k] < close * n[k])
+        beyond = line[0] * u[k] + line[1] * v[k] + line[2] > 0.0
+        cheaper = sums_j[k] + penalty_j * n[k] < sums_i[k] + penalty_i * n[k]
+        wins = (winner[k] == i) & (within[k] == 1) & ((by_side & beyond) | (cheaper & ~by_side))
+        winner[k] = j if wins else winner[k]
+
+
+@kernel(inline=True, reduction=True)
+def add_owned(i, winner, u, v, q, square, cut, moments):
+    """Add the pixels that region ``i`` has to its moments; returns the sum of their squared residuals."""
+    n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = error = 0.0
+    for k in range(BLOCK * BLOCK):
+        w = 1.0 if winner[k] == i else 0.0
+        error += w * min(square[k], cut)
+        n += w
+        s_u += w * u[k]
+        s_v += w * v[k]
+        s_q += w * q[k]
+        s_uu += w * u[k] * u[k]
+        s_uv += w * u[k] * v[k]
+        s_uq += w * u[k] * q[k]
+        s_vv += w * v[k] * v[k]
+        s_vq += w * v[k] * q[k]
+        s_qq += w * q[k] * q[k]
+    moments[0] += n
+    moments[1] += s_u
+    moments[2] += s_v
+    moments[3] += s_q
+    moments[4] += s_uu
+    moments[5] += s_uv
+    moments[6] += s_uq
+    moments[7] += s_vv
+    moments[8] += s_vq
+    moments[9] += s_qq
+    return error
 
 
 @kernel()
@@ -330,7 +366,10 @@ def own_pixels(
     near = np.empty(NEIGHBOURS, np.int64)
     owned = np.empty(NEIGHBOURS, np.int64)
     line = np.zeros((NEIGHBOURS, NEIGHBOURS, 4), np.float32)
+    within = np.empty((NEIGHBOURS, BLOCK * BLOCK), np.int32)
     winner = np.empty(BLOCK * BLOCK, np.int32)
+    middle_q, middle_u = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
+    middle_v, middle_square = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
     cut_square = np.float32(cut * cut)
     q, u, v, measured, room = (
         np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32),
@@ -391,51 +430,53 @@ def own_pixels(
                     continue
 
             gather(inverse_depth, tan_x, tan_y, top, left, q, u, v)
+            take_middle(q, middle_q)
+            take_middle(u, middle_u)
+            take_middle(v, middle_v)
             near_count = 0
+            winner[:] = -1
             for i in range(count):
                 a = candidate[i]
                 total = (sensor + slope_variance[a]) * spread[a]
                 owned[i] = 0
-                if misfits(q, u, v, alpha[a], math.sqrt(total), limit, square[i]):
+                if misfits(q, u, v, alpha[a], math.sqrt(total), limit, square[i], within[i]):
                     near[near_count] = i
                     near_count += 1
-                    penalty[i] = math.log(total)
-            winner[:] = -1
+                    penalty[i] = total
             if near_count > 1:
                 find_lines(count, candidate, centre, alpha, line)
                 for k in range(near_count):
-                    sums_of_nine(square[near[k]], room, sums[near[k]])
+                    i = near[k]
+                    penalty[i] = math.log(penalty[i])
+                    sums_of_nine(square[i], room, sums[i])
                 for p in range(SIDE * SIDE):
                     measured[p] = 1.0 if q[p] > 0.0 else 0.0
                 sums_of_nine(measured, room, n)
             for k in range(near_count):
-                contend(near[k], q, u, v, n, line, square, sums, penalty, limit, close_square, winner)
-            for k in range(BLOCK * BLOCK):
-                if winner[k] >= 0:
-                    owned[winner[k]] += 1
-            for j in range(near_count):
-                i = near[j]
+                j = near[k]
+                for other in range(k):
+                    i = near[other]
+                    contend(
+                        i, j, within[j], middle_u, middle_v, n, line[i, j], sums[i], sums[j],
+                        penalty[i], penalty[j], close_square, winner,
+                    )  # fmt: skip
+                for p in range(BLOCK * BLOCK):
+                    winner[p] = j if (winner[p] < 0) & (within[j, p] == 1) else winner[p]
+            for p in range(BLOCK * BLOCK):
+                if winner[p] >= 0:
+                    owned[winner[p]] += 1
+            for k in range(near_count):
+                i = near[k]
                 a = candidate[i]
-                if owned[i] == 0:
-                    continue
-                error = 0.0
-                for y in range(BLOCK):
-                    for x in range(BLOCK):
-                        p = (y + 1) * SIDE + x + 1
-                        if winner[y * BLOCK + x] == i:
-                            error += min(square[i, p], cut_square)
-                            if owned[i] < pixels:
-                                add(moments[a], u[p], v[p], q[p])
-                squares[a] += error
-                if owned[i] == pixels:
-                    for k in range(10):
-                        moments[a, k] += m[k]
+                if owned[i] > 0:
+                    take_middle(square[i], middle_square)
+                    squares[a] += add_owned(
+                        i, winner, middle_u, middle_v, middle_q, middle_square, cut_square, moments[a]
+                    )  # fmt: skip
             if is_last:
-                for y in range(BLOCK):
-                    for x in range(BLOCK):
-                        i = winner[y * BLOCK + x]
-                        a = UNOWNED if q[(y + 1) * SIDE + x + 1] > 0.0 else MISSING
-                        pixel_owner[mixed, y * BLOCK + x] = candidate[i] if i >= 0 else a
+                for p in range(BLOCK * BLOCK):
+                    a = UNOWNED if middle_q[p] > 0.0 else MISSING
+                    pixel_owner[mixed, p] = candidate[winner[p]] if winner[p] >= 0 else a
             if is_last:
                 owner[row, column] = MIXED - mixed
                 mixed += 1
