@@ -140,22 +140,29 @@ def find_runs(
                         run_row, run_start, run_stop, run_label, vertical, parent,
                     )  # fmt: skip
                 elif a <= MIXED:
-                    pixels = pixel_owner[MIXED - a, (y - top) * BLOCK : (y - top + 1) * BLOCK]
-                    for x in range(left, right):
-                        b = pixels[x - left]
+                    block = MIXED - a
+                    k = (y - top) * BLOCK - left
+                    x = left
+                    while x < right:
+                        start = x
+                        b = pixel_owner[block, k + x]
                         a = number[b] if b >= 0 else -1
+                        new = 0
+                        while x < right and pixel_owner[block, k + x] == b:
+                            new += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+                            if a >= 0:
+                                above_label[x] = a
+                                above_row[x] = y
+                            elif b != MISSING:
+                                loose[loose_count] = y * width + x
+                                loose_count += 1
+                                above_label[x] = -1
+                            x += 1
                         if a >= 0:
-                            new = int((above_label[x] != a) | (y - above_row[x] > GAP + 1))
-                            above_label[x] = a
-                            above_row[x] = y
                             runs = put_run(
-                                y, x, x + 1, a, new, this_first, runs,
+                                y, start, x, a, new, this_first, runs,
                                 run_row, run_start, run_stop, run_label, vertical, parent,
                             )  # fmt: skip
-                        elif b != MISSING:
-                            loose[loose_count] = y * width + x
-                            loose_count += 1
-                            above_label[x] = -1
             for lines in range(1, 3):
                 j, stop = (row_first, this_first) if lines == 1 else (two_first, row_first)
                 for i in range(this_first, runs):
@@ -163,11 +170,10 @@ def find_runs(
                         j += 1
                     k = j
                     while k < stop and run_start[k] <= run_stop[i]:
-                        x = max(run_start[i], run_start[k])
-                        if run_label[k] == run_label[i] and (
-                            lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0
-                        ):
-                            unite(parent, i, k)
+                        if run_label[k] == run_label[i] and parent[k] != parent[i]:
+                            x = max(run_start[i], run_start[k])
+                            if lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0:
+                                unite(parent, i, k)
                         k += 1
     return runs, loose_count
 
@@ -285,11 +291,15 @@ def write_labels(
             reason[y, x] = unclaimed if inverse_depth[y, x] > 0.0 else missing
         while i < runs and run_row[i] == y:
             a, b = number[part[i]], why[part[i]]
-            for x in range(run_start[i], run_stop[i]):
-                if inverse_depth[y, x] > 0.0:
-                    label[y, x] = a
-                    reason[y, x] = b
+            if a > 0:
+                for x in range(run_start[i], run_stop[i]):
+                    label[y, x] = a if inverse_depth[y, x] > 0.0 else 0
+            else:
+                for x in range(run_start[i], run_stop[i]):
+                    reason[y, x] = b if inverse_depth[y, x] > 0.0 else missing
             i += 1
+        for x in range(width):
+            reason[y, x] = reason[y, x] if label[y, x] == 0 else 0
     found = np.empty(loose_count, np.int32)
     for _ in range(2):
         for i in range(loose_count):

@@ -64,30 +64,34 @@ def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region,
         Region of each block, below 0 for none.
     moments : (T, 10) float64
         Of all measured pixels of each block, row after row.
-    means : (R, C, 4) float64, written
+    means : (R, C, 4) float64, written where there is a region
     """
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     height, width = inverse_depth.shape
     for row in range(region.shape[0]):
         for column in range(region.shape[1]):
             a = region[row, column]
-            m = means[row, column]
-            m[:] = 0.0
             if a < 0:
                 continue
+            n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
             if owner[row, column] >= 0:
-                m[:] = moments[row * region.shape[1] + column, :4]
+                i = row * region.shape[1] + column
+                n, s_u, s_v, s_q = moments[i, 0], moments[i, 1], moments[i, 2], moments[i, 3]
             elif owner[row, column] <= MIXED:
-                own = pixel_owner[MIXED - owner[row, column]]
+                i = MIXED - owner[row, column]
                 for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
                     for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
-                        b = own[y % BLOCK * BLOCK + x % BLOCK]
+                        b = pixel_owner[i, y % BLOCK * BLOCK + x % BLOCK]
                         if b >= 0 and number[b] == a:
-                            m[0] += 1.0
-                            m[1] += tan_x[y * step_y, x]
-                            m[2] += tan_y[y, x * step_x]
-                            m[3] += inverse_depth[y, x]
-            m[1:] /= max(m[0], 1.0)
+                            n += 1.0
+                            s_u += tan_x[y * step_y, x]
+                            s_v += tan_y[y, x * step_x]
+                            s_q += inverse_depth[y, x]
+            share = 1.0 / max(n, 1.0)
+            means[row, column, 0] = n
+            means[row, column, 1] = s_u * share
+            means[row, column, 2] = s_v * share
+            means[row, column, 3] = s_q * share
 
 
 @kernel()
