@@ -10,8 +10,8 @@ import numpy as np
 from ._jit import kernel
 from .segment_blocks import joint_residual, residual
 
-STEP = 2  # every so many rows and columns are looked along
-LEAST = 3  # rows or columns that must cross a gap
+STEP = 1  # every so many rows and columns are looked along
+LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
 OPEN = 0.1  # share of the rows or columns that may see through
 

@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 FLATNESS = 4e-4
 """No surface of a room is flatter than this share of its distance, and hardly a sensor is better."""
 
+FORMLESS = 0.03
+"""A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
+
 PIXEL = 0.5
 """Standard deviation, in pixels, of where within its pixel a measurement lies: at most."""
 
@@ -90,7 +93,7 @@ def estimate(
 
     q = np.linspace(0.0, farthest if farthest > 0.0 else 1.0, _ENTRIES)
     if sigma is None:
-        table = np.maximum(typical**0.5, _rounding(frame, q))
+        table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
     else:
         table = np.broadcast_to(np.asarray(sigma(q), dtype=np.float64), q.shape)
     return FrameNoise(np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]), lateral, growth)
