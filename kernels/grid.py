@@ -25,8 +25,9 @@ def fit_range_tiles(
         The frame; a pixel is valid if ``lowest <= raw <= highest``.
     scale, offset
         q = scale / raw, or scale * raw + offset unless ``offset`` is None.
-    tan_x, tan_y : (W,) and (H,) float64, or both (H, W)
-        The first where the camera has no lens distortion.
+    tan_x, tan_y : (H, W) float64
+        tanθx and tanθy of each pixel; of a camera without lens distortion (C * tile_width,) and (H,), those of each
+        column and row relative to its tile's centre.
     centre : (2, R, C) float64
         The ray (tanθx, tanθy) that each tile's moments are relative to.
     full : (6, R, C) float64
@@ -45,6 +46,7 @@ def fit_range_tiles(
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    strip_room = tile_moments.strip_room(raw)
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -56,27 +58,17 @@ def fit_range_tiles(
             if tan_x.ndim == 1:
                 tile_moments.range_strip_separable(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[0, tile_row], centre[1, tile_row, 0],
-                    row_start, row_stop, tile_start, tile_stop, filled,
-                    block_reference[2], block_moments,
+                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
+                    row_start, row_stop, tile_start, tile_stop,
+                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
                 tile_moments.range_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[0, tile_row], centre[1, tile_row],
-                    row_start, row_stop, tile_start, tile_stop, filled,
-                    block_reference[2], block_moments,
+                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
+                    row_start, row_stop, tile_start, tile_stop,
+                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
-            add_camera_terms(
-                centre,
-                full,
-                filled,
-                tile_row,
-                tile_start,
-                tile_stop - tile_start,
-                block_moments,
-                block_reference,
-            )
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
@@ -98,14 +90,14 @@ def fit_standard_tiles(
 ):  # fmt: skip
     """Fit the tiles of some tile rows in (X, Y, Z): as `fit_range_tiles`.
 
-    ``method`` is `solve.STANDARD_EXPLICIT`, `solve.STANDARD_IMPLICIT` or `solve.STANDARD_PCA`. There are no
-    camera terms: ``full`` is not used.
+    ``method`` is `solve.STANDARD_EXPLICIT`, `solve.STANDARD_IMPLICIT` or `solve.STANDARD_PCA`.
     """
     height = raw.shape[0]
     tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    strip_room = tile_moments.strip_room(raw)
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -117,16 +109,16 @@ def fit_standard_tiles(
             if tan_x.ndim == 1:
                 tile_moments.standard_strip_separable(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[0, tile_row], centre[1, tile_row, 0],
-                    row_start, row_stop, tile_start, tile_stop, filled,
-                    block_reference, block_moments,
+                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
+                    row_start, row_stop, tile_start, tile_stop,
+                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
                 tile_moments.standard_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[0, tile_row], centre[1, tile_row],
-                    row_start, row_stop, tile_start, tile_stop, filled,
-                    block_reference, block_moments,
+                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
+                    row_start, row_stop, tile_start, tile_stop,
+                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
@@ -139,22 +131,6 @@ def fit_standard_tiles(
                 )  # fmt: skip
                 first += filled
                 filled = 0
-
-
-@kernel(inline=True)
-def add_camera_terms(centre, full, first, tile_row, tile_start, count, moments, reference):
-    """Turn a strip's sums over missing pixels into those over valid ones, and give it its reference points."""
-    for i in range(count):
-        t = first + i
-        tile = tile_start + i
-        moments[0, t] = full[0, tile_row, tile] - moments[0, t]
-        moments[1, t] = full[1, tile_row, tile] - moments[1, t]
-        moments[2, t] = full[2, tile_row, tile] - moments[2, t]
-        moments[4, t] = full[3, tile_row, tile] - moments[4, t]
-        moments[5, t] = full[4, tile_row, tile] - moments[5, t]
-        moments[7, t] = full[5, tile_row, tile] - moments[7, t]
-        reference[0, t] = centre[0, tile_row, tile]
-        reference[1, t] = centre[1, tile_row, tile]
 
 
 @kernel(inline=True)

@@ -7,32 +7,35 @@ of coordinates taken relative to a reference point of the tile, so that nothing 
 A strip is a run of neighbouring tiles of one tile row. Its rows are added to one accumulator per image column,
 and columns are folded into tiles after the last row. So the inner loop runs along the image row, vectorises
 without tails at tile borders, and for a camera without lens distortion, where tanθx depends on the column
-alone and tanθy on the row alone, multiplies by tanθx once per column instead of once per pixel. Two rows are read
-at a time: the accumulators' loads and stores would otherwise cost more than the arithmetic, and one division
-gives the inverse of two depths, 1/a = b/(ab) and 1/b = a/(ab).
+alone and tanθy on the row alone, multiplies by tanθx once per column instead of once per pixel. Four rows are read
+at a time, two at the end: the accumulators' loads and stores would otherwise cost more than the arithmetic, and
+one division gives the inverse of two depths, 1/a = b/(ab) and 1/b = a/(ab).
 
-Missing pixels are counted in whole numbers of 16 bits, four times as many to a vector as the sums: their number
-in the low bits with the sum of their rows k above, and the sum of k².
+A missing pixel is read as one at its tile's reference, whose part in a sum is nothing, and is counted. Without lens
+distortion tanθx and tanθy are linear in a tile's column j and row k, and its sums of 1, u, v, uu, uv and vv over
+missing pixels follow from those of 1, j, k, jj, jk and kk, which are whole numbers: a column adds up 1, k and kk
+in three fields of one number, and a tile that number times 1, j and jj.
 """
 
 import numpy as np
 
 from ._jit import kernel
-from .depth import depth, inverse_depth
 
 # Columns of a strip: their accumulators stay in the first-level cache. A multiple of 8, for whole vectors, but not
 # of 512, or all accumulators of a column would compete for the same few lines of that cache.
 COLUMNS = 648
 # Tiles of a block: no fewer than a strip can have.
 TILES = 328
-# Rows whose pixels are counted at a time: so many that n <= BAND and Σk share 16 bits, and Σk² fits into them.
-BAND = 32
-COUNT_BITS = 6
-COUNT_MASK = (1 << COUNT_BITS) - 1
-# What a pixel in row k of a band adds. The last is for no row: nothing.
-ROW_CODES = np.array([*(1 + (k << COUNT_BITS) for k in range(BAND)), 0], np.uint16)
-ROW_SQUARES = np.array([*(k * k for k in range(BAND)), 0], np.uint16)
-NOTHING = np.uint16(0)
+# Rows and columns whose missing pixels are counted at a time: so few that Σ1, Σjj, Σk and Σjk fit into fields of 22
+# bits and Σkk into one of 20. What a field has no room for is not used.
+BAND_ROWS = 32
+BAND_COLUMNS = 64
+FIELD = np.uint64(22)
+LAST_FIELD = np.uint64(44)
+FIELD_MASK = np.uint64((1 << 22) - 1)
+# What a missing pixel in row k of a band adds. The last is for no row: nothing.
+ROW_CODES = np.array([*(1 + (k << 22) + (k * k << 44) for k in range(BAND_ROWS)), 0], np.uint64)
+NO_CODE = np.uint64(0)
 
 
 @kernel()
@@ -44,7 +47,7 @@ def tiles_in_strip(tile_width):
 
 @kernel()
 def first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest):
-    """Return a valid raw value of the tile, its centre's if that is valid, or 0 if there is none."""
+    """Return a valid raw value of the tile, its centre's if that is valid, or 1 if there is none."""
     value = raw[(row_start + row_stop) // 2, (column_start + column_stop) // 2]
     if lowest <= value <= highest:
         return value
@@ -53,156 +56,262 @@ def first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, hig
             value = raw[row, column]
             if lowest <= value <= highest:
                 return value
-    return raw.dtype.type(0)
+    return raw.dtype.type(1)
 
 
 @kernel(inline=True)
-def spread_to_columns(values, tile_start, tile_stop, tile_width, left, right, columns):
-    """Give every column between ``left`` and ``right`` the value of its tile."""
+def find_references(
+    raw, lowest, highest, scale, offset, in_range, row_start, row_stop, tile_start, tile_stop, tile_width,
+    references_raw, references,
+):  # fmt: skip
+    """Take a valid pixel of each tile for its reference.
+
+    Parameters
+    ----------
+    in_range : bool
+        Whether inverse depths are wanted, or depths.
+    references_raw, references : (TILES,), written
+        Raw value and (inverse) depth.
+    """
     for tile in range(tile_start, tile_stop):
-        value = values[tile - tile_start]
+        start = tile * tile_width
+        stop = min(start + tile_width, raw.shape[1])
+        references_raw[tile - tile_start] = first_valid(
+            raw, row_start, row_stop, start, stop, lowest, highest
+        )
+    for i in range(tile_stop - tile_start):
+        value = np.float64(references_raw[i])
+        if offset is None:
+            references[i] = scale / value if in_range else value / scale
+        else:
+            inverse = scale * value + offset
+            references[i] = inverse if in_range else 1.0 / inverse
+
+
+@kernel(inline=True)
+def spread_to_columns(values, count, tile_width, columns):
+    """Give every column of ``count`` tiles the value of its tile."""
+    for tile in range(count):
+        value = values[tile]
         # Four at a time: what goes beyond the tile is overwritten by the next.
-        for column in range(max(tile * tile_width, left), min((tile + 1) * tile_width, right), 4):
-            i = column - left
+        for i in range(tile * tile_width, (tile + 1) * tile_width, 4):
             columns[i] = value
             columns[i + 1] = value
             columns[i + 2] = value
             columns[i + 3] = value
 
 
-@kernel(reduction=True, inline=True)
-def add_range_rows(
-    raw, lowest, highest, scale, offset, tan_y, v0, row_start, row_stop, left, count,
-    reference_q, sums, counts, add,
+@kernel(inline=True)
+def inverse_depths(a, b, scale, offset):
+    """Inverse depths of two raw values, for one division."""
+    if offset is None:
+        inverse = scale / (a * b)
+        return b * inverse, a * inverse
+    return scale * a + offset, scale * b + offset
+
+
+@kernel(inline=True)
+def range_pair(
+    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_raw, reference_q
 ):  # fmt: skip
-    """Add a band of at most `BAND` image rows to the sums of their columns.
+    """Σq, Σqv, Σqq and the codes of the missing ones of two pixels of a column."""
+    valid_a = (a >= lowest) & (a <= highest)
+    valid_b = (b >= lowest_b) & (b <= highest_b)
+    za = np.float64(a if valid_a else reference_raw)
+    zb = np.float64(b if valid_b else reference_raw)
+    qa, qb = inverse_depths(za, zb, scale, offset)
+    qa -= reference_q
+    qb -= reference_q
+    missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
+    return qa + qb, qa * va + qb * vb, qa * qa + qb * qb, missing
+
+
+@kernel(inline=True)
+def last_of_rows(raw, row, row_stop, lowest, highest):
+    """An image row's number and its least and largest valid value; from ``row_stop`` on no value is valid."""
+    if row < row_stop:
+        return row, lowest, highest
+    return row_stop - 1, raw.dtype.type(1), raw.dtype.type(0)
+
+
+@kernel(reduction=True, inline=True)
+def add_two_range_rows(
+    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
+    reference_raw, reference_q, sums, codes,
+):  # fmt: skip
+    """Add two image rows, see `add_range_rows`; the second may be missing."""
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    last, low, high = last_of_rows(raw, row + 1, row_stop, lowest, highest)
+    a, b = raw[row, left : left + count], raw[last, left : left + count]
+    va, vb = v[row], v[last]
+    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1 if row + 1 < row_stop else BAND_ROWS]
+    for i in range(count):
+        q, qv, qq, missing = range_pair(
+            a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
+            reference_raw[i], reference_q[i],
+        )  # fmt: skip
+        sum_q[i] += q
+        sum_qv[i] += qv
+        sum_qq[i] += qq
+        codes[i] += missing
+
+
+@kernel(reduction=True, inline=True)
+def add_four_range_rows(
+    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
+    reference_raw, reference_q, sums, codes,
+):  # fmt: skip
+    """Add four image rows, see `add_range_rows`; the fourth may be missing."""
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    last, low, high = last_of_rows(raw, row + 3, row_stop, lowest, highest)
+    a, b = raw[row, left : left + count], raw[row + 1, left : left + count]
+    c, d = raw[row + 2, left : left + count], raw[last, left : left + count]
+    va, vb, vc, vd = v[row], v[row + 1], v[row + 2], v[last]
+    code_a, code_b, code_c = ROW_CODES[k], ROW_CODES[k + 1], ROW_CODES[k + 2]
+    code_d = ROW_CODES[k + 3 if row + 3 < row_stop else BAND_ROWS]
+    for i in range(count):
+        q, qv, qq, missing = range_pair(
+            a[i], b[i], lowest, highest, lowest, highest, scale, offset, va, vb, code_a, code_b,
+            reference_raw[i], reference_q[i],
+        )  # fmt: skip
+        q_, qv_, qq_, missing_ = range_pair(
+            c[i], d[i], lowest, highest, low, high, scale, offset, vc, vd, code_c, code_d,
+            reference_raw[i], reference_q[i],
+        )  # fmt: skip
+        sum_q[i] += q + q_
+        sum_qv[i] += qv + qv_
+        sum_qq[i] += qq + qq_
+        codes[i] += missing + missing_
+
+
+@kernel(inline=True)
+def add_range_rows(
+    raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
+    reference_raw, reference_q, sums, codes,
+):  # fmt: skip
+    """Add a band of at most `BAND_ROWS` image rows to the sums of their columns.
 
     Parameters
     ----------
     left, count
         The first column and the number of columns.
-    reference_q : (COLUMNS,) float64
-        Reference inverse depth of each column's tile.
-    sums : (6, COLUMNS) float64
-        Σq, Σqv, Σqq of the valid pixels, added to; 1, Σv, Σvv of the missing ones, added to if ``add``, else
-        written.
-    counts : (2, COLUMNS) uint16
-        Room for the band's missing pixels.
+    reference_raw, reference_q : (COLUMNS,)
+        Raw value and inverse depth of the reference of each column's tile.
+    sums : (3, COLUMNS) float64, added to
+        Σq, Σqv, Σqq of the valid pixels.
+    codes : (COLUMNS,) uint64, added to
+        The band's missing pixels.
     """
-    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
-    codes, squares = counts[0], counts[1]
-    for i in range(count):
-        codes[i] = NOTHING
-        squares[i] = NOTHING
-    for row in range(row_start, row_stop, 2):
-        # An odd last row is paired with itself, of which nothing counts.
-        is_pair = row + 1 < row_stop
-        other = row + 1 if is_pair else row
-        a = raw[row, left : left + count]
-        b = raw[other, left : left + count]
-        va = tan_y[row] - v0
-        vb = tan_y[other] - v0
-        k = row - row_start
-        k_other = k + 1 if is_pair else BAND
-        code_a, code_b = ROW_CODES[k], ROW_CODES[k_other]
-        square_a, square_b = ROW_SQUARES[k], ROW_SQUARES[k_other]
-        for i in range(count):
-            valid_a = (a[i] >= lowest) & (a[i] <= highest)
-            valid_b = (b[i] >= lowest) & (b[i] <= highest)
-            if offset is None:
-                za = np.float64(a[i] if valid_a else lowest)
-                zb = np.float64(b[i] if valid_b else lowest)
-                inverse = scale / (za * zb)
-                qa = zb * inverse
-                qb = za * inverse
-            else:
-                qa = scale * a[i] + offset
-                qb = scale * b[i] + offset
-            qa = qa - reference_q[i] if valid_a else 0.0
-            qb = qb - reference_q[i] if valid_b & is_pair else 0.0
-            sum_q[i] += qa + qb
-            sum_qv[i] += qa * va + qb * vb
-            sum_qq[i] += qa * qa + qb * qb
-            codes[i] += (NOTHING if valid_a else code_a) + (NOTHING if valid_b else code_b)
-            squares[i] += (NOTHING if valid_a else square_a) + (NOTHING if valid_b else square_b)
-
-    v = tan_y[row_start] - v0
-    step = (tan_y[row_stop - 1] - tan_y[row_start]) / max(row_stop - 1 - row_start, 1)
-    count_rows(codes, squares, count, v, step, add, sums[3], sums[4], sums[5])
+    row = row_start
+    while row < row_stop:
+        if row + 2 < row_stop:
+            add_four_range_rows(
+                raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+                reference_raw, reference_q, sums, codes,
+            )  # fmt: skip
+            row += 4
+        else:
+            add_two_range_rows(
+                raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+                reference_raw, reference_q, sums, codes,
+            )  # fmt: skip
+            row += 2
 
 
 @kernel(inline=True)
-def count_rows(codes, squares, count, v, step, add, ones, sum_v, sum_vv):
-    """Turn counted pixels of rows v + k·step into the sums of 1, v and v²; they are added to if ``add``."""
-    for i in range(count):
-        n = np.float64(codes[i] & COUNT_MASK)
-        sum_k = np.float64(codes[i] >> COUNT_BITS)
-        sum_kk = np.float64(squares[i])
-        n_v = n * v + sum_k * step
-        n_vv = n * (v * v) + sum_k * (2.0 * v * step) + sum_kk * (step * step)
-        ones[i] = ones[i] + n if add else n
-        sum_v[i] = sum_v[i] + n_v if add else n_v
-        sum_vv[i] = sum_vv[i] + n_vv if add else n_vv
+def take_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
+    """Take the missing pixels of a band of rows from the sums of 1, u, v, uu, uv and vv of its tiles.
 
-
-@kernel()
-def fold_range_columns(sums, left, right, tan_x, u0, tile_start, tile_stop, tile_width, first, add, moments):
-    """Sum the columns ``left`` to ``right`` over their tiles, into ``moments`` from entry ``first``.
-
-    The camera terms are those of the missing pixels. Without leave to reorder: tiles are too narrow for these
-    sums to vectorise, and trying costs more.
+    Parameters
+    ----------
+    codes : (COLUMNS,) uint64
+        Of ``span`` columns a tile.
+    u, step_u, v
+        tanθx of the columns, its step, and tanθy of the rows, relative to their tile's centre.
+    counts, first_u : (3, TILES) uint64 and (TILES,) float64
+        Room.
     """
-    sum_q, sum_qv, sum_qq, lost, lost_v, lost_vv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    for tile in range(tile_start, tile_stop):
-        centre = u0[tile]
+    v_0 = v[0]
+    step_v = (v[-1] - v_0) / max(len(v) - 1, 1)
+    for part in range(0, span, BAND_COLUMNS):
+        size = min(span - part, BAND_COLUMNS)
+        for tile in range(tiles):
+            start = tile * span + part
+            once = by_j = by_jj = NO_CODE
+            for column in range(size):
+                j = np.uint64(column)
+                code = codes[start + column]
+                once += code
+                by_j += code * j
+                by_jj += code * (j * j)
+            counts[0, tile] = once
+            counts[1, tile] = by_j
+            counts[2, tile] = by_jj
+            first_u[tile] = u[start]
+        for tile in range(tiles):
+            n = np.float64(counts[0, tile] & FIELD_MASK)
+            k = np.float64((counts[0, tile] >> FIELD) & FIELD_MASK)
+            kk = np.float64(counts[0, tile] >> LAST_FIELD)
+            j = np.float64(counts[1, tile] & FIELD_MASK)
+            jk = np.float64((counts[1, tile] >> FIELD) & FIELD_MASK)
+            jj = np.float64(counts[2, tile] & FIELD_MASK)
+            u_0 = first_u[tile]
+            n_v = n * v_0 + k * step_v
+            moments[0, tile] -= n
+            moments[1, tile] -= n * u_0 + j * step_u
+            moments[2, tile] -= n_v
+            moments[4, tile] -= n * (u_0 * u_0) + j * (2.0 * u_0 * step_u) + jj * (step_u * step_u)
+            moments[5, tile] -= u_0 * n_v + step_u * (j * v_0 + jk * step_v)
+            moments[7, tile] -= n * (v_0 * v_0) + k * (2.0 * v_0 * step_v) + kk * (step_v * step_v)
+
+
+@kernel(reduction=True, inline=True)
+def fold_range_columns(sums, u, tiles, span, moments):
+    """Add columns, ``span`` a tile, to the sums of their tiles."""
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    for tile in range(tiles):
         s_q = s_qu = s_qv = s_qq = 0.0
-        l_1 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
-        for column in range(max(tile * tile_width, left), min((tile + 1) * tile_width, right)):
-            u = tan_x[column] - centre
-            i = column - left
+        for column in range(span):
+            i = tile * span + column
             s_q += sum_q[i]
-            s_qu += sum_q[i] * u
+            s_qu += sum_q[i] * u[i]
             s_qv += sum_qv[i]
             s_qq += sum_qq[i]
-            l_1 += lost[i]
-            l_u += lost[i] * u
-            l_v += lost_v[i]
-            l_uu += lost[i] * (u * u)
-            l_uv += lost_v[i] * u
-            l_vv += lost_vv[i]
-        t = first + tile - tile_start
-        if add:
-            l_1 += moments[0, t]
-            l_u += moments[1, t]
-            l_v += moments[2, t]
-            s_q += moments[3, t]
-            l_uu += moments[4, t]
-            l_uv += moments[5, t]
-            s_qu += moments[6, t]
-            l_vv += moments[7, t]
-            s_qv += moments[8, t]
-            s_qq += moments[9, t]
-        moments[0, t] = l_1
-        moments[1, t] = l_u
-        moments[2, t] = l_v
-        moments[3, t] = s_q
-        moments[4, t] = l_uu
-        moments[5, t] = l_uv
-        moments[6, t] = s_qu
-        moments[7, t] = l_vv
-        moments[8, t] = s_qv
-        moments[9, t] = s_qq
+        moments[3, tile] += s_q
+        moments[6, tile] += s_qu
+        moments[8, tile] += s_qv
+        moments[9, tile] += s_qq
 
 
-@kernel()
+@kernel(inline=True)
+def start_strip(centre, full, count, reference, moments):
+    """Give a strip's tiles their central rays, the camera terms of all their pixels and no sums of the frame."""
+    for axis in range(2):
+        for i in range(count):
+            reference[axis, i] = centre[axis, i]
+    for i in range(count):
+        moments[0, i] = full[0, i]
+        moments[1, i] = full[1, i]
+        moments[2, i] = full[2, i]
+        moments[4, i] = full[3, i]
+        moments[5, i] = full[4, i]
+        moments[7, i] = full[5, i]
+    for i in range(count):
+        moments[3, i] = 0.0
+        moments[6, i] = 0.0
+        moments[8, i] = 0.0
+        moments[9, i] = 0.0
+
+
+@kernel(inline=True)
 def range_strip_separable(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, reference_q, moments,
+    raw, lowest, highest, scale, offset, u, v, tile_width, centre, full,
+    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
 ):  # fmt: skip
-    """Range-space sums of a strip of tiles, for a camera without lens distortion.
+    """Range-space moments of a strip of tiles, for a camera without lens distortion.
 
     Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). The
-    other entries are summed over the missing pixels: A_valid = A_full - Σ_missing m mᵀ.
+    other entries are the camera's, less those of the missing pixels: A_valid = A_full - Σ_missing m mᵀ.
 
     Parameters
     ----------
@@ -210,47 +319,76 @@ def range_strip_separable(
         The frame; a pixel is valid if ``lowest <= raw <= highest``.
     scale, offset
         q = scale / raw, or scale * raw + offset unless ``offset`` is None.
-    tan_x, tan_y : (W,) and (H,) float64
-    u0 : (C,) float64
-    v0 : float
-        Reference point of each tile of the tile row.
+    u, v : (C * tile_width,) and (H,) float64
+        tanθx of each column and tanθy of each row, relative to its tile's centre.
+    centre, full : (2, N) and (6, N) float64
+        Of the N tiles, see `full_tile_moments`.
     row_start, row_stop
         Image rows of the tiles.
-    reference_q, moments : (TILES,) and (10, TILES) float64, written
-        From entry ``first``.
+    room
+        See `strip_room`.
+    reference, moments : (3, N) and (10, N) float64, written
     """
-    sums = np.empty((10, COLUMNS))
-    counts = np.empty((2, COLUMNS), np.uint16)
-    columns = np.zeros((3, COLUMNS + 8))
-    width = raw.shape[1]
-    for tile in range(tile_start, tile_stop):
-        start = tile * tile_width
-        stop = min(start + tile_width, width)
-        value = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
-        reference_q[first + tile - tile_start] = (
-            inverse_depth(value, scale, 0.0, False)
-            if offset is None
-            else inverse_depth(value, scale, offset, True)
-        )
-    last = min(tile_stop * tile_width, width)
+    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    tiles = tile_stop - tile_start
+    start_strip(centre, full, tiles, reference, moments)
+    find_references(
+        raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
+        references_raw, reference[2],
+    )  # fmt: skip
     # More than one turn only where a tile is wider than a strip.
-    for left in range(tile_start * tile_width, last, COLUMNS):
-        right = min(left + COLUMNS, last)
-        # Whole vectors: the sums of a few columns more are not looked at.
-        count = min((right - left + 7) // 8 * 8, width - left)
-        spread_to_columns(reference_q[first:], tile_start, tile_stop, tile_width, left, right, columns[0])
+    start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
+    step_u = step_of_columns(u, start, last, tile_width)
+    for left in range(start, last, COLUMNS):
+        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+        spread_to_columns(references_raw, tiles, span, columns_raw)
+        spread_to_columns(reference[2], tiles, span, columns[0])
         for entry in range(3):
-            for i in range(count):
+            for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
-        for band in range(row_start, row_stop, BAND):
+        for band in range(row_start, row_stop, BAND_ROWS):
+            band_stop = min(band + BAND_ROWS, row_stop)
+            for i in range(max(count, tiles * span)):
+                codes[i] = NO_CODE
             add_range_rows(
-                raw, lowest, highest, scale, offset, tan_y, v0, band, min(band + BAND, row_stop), left, count,
-                columns[0], sums, counts, band > row_start,
+                raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
+                columns_raw, columns[0], sums, codes,
             )  # fmt: skip
-        fold_range_columns(
-            sums, left, right, tan_x, u0, tile_start, tile_stop, tile_width,
-            first, left > tile_start * tile_width, moments,
-        )  # fmt: skip
+            take_missing(
+                codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, tile_sums[0], moments
+            )
+        fold_range_columns(sums, u[left:], tiles, span, moments)
+
+
+@kernel(inline=True)
+def columns_in_strip(left, last, tile_width, width):
+    """Columns of each tile from ``left`` on, and how many of the image to read for those up to ``last``."""
+    right = min(left + COLUMNS, last)
+    # Whole vectors: the sums of a few columns more are not looked at.
+    return tile_width if tile_width <= COLUMNS else right - left, min(
+        (right - left + 7) // 8 * 8, width - left
+    )
+
+
+@kernel(inline=True)
+def step_of_columns(u, start, last, tile_width):
+    """How much tanθx differs between neighbouring columns, from those of one tile."""
+    size = min(tile_width, last - start)
+    return (u[start + size - 1] - u[start]) / max(size - 1, 1)
+
+
+@kernel(inline=True)
+def strip_room(raw):
+    """Room for sums of columns, references of columns and tiles, missing pixels, sums of tiles."""
+    return (
+        np.empty((10, COLUMNS)),
+        np.zeros((3, COLUMNS + 8)),
+        np.ones(COLUMNS + 8, raw.dtype),
+        np.empty(TILES, raw.dtype),
+        np.empty(COLUMNS, np.uint64),
+        np.empty((3, TILES), np.uint64),
+        np.empty((12, TILES)),
+    )
 
 
 @kernel(reduction=True, inline=True)
@@ -260,7 +398,7 @@ def add_range_rows_of_rays(
     """Add image rows to the sums of their columns, for rays that differ from pixel to pixel.
 
     ``columns`` (3, COLUMNS) holds each column's reference point; ``sums`` (10, COLUMNS) are in the order of the
-    moments, those without q over the missing pixels.
+    moments. Those without q have the missing pixels in them, each counted -1.
     """
     lost, lost_u, lost_v, sum_q, lost_uu = sums[0], sums[1], sums[2], sums[3], sums[4]
     lost_uv, sum_qu, lost_vv, sum_qv, sum_qq = sums[5], sums[6], sums[7], sums[8], sums[9]
@@ -292,8 +430,8 @@ def add_range_rows_of_rays(
             sum_qu[i] += qa * ua + qb * ub
             sum_qv[i] += qa * va + qb * vb
             sum_qq[i] += qa * qa + qb * qb
-            lost_a = 0.0 if valid_a else 1.0
-            lost_b = 0.0 if valid_b | (not is_pair) else 1.0
+            lost_a = 0.0 if valid_a else -1.0
+            lost_b = 0.0 if valid_b | (not is_pair) else -1.0
             lost[i] += lost_a + lost_b
             lost_ua, lost_ub = lost_a * ua, lost_b * ub
             lost_va, lost_vb = lost_a * va, lost_b * vb
@@ -304,241 +442,249 @@ def add_range_rows_of_rays(
             lost_vv[i] += lost_va * va + lost_vb * vb
 
 
-@kernel()
-def fold_columns(sums, left, right, tile_start, tile_stop, tile_width, first, add, moments):
-    """Sum the columns ``left`` to ``right`` over their tiles, into ``moments`` from entry ``first``."""
-    for tile in range(tile_start, tile_stop):
-        t = first + tile - tile_start
-        start = max(tile * tile_width, left) - left
-        stop = min((tile + 1) * tile_width, right) - left
-        for entry in range(10):
-            total = moments[entry, t] if add else 0.0
-            for i in range(start, stop):
-                total += sums[entry, i]
-            moments[entry, t] = total
+@kernel(inline=True)
+def fold_columns(sums, tiles, span, moments):
+    """Add columns, ``span`` a tile, to the ten sums of their tiles."""
+    for entry in range(10):
+        fold(sums[entry], tiles, span, moments[entry])
 
 
-@kernel()
+@kernel(reduction=True, inline=True)
+def fold(columns, tiles, span, sums):
+    """Add up the columns of each tile."""
+    for tile in range(tiles):
+        total = 0.0
+        for column in range(span):
+            total += columns[tile * span + column]
+        sums[tile] += total
+
+
+@kernel(inline=True)
 def range_strip(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, reference_q, moments,
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre, full,
+    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
 ):  # fmt: skip
-    """Range-space sums as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W), v0 is (C,)."""
-    sums = np.empty((10, COLUMNS))
-    columns = np.zeros((3, COLUMNS + 8))
-    width = raw.shape[1]
-    for tile in range(tile_start, tile_stop):
-        start = tile * tile_width
-        stop = min(start + tile_width, width)
-        value = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
-        reference_q[first + tile - tile_start] = (
-            inverse_depth(value, scale, 0.0, False)
-            if offset is None
-            else inverse_depth(value, scale, offset, True)
-        )
-    last = min(tile_stop * tile_width, width)
+    """Range-space moments as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W)."""
+    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    tiles = tile_stop - tile_start
+    start_strip(centre, full, tiles, reference, moments)
+    find_references(
+        raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
+        references_raw, reference[2],
+    )  # fmt: skip
+    last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):
-        right = min(left + COLUMNS, last)
-        count = min((right - left + 7) // 8 * 8, width - left)
-        spread_to_columns(u0[tile_start:], tile_start, tile_stop, tile_width, left, right, columns[0])
-        spread_to_columns(v0[tile_start:], tile_start, tile_stop, tile_width, left, right, columns[1])
-        spread_to_columns(reference_q[first:], tile_start, tile_stop, tile_width, left, right, columns[2])
+        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+        for axis in range(3):
+            spread_to_columns(reference[axis], tiles, span, columns[axis])
         for entry in range(10):
-            for i in range(count):
+            for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
         add_range_rows_of_rays(
             raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
         )
-        fold_columns(
-            sums,
-            left,
-            right,
-            tile_start,
-            tile_stop,
-            tile_width,
-            first,
-            left > tile_start * tile_width,
-            moments,
-        )
+        fold_columns(sums, tiles, span, moments)
+
+
+@kernel(inline=True)
+def depths(a, b, scale, offset):
+    """Depths of two raw values, for one division at most."""
+    if offset is None:
+        metres = 1.0 / scale
+        return metres * a, metres * b
+    qa = scale * a + offset
+    qb = scale * b + offset
+    inverse = 1.0 / (qa * qb)
+    return qb * inverse, qa * inverse
+
+
+@kernel(inline=True)
+def standard_pair(
+    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_raw, reference_z
+):  # fmt: skip
+    """Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv and the codes of the missing ones of two pixels of a column."""
+    valid_a = (a >= lowest) & (a <= highest)
+    valid_b = (b >= lowest_b) & (b <= highest_b)
+    za, zb = depths(
+        np.float64(a if valid_a else reference_raw),
+        np.float64(b if valid_b else reference_raw),
+        scale,
+        offset,
+    )
+    za -= reference_z
+    zb -= reference_z
+    zva, zvb = za * va, zb * vb
+    missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
+    return (
+        za + zb,
+        zva + zvb,
+        zva * va + zvb * vb,
+        za * za + zb * zb,
+        za * zva + zb * zvb,
+        zva * zva + zvb * zvb,
+        missing,
+    )
 
 
 @kernel(reduction=True, inline=True)
-def add_standard_rows(
-    raw, lowest, highest, scale, offset, tan_y, v0, row_start, row_stop, left, count,
-    reference_z, sums, counts, add,
+def add_two_standard_rows(
+    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
+    reference_raw, reference_z, sums, codes,
 ):  # fmt: skip
-    """Add a band of at most `BAND` image rows to the sums of their columns.
-
-    ``sums`` (9, COLUMNS) are Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv, added to, and Σ1, Σv, Σvv, added to if ``add``, else
-    written; z is relative to ``reference_z``. See `add_range_rows` for the rest.
-    """
+    """Add two image rows, see `add_standard_rows`; the second may be missing."""
     sum_z, sum_zv, sum_zvv, sum_zz, sum_zzv, sum_zzvv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    codes, squares = counts[0], counts[1]
-    metres = 1.0 / scale
+    last, low, high = last_of_rows(raw, row + 1, row_stop, lowest, highest)
+    a, b = raw[row, left : left + count], raw[last, left : left + count]
+    va, vb = v[row], v[last]
+    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1 if row + 1 < row_stop else BAND_ROWS]
     for i in range(count):
-        codes[i] = NOTHING
-        squares[i] = NOTHING
+        z, zv, zvv, zz, zzv, zzvv, missing = standard_pair(
+            a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
+            reference_raw[i], reference_z[i],
+        )  # fmt: skip
+        sum_z[i] += z
+        sum_zv[i] += zv
+        sum_zvv[i] += zvv
+        sum_zz[i] += zz
+        sum_zzv[i] += zzv
+        sum_zzvv[i] += zzvv
+        codes[i] += missing
+
+
+@kernel(inline=True)
+def add_standard_rows(
+    raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
+    reference_raw, reference_z, sums, codes,
+):  # fmt: skip
+    """Add a band of image rows to the sums of their columns: as `add_range_rows`.
+
+    ``sums`` (6, COLUMNS) are Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv; z is relative to ``reference_z``.
+    """
     for row in range(row_start, row_stop, 2):
-        is_pair = row + 1 < row_stop
-        other = row + 1 if is_pair else row
-        a = raw[row, left : left + count]
-        b = raw[other, left : left + count]
-        va = tan_y[row] - v0
-        vb = tan_y[other] - v0
-        vva = va * va
-        vvb = vb * vb
-        k = row - row_start
-        k_other = k + 1 if is_pair else BAND
-        code_a, code_b = ROW_CODES[k], ROW_CODES[k_other]
-        square_a, square_b = ROW_SQUARES[k], ROW_SQUARES[k_other]
-        for i in range(count):
-            valid_a = (a[i] >= lowest) & (a[i] <= highest)
-            valid_b = (b[i] >= lowest) & (b[i] <= highest)
-            if offset is None:
-                za = metres * a[i]
-                zb = metres * b[i]
-            else:
-                qa = scale * a[i] + offset if valid_a else 1.0
-                qb = scale * b[i] + offset if valid_b else 1.0
-                depths = 1.0 / (qa * qb)
-                za = qb * depths
-                zb = qa * depths
-            za = za - reference_z[i] if valid_a else 0.0
-            zb = zb - reference_z[i] if valid_b & is_pair else 0.0
-            zza = za * za
-            zzb = zb * zb
-            sum_z[i] += za + zb
-            sum_zv[i] += za * va + zb * vb
-            sum_zvv[i] += za * vva + zb * vvb
-            sum_zz[i] += zza + zzb
-            sum_zzv[i] += zza * va + zzb * vb
-            sum_zzvv[i] += zza * vva + zzb * vvb
-            codes[i] += (code_a if valid_a else NOTHING) + (code_b if valid_b else NOTHING)
-            squares[i] += (square_a if valid_a else NOTHING) + (square_b if valid_b else NOTHING)
-
-    v = tan_y[row_start] - v0
-    step = (tan_y[row_stop - 1] - tan_y[row_start]) / max(row_stop - 1 - row_start, 1)
-    count_rows(codes, squares, count, v, step, add, sums[6], sums[7], sums[8])
+        add_two_standard_rows(
+            raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+            reference_raw, reference_z, sums, codes,
+        )  # fmt: skip
 
 
-@kernel(reduction=True)
-def standard_columns(sums, z0, v0, tan_x, u0, left, count):
-    """Turn a strip's sums of columns into those of 1, X, Y, Z and their products, in the order of the moments.
+@kernel(reduction=True, inline=True)
+def fold_twice(columns, u, tiles, span, sums):
+    """Sums of each tile's columns, once and times u, are added to ``sums`` (2, TILES)."""
+    for tile in range(tiles):
+        total = by_u = 0.0
+        for column in range(span):
+            i = tile * span + column
+            total += columns[i]
+            by_u += columns[i] * u[i]
+        sums[0, tile] += total
+        sums[1, tile] += by_u
+
+
+@kernel(reduction=True, inline=True)
+def fold_thrice(columns, u, tiles, span, sums):
+    """Sums of each tile's columns, once and times u and u², are added to ``sums`` (3, TILES)."""
+    for tile in range(tiles):
+        total = by_u = by_uu = 0.0
+        for column in range(span):
+            i = tile * span + column
+            by = columns[i] * u[i]
+            total += columns[i]
+            by_u += by
+            by_uu += by * u[i]
+        sums[0, tile] += total
+        sums[1, tile] += by_u
+        sums[2, tile] += by_uu
+
+
+@kernel(inline=True)
+def standard_from_sums(sums, count, reference, moments):
+    """Moments of (X, Y, Z) from sums of z, u and v and the camera terms of the valid pixels.
 
     With z = Z - Z0, u = tanθx - u0 and v = tanθy - v0, a point relative to the reference Z0·(u0, v0, 1) is
 
-        X = z·tanθx + Z0·u,    Y = z·tanθy + Z0·v,    Z = z,
+        X = Zu + u0·z,    Y = Zv + v0·z,    Z = z,    where Zu = z·u + Z0·u.
 
-    so nine sums down a column give the ten of X, Y and Z, whatever the column's tanθx.
+    ``sums`` (12, TILES) are those of z, zu, zuu, zz, zzu, zzuu, zv, zvu, zzv, zzvu, zvv and zzvv. The first two rows
+    of ``reference`` are u0, v0 on entry, X0, Y0 on return.
     """
     for i in range(count):
-        s_z, s_zv, s_zvv = sums[0, i], sums[1, i], sums[2, i]
-        s_zz, s_zzv, s_zzvv = sums[3, i], sums[4, i], sums[5, i]
-        n, s_v, s_vv = sums[6, i], sums[7, i], sums[8, i]
-        t = tan_x[left + i]
-        x = z0[i] * (t - u0[i])  # X = z·t + x
-        # Sums of Y = z·(v0 + v) + z0·v, of zY and of YY.
-        c_y = v0 * s_z + s_zv + z0[i] * s_v
-        c_zy = v0 * s_zz + s_zzv + z0[i] * s_zv
-        c_yy = (
-            v0 * (v0 * s_zz + 2.0 * s_zzv) + s_zzvv + 2.0 * z0[i] * (v0 * s_zv + s_zvv) + z0[i] * z0[i] * s_vv
+        z, zu, zuu, zz, zzu, zzuu = sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i], sums[5, i]
+        zv, zvu, zzv, zzvu, zvv, zzvv = (
+            sums[6, i],
+            sums[7, i],
+            sums[8, i],
+            sums[9, i],
+            sums[10, i],
+            sums[11, i],
         )
-        sums[0, i] = n
-        sums[1, i] = t * s_z + x * n
-        sums[2, i] = c_y
-        sums[3, i] = s_z
-        sums[4, i] = t * (t * s_zz + 2.0 * x * s_z) + x * x * n
-        sums[5, i] = t * c_zy + x * c_y
-        sums[6, i] = t * s_zz + x * s_z
-        sums[7, i] = c_yy
-        sums[8, i] = c_zy
-        sums[9, i] = s_zz
+        u0, v0, z0 = reference[0, i], reference[1, i], reference[2, i]
+        u, v, uu, uv, vv = moments[1, i], moments[2, i], moments[4, i], moments[5, i], moments[7, i]
+        # Sums of Zu, Zv and their products.
+        x = zu + z0 * u
+        y = zv + z0 * v
+        xz = zzu + z0 * zu
+        yz = zzv + z0 * zv
+        xx = zzuu + z0 * (2.0 * zuu + z0 * uu)
+        xy = zzvu + z0 * (2.0 * zvu + z0 * uv)
+        yy = zzvv + z0 * (2.0 * zvv + z0 * vv)
+        moments[1, i] = x + u0 * z
+        moments[2, i] = y + v0 * z
+        moments[3, i] = z
+        moments[4, i] = xx + u0 * (2.0 * xz + u0 * zz)
+        moments[5, i] = xy + u0 * yz + v0 * (xz + u0 * zz)
+        moments[6, i] = xz + u0 * zz
+        moments[7, i] = yy + v0 * (2.0 * yz + v0 * zz)
+        moments[8, i] = yz + v0 * zz
+        moments[9, i] = zz
+        reference[0, i] = z0 * u0
+        reference[1, i] = z0 * v0
 
 
-@kernel()
+@kernel(inline=True)
 def standard_strip_separable(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, reference, moments,
+    raw, lowest, highest, scale, offset, u, v, tile_width, centre, full,
+    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
 ):  # fmt: skip
     """Moments of (X, Y, Z) of a strip of tiles, for a camera without lens distortion.
 
-    Every entry depends on the frame (the paper's eq. XYZ_scattermatrix). As `range_strip_separable`, but
-    depth is Z = raw / scale, or 1 / (scale * raw + offset), ``reference`` (3, TILES), all of it, is written,
-    and the moments are complete.
+    As `range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every entry depends
+    on the frame (the paper's eq. XYZ_scattermatrix).
     """
-    sums = np.empty((10, COLUMNS))
-    counts = np.empty((2, COLUMNS), np.uint16)
-    columns = np.zeros((3, COLUMNS + 8))
-    width = raw.shape[1]
-    standard_reference(
-        raw,
-        lowest,
-        highest,
-        scale,
-        offset,
-        tile_width,
-        row_start,
-        row_stop,
-        tile_start,
-        tile_stop,
-        first,
-        reference,
-    )
-    last = min(tile_stop * tile_width, width)
-    for left in range(tile_start * tile_width, last, COLUMNS):
-        right = min(left + COLUMNS, last)
-        count = min((right - left + 7) // 8 * 8, width - left)
-        spread_to_columns(u0[tile_start:], tile_start, tile_stop, tile_width, left, right, columns[0])
-        spread_to_columns(reference[2, first:], tile_start, tile_stop, tile_width, left, right, columns[2])
+    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    tiles = tile_stop - tile_start
+    start_strip(centre, full, tiles, reference, moments)
+    find_references(
+        raw, lowest, highest, scale, offset, False, row_start, row_stop, tile_start, tile_stop, tile_width,
+        references_raw, reference[2],
+    )  # fmt: skip
+    for entry in range(12):
+        for i in range(tiles):
+            tile_sums[entry, i] = 0.0
+    start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
+    step_u = step_of_columns(u, start, last, tile_width)
+    for left in range(start, last, COLUMNS):
+        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+        spread_to_columns(references_raw, tiles, span, columns_raw)
+        spread_to_columns(reference[2], tiles, span, columns[0])
         for entry in range(6):
-            for i in range(count):
+            for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
-        for band in range(row_start, row_stop, BAND):
+        for band in range(row_start, row_stop, BAND_ROWS):
+            band_stop = min(band + BAND_ROWS, row_stop)
+            for i in range(max(count, tiles * span)):
+                codes[i] = NO_CODE
             add_standard_rows(
-                raw, lowest, highest, scale, offset, tan_y, v0, band, min(band + BAND, row_stop), left, count,
-                columns[2], sums, counts, band > row_start,
+                raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
+                columns_raw, columns[0], sums, codes,
             )  # fmt: skip
-        standard_columns(sums, columns[2], v0, tan_x, columns[0], left, count)
-        fold_columns(
-            sums,
-            left,
-            right,
-            tile_start,
-            tile_stop,
-            tile_width,
-            first,
-            left > tile_start * tile_width,
-            moments,
-        )
-    for tile in range(tile_start, tile_stop):
-        t = first + tile - tile_start
-        reference[0, t] = reference[2, t] * u0[tile]
-        reference[1, t] = reference[2, t] * v0
-
-
-@kernel()
-def standard_reference(
-    raw,
-    lowest,
-    highest,
-    scale,
-    offset,
-    tile_width,
-    row_start,
-    row_stop,
-    tile_start,
-    tile_stop,
-    first,
-    reference,
-):
-    """Write each tile's reference depth, Z0, into the third row of ``reference``."""
-    for tile in range(tile_start, tile_stop):
-        start = tile * tile_width
-        stop = min(start + tile_width, raw.shape[1])
-        value = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
-        reference[2, first + tile - tile_start] = (
-            depth(value, scale, 0.0, False) if offset is None else depth(value, scale, offset, True)
-        )
+            take_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
+        fold_thrice(sums[0], u[left:], tiles, span, tile_sums[0:])
+        fold_thrice(sums[3], u[left:], tiles, span, tile_sums[3:])
+        fold_twice(sums[1], u[left:], tiles, span, tile_sums[6:])
+        fold_twice(sums[4], u[left:], tiles, span, tile_sums[8:])
+        fold(sums[2], tiles, span, tile_sums[10])
+        fold(sums[5], tiles, span, tile_sums[11])
+    standard_from_sums(tile_sums, tiles, reference, moments)
 
 
 @kernel(reduction=True, inline=True)
@@ -592,58 +738,36 @@ def add_standard_rows_of_rays(
             sum_zz[i] += za * za + zb * zb
 
 
-@kernel()
+@kernel(inline=True)
 def standard_strip(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, u0, v0,
-    row_start, row_stop, tile_start, tile_stop, first, reference, moments,
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre, full,
+    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
 ):  # fmt: skip
-    """Moments as in `standard_strip_separable`, for any camera: tan_x, tan_y are (H, W), v0 is (C,)."""
-    sums = np.empty((10, COLUMNS))
-    columns = np.zeros((3, COLUMNS + 8))
-    width = raw.shape[1]
-    standard_reference(
-        raw,
-        lowest,
-        highest,
-        scale,
-        offset,
-        tile_width,
-        row_start,
-        row_stop,
-        tile_start,
-        tile_stop,
-        first,
-        reference,
-    )
-    for tile in range(tile_start, tile_stop):
-        t = first + tile - tile_start
-        reference[0, t] = reference[2, t] * u0[tile]
-        reference[1, t] = reference[2, t] * v0[tile]
-    last = min(tile_stop * tile_width, width)
+    """Moments as in `standard_strip_separable`, for any camera: tan_x, tan_y are (H, W)."""
+    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    tiles = tile_stop - tile_start
+    find_references(
+        raw, lowest, highest, scale, offset, False, row_start, row_stop, tile_start, tile_stop, tile_width,
+        references_raw, reference[2],
+    )  # fmt: skip
+    for axis in range(2):
+        for i in range(tiles):
+            reference[axis, i] = reference[2, i] * centre[axis, i]
+    for entry in range(10):
+        for i in range(tiles):
+            moments[entry, i] = 0.0
+    last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):
-        right = min(left + COLUMNS, last)
-        count = min((right - left + 7) // 8 * 8, width - left)
+        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
         for axis in range(3):
-            spread_to_columns(
-                reference[axis, first:], tile_start, tile_stop, tile_width, left, right, columns[axis]
-            )
+            spread_to_columns(reference[axis], tiles, span, columns[axis])
         for entry in range(10):
-            for i in range(count):
+            for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
         add_standard_rows_of_rays(
             raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
         )
-        fold_columns(
-            sums,
-            left,
-            right,
-            tile_start,
-            tile_stop,
-            tile_width,
-            first,
-            left > tile_start * tile_width,
-            moments,
-        )
+        fold_columns(sums, tiles, span, moments)
 
 
 @kernel(reduction=True)

@@ -65,6 +65,18 @@ def camera_terms(
     return centre, full
 
 
+def relative_rays(
+    camera: Camera, tile: tuple[int, int], centre: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """tanθx of each column and tanθy of each row, relative to the centre of its tile, for a separable camera.
+
+    (C * tile width,) and (H,): columns that the last tile lacks are 0.
+    """
+    columns = np.zeros(centre.shape[2] * tile[1])
+    columns[: camera.width] = camera.tan_x_columns - np.repeat(centre[0, 0], tile[1])[: camera.width]
+    return columns, camera.tan_y_rows - np.repeat(centre[1, :, 0], tile[0])[: camera.height]
+
+
 def _sums(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
     """Mean of each run of ``sizes`` values, and the sums of the deviations from it and of their squares."""
     starts = np.cumsum(sizes) - sizes

@@ -25,7 +25,7 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import camera_terms, check_tile, tile_sizes, tile_windows
+from rgbd_planes.tile_grid import camera_terms, check_tile, relative_rays, tile_sizes, tile_windows
 from rgbd_planes.tile_planes import ARRAYS, TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
@@ -98,7 +98,7 @@ class TileFitter:
                 grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
             )
             rays = (
-                (camera.tan_x_columns, camera.tan_y_rows)
+                relative_rays(camera, self.tile, self._centre)
                 if camera.is_separable
                 else (camera.tan_x, camera.tan_y)
             )
