@@ -1,41 +1,38 @@
-"""Smallest eigenvalue and eigenvector of a symmetric 3x3 matrix.
+"""Smallest eigenvalue and eigenvector of symmetric 3x3 matrices, many at a time.
 
-The matrix is given by its entries a = m11, b = m12, c = m13, d = m22, e = m23, f = m33.
+A matrix is given by its entries a = m11, b = m12, c = m13, d = m22, e = m23, f = m33. The loops run over the
+matrices and vectorise; one whose root has converged stays where it is, so that its result does not depend on its
+neighbours.
 """
 
 import math
 
 from ._jit import kernel
 
+# Rows of room that `smallest_eigenpairs` needs.
+WORK = 3
 
-@kernel()
-def smallest_eigenvalue(a, b, c, d, e, f):
-    """Smallest root of the characteristic cubic of a positive semi-definite matrix.
 
-    Newton's method from 0, which is left of every root: it rises to the smallest one and never passes
-    it. For a scatter matrix of points near a plane that takes two or three steps.
+@kernel(inline=True)
+def laguerre_step(root, minors, determinant):
+    """Laguerre's step from left of all roots of the characteristic cubic of a matrix of trace 1.
+
+    All roots are real, so that it never passes the smallest one; it is exact for a triple root, where Newton's step
+    falls short by half.
     """
-    trace = a + d + f
-    minors = (d * f - e * e) + (a * f - c * c) + (a * d - b * b)
-    determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
-    root = 0.0
-    for _ in range(60):
-        value = ((root - trace) * root + minors) * root - determinant
-        slope = (3.0 * root - 2.0 * trace) * root + minors
-        if slope <= 0.0 or value >= 0.0:
-            break
-        step = -value / slope
-        root += step
-        if step <= 1e-15 * root:
-            break
-    return root
+    value = ((root - 1.0) * root + minors) * root - determinant
+    slope = (3.0 * root - 2.0) * root + minors
+    curvature = 6.0 * root - 2.0
+    square = 4.0 * slope * slope - 6.0 * value * curvature
+    step = -3.0 * value / (slope + math.sqrt(square if square > 0.0 else 0.0))
+    return step if (value < 0.0) & (slope > 0.0) else 0.0
 
 
-@kernel()
+@kernel(inline=True)
 def eigenvector(a, b, c, d, e, f, eigenvalue):
     """Unit eigenvector: the largest column of the adjugate of M - λI.
 
-    Where the eigenvalue is double, any vector of its plane, or zero.
+    Where the eigenvalue is double, any vector of its plane, or NaN.
     """
     a = a - eigenvalue
     d = d - eigenvalue
@@ -46,31 +43,55 @@ def eigenvector(a, b, c, d, e, f, eigenvalue):
     a12 = c * e - b * f
     a13 = b * e - c * d
     a23 = b * c - a * e
-    if abs(a11) >= abs(a22) and abs(a11) >= abs(a33):
-        x, y, z = a11, a12, a13
-    elif abs(a22) >= abs(a33):
-        x, y, z = a12, a22, a23
-    else:
-        x, y, z = a13, a23, a33
-    norm = math.sqrt(x * x + y * y + z * z)
-    if norm == 0.0:
-        return 0.0, 0.0, 0.0
-    return x / norm, y / norm, z / norm
+    is_first = (abs(a11) >= abs(a22)) & (abs(a11) >= abs(a33))
+    is_second = abs(a22) >= abs(a33)
+    x = a11 if is_first else (a12 if is_second else a13)
+    y = a12 if is_first else (a22 if is_second else a23)
+    z = a13 if is_first else (a23 if is_second else a33)
+    inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return x * inverse, y * inverse, z * inverse
 
 
 @kernel()
-def smallest_eigenpair(a, b, c, d, e, f):
-    """Smallest eigenvalue and its unit eigenvector; the vector is zero for a zero matrix.
+def smallest_eigenpairs(matrix, count, work, eigenvalue, vector):
+    """Smallest eigenvalue and its unit eigenvector, which is NaN for a zero matrix.
 
     The root of the cubic has lost digits to the determinant. A Rayleigh quotient, which cubes the error of
     the vector, brings them back.
+
+    Parameters
+    ----------
+    matrix : (6, N) float64
+        Entries a to f of ``count`` positive semi-definite matrices.
+    work : (WORK, N) float64
+        Room.
+    eigenvalue, vector : (N,) and (3, N) float64, written
     """
-    scale = a + d + f
-    if not scale > 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    a, b, c, d, e, f = a / scale, b / scale, c / scale, d / scale, e / scale, f / scale
-    root = smallest_eigenvalue(a, b, c, d, e, f)
-    x, y, z = eigenvector(a, b, c, d, e, f, root)
-    root = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
-    x, y, z = eigenvector(a, b, c, d, e, f, root)
-    return max(root, 0.0) * scale, x, y, z
+    root, minors, determinant = work[0], work[1], work[2]
+    for i in range(count):
+        inverse = 1.0 / (matrix[0, i] + matrix[3, i] + matrix[5, i])
+        a, b, c = matrix[0, i] * inverse, matrix[1, i] * inverse, matrix[2, i] * inverse
+        d, e, f = matrix[3, i] * inverse, matrix[4, i] * inverse, matrix[5, i] * inverse
+        minors[i] = (d * f - e * e) + (a * f - c * c) + (a * d - b * b)
+        determinant[i] = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+        root[i] = 0.0
+    for _ in range(40):
+        moving = 0
+        for i in range(count):
+            step = laguerre_step(root[i], minors[i], determinant[i])
+            moving += 1 if step > 1e-15 * root[i] else 0
+            root[i] += step if step > 1e-15 * root[i] else 0.0
+        if moving == 0:
+            break
+    for i in range(count):
+        trace = matrix[0, i] + matrix[3, i] + matrix[5, i]
+        inverse = 1.0 / trace
+        a, b, c = matrix[0, i] * inverse, matrix[1, i] * inverse, matrix[2, i] * inverse
+        d, e, f = matrix[3, i] * inverse, matrix[4, i] * inverse, matrix[5, i] * inverse
+        x, y, z = eigenvector(a, b, c, d, e, f, root[i])
+        value = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
+        x, y, z = eigenvector(a, b, c, d, e, f, value)
+        eigenvalue[i] = (value if value > 0.0 else 0.0) * trace
+        vector[0, i] = x
+        vector[1, i] = y
+        vector[2, i] = z

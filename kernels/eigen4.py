@@ -1,4 +1,4 @@
-"""Smallest eigenvector of the 4x4 scatter matrix of (u, v, w, 1), from its centred 3x3 part.
+"""Smallest eigenvectors of 4x4 scatter matrices of (u, v, w, 1), from their centred 3x3 part, many at a time.
 
 With C the centred scatter matrix and μ the mean of the n points, the 4x4 matrix is
 
@@ -15,75 +15,98 @@ digits that the answer is made of.
 
 import math
 
+from . import eigen3
 from ._jit import kernel
-from .eigen3 import smallest_eigenpair
+
+# Rows of room that `smallest_eigenvectors` needs.
+WORK = 9
+
+
+@kernel(inline=True)
+def secular_step(s, first, n, square, b22, b23, b33, m2, m3):
+    """The secular function at s, Newton's step from there, λ and (C - λI)⁻¹ μ in the second and third direction."""
+    eigenvalue = first * s / (1.0 + s)
+    inverse = 1.0 / ((b22 - eigenvalue) * (b33 - eigenvalue) - b23 * b23)
+    g2 = ((b33 - eigenvalue) * m2 - b23 * m3) * inverse
+    g3 = ((b22 - eigenvalue) * m3 - b23 * m2) * inverse
+    spread = m2 * g2 + m3 * g3
+    value = 1.0 - eigenvalue / n - square * s - eigenvalue * spread
+    slope = square + first / ((1.0 + s) * (1.0 + s)) * (1.0 / n + spread + eigenvalue * (g2 * g2 + g3 * g3))
+    return value, value / slope, eigenvalue, g2, g3
+
+
+@kernel(inline=True)
+def orthogonal(x, y, z):
+    """Two unit vectors that are orthogonal to a unit vector and to each other."""
+    by_z = (abs(z) >= abs(x)) & (abs(z) >= abs(y))
+    by_y = abs(y) >= abs(x)
+    x2 = z if by_z else (-y if by_y else -z)
+    y2 = 0.0 if by_z else (x if by_y else 0.0)
+    z2 = -x if by_z else (0.0 if by_y else x)
+    inverse = 1.0 / math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
+    x2, y2, z2 = x2 * inverse, y2 * inverse, z2 * inverse
+    return x2, y2, z2, y * z2 - z * y2, z * x2 - x * z2, x * y2 - y * x2
 
 
 @kernel()
-def smallest_eigenvector(n, mean_u, mean_v, mean_w, a, b, c, d, e, f):
+def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
     """Smallest eigenvalue of M and (x, y, z) of its eigenvector (x, y, z, -1).
 
     Parameters
     ----------
-    n, mean_u, mean_v, mean_w
-        Number of points and their mean.
-    a, b, c, d, e, f
-        Entries of the centred scatter matrix: uu, uv, uw, vv, vw, ww.
-
-    Returns
-    -------
-    eigenvalue, x, y, z : float
-        x = y = z = 0 where the vector is not determined.
+    n, mean : (N,) and (3, N) float64
+        Numbers of points and their means.
+    matrix : (6, N) float64
+        Entries uu, uv, uw, vv, vw, ww of the centred scatter matrices.
+    work : (WORK, N) float64
+        Room.
+    eigenvalue, vector : (N,) and (3, N) float64, written
+        (x, y, z) is not finite where the plane of C passes through the origin.
     """
-    first, x1, y1, z1 = smallest_eigenpair(a, b, c, d, e, f)
-    if x1 == 0.0 and y1 == 0.0 and z1 == 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    # Two directions orthogonal to the eigenvector (Frisvad's construction, on the largest component).
-    if abs(z1) >= abs(x1) and abs(z1) >= abs(y1):
-        x2, y2, z2 = z1, 0.0, -x1
-    elif abs(y1) >= abs(x1):
-        x2, y2, z2 = -y1, x1, 0.0
-    else:
-        x2, y2, z2 = -z1, 0.0, x1
-    norm = math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
-    x2, y2, z2 = x2 / norm, y2 / norm, z2 / norm
-    x3, y3, z3 = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-    # C and μ in these directions.
-    cx, cy, cz = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
-    b22 = x2 * cx + y2 * cy + z2 * cz
-    b23 = x3 * cx + y3 * cy + z3 * cz
-    cx, cy, cz = a * x3 + b * y3 + c * z3, b * x3 + d * y3 + e * z3, c * x3 + e * y3 + f * z3
-    b33 = x3 * cx + y3 * cy + z3 * cz
-    m1 = x1 * mean_u + y1 * mean_v + z1 * mean_w
-    m2 = x2 * mean_u + y2 * mean_v + z2 * mean_w
-    m3 = x3 * mean_u + y3 * mean_v + z3 * mean_w
-
-    square = m1 * m1
-    if square == 0.0:  # the plane of C passes through the origin
-        return first, 0.0, 0.0, 0.0
-    low = 0.0
-    high = 1.0 / square
-    s = high
-    eigenvalue = g2 = g3 = 0.0
+    eigen3.smallest_eigenpairs(matrix, count, work, eigenvalue, vector)
+    b22, b23, b33, m1, m2, m3 = work[0], work[1], work[2], work[3], work[4], work[5]
+    low, high, s = work[6], work[7], work[8]
+    for i in range(count):
+        # C and μ in the directions of its smallest eigenvector and of two others.
+        a, b, c, d, e, f = matrix[0, i], matrix[1, i], matrix[2, i], matrix[3, i], matrix[4, i], matrix[5, i]
+        x1, y1, z1 = vector[0, i], vector[1, i], vector[2, i]
+        x2, y2, z2, x3, y3, z3 = orthogonal(x1, y1, z1)
+        cx, cy, cz = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
+        b22[i] = x2 * cx + y2 * cy + z2 * cz
+        b23[i] = x3 * cx + y3 * cy + z3 * cz
+        cx, cy, cz = a * x3 + b * y3 + c * z3, b * x3 + d * y3 + e * z3, c * x3 + e * y3 + f * z3
+        b33[i] = x3 * cx + y3 * cy + z3 * cz
+        m1[i] = x1 * mean[0, i] + y1 * mean[1, i] + z1 * mean[2, i]
+        m2[i] = x2 * mean[0, i] + y2 * mean[1, i] + z2 * mean[2, i]
+        m3[i] = x3 * mean[0, i] + y3 * mean[1, i] + z3 * mean[2, i]
+        low[i] = 0.0
+        high[i] = 1.0 / (m1[i] * m1[i])
+        s[i] = high[i]
     for _ in range(60):
-        eigenvalue = first * s / (1.0 + s)
-        determinant = (b22 - eigenvalue) * (b33 - eigenvalue) - b23 * b23
-        g2 = ((b33 - eigenvalue) * m2 - b23 * m3) / determinant
-        g3 = ((b22 - eigenvalue) * m3 - b23 * m2) / determinant
-        spread = m2 * g2 + m3 * g3
-        value = 1.0 - eigenvalue / n - square * s - eigenvalue * spread
-        slope = -square - first / ((1.0 + s) * (1.0 + s)) * (
-            1.0 / n + spread + eigenvalue * (g2 * g2 + g3 * g3)
-        )
-        if value > 0.0:
-            low = s
-        else:
-            high = s
-        step = -value / slope
-        if abs(step) <= 1e-15 * s:
+        moving = 0
+        for i in range(count):
+            here = s[i]
+            value, step, _value, _g2, _g3 = secular_step(
+                here, eigenvalue[i], n[i], m1[i] * m1[i], b22[i], b23[i], b33[i], m2[i], m3[i]
+            )
+            low[i] = here if value > 0.0 else low[i]
+            high[i] = high[i] if value > 0.0 else here
+            after = here + step
+            after = after if (low[i] < after) & (after < high[i]) else 0.5 * (low[i] + high[i])
+            # Comparisons with NaN are false: what has no solution does not move.
+            moves = abs(step) > 1e-15 * here
+            moving += 1 if moves else 0
+            s[i] = after if moves else here
+        if moving == 0:
             break
-        s = s + step if low < s + step < high else 0.5 * (low + high)
-    p1 = m1 * s
-    p2 = eigenvalue * g2
-    p3 = eigenvalue * g3
-    return eigenvalue, p1 * x1 + p2 * x2 + p3 * x3, p1 * y1 + p2 * y2 + p3 * y3, p1 * z1 + p2 * z2 + p3 * z3
+    for i in range(count):
+        _value, _step, value, g2, g3 = secular_step(
+            s[i], eigenvalue[i], n[i], m1[i] * m1[i], b22[i], b23[i], b33[i], m2[i], m3[i]
+        )
+        eigenvalue[i] = value
+        p1, p2, p3 = m1[i] * s[i], value * g2, value * g3
+        x1, y1, z1 = vector[0, i], vector[1, i], vector[2, i]
+        x2, y2, z2, x3, y3, z3 = orthogonal(x1, y1, z1)
+        vector[0, i] = p1 * x1 + p2 * x2 + p3 * x3
+        vector[1, i] = p1 * y1 + p2 * y2 + p3 * y3
+        vector[2, i] = p1 * z1 + p2 * z2 + p3 * z3

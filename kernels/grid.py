@@ -32,21 +32,25 @@ def fit_range_tiles(
         The ray (tanθx, tanθy) that each tile's moments are relative to.
     full : (6, R, C) float64
         n, Σu, Σv, Σuu, Σuv, Σvv of the full tiles.
-    needed : (T,) float64
+    needed : (R * C,) float64
     method
         `solve.RANGE_EXPLICIT` or `solve.RANGE_IMPLICIT`.
     max_error
-        As in `solve.range_planes`.
-    moments, reference : (10, T) and (3, T) float64, written
-        Of the T = R * C tiles.
-    planes, alpha, rmse, rmse_metric, valid_count, status : (T, 4), (T, 3), (T,)..., written
+        As in `solve.write_planes`.
+    moments, reference : (10, R, C) and (3, R, C) float64, written
+    planes, alpha, rmse, rmse_metric, valid_count, status : (R, C, 4), (R, C, 3), (R, C)..., written
     """
     height = raw.shape[0]
     tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
-    room = np.empty((13 + solve.WORK, TILES))
+    room = np.zeros((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
     strip_room = tile_moments.strip_room(raw)
+    flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
+    flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
+    flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
+    flat_rmse, flat_rmse_metric = rmse.ravel(), rmse_metric.ravel()
+    flat_valid_count, flat_status = valid_count.ravel(), status.ravel()
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -58,28 +62,44 @@ def fit_range_tiles(
             if tan_x.ndim == 1:
                 tile_moments.range_strip_separable(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
-                    row_start, row_stop, tile_start, tile_stop,
-                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
+                    row_start, row_stop, tile_start, tile_stop, strip_room,
+                    block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
                 tile_moments.range_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
-                    row_start, row_stop, tile_start, tile_stop,
-                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
+                    centre[:, tile_row, tile_start:tile_stop], row_start, row_stop, tile_start, tile_stop,
+                    strip_room, block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
-                store(first, filled, block_moments, block_reference, moments, reference)
+                last = first + filled
+                tile_moments.add_camera_terms(
+                    flat_centre[:, first:last],
+                    flat_full[:, first:last],
+                    filled,
+                    block_reference,
+                    block_moments,
+                )
+                solve.copy(block_moments, filled, flat_moments[:, first:last])
+                solve.copy(block_reference, filled, flat_reference[:, first:last])
                 solve.range_planes(
-                    method == solve.RANGE_IMPLICIT, block_moments, block_reference, needed,
-                    max_error, filled, work, first,
-                    planes, alpha, rmse, rmse_metric, valid_count, status,
+                    method == solve.RANGE_IMPLICIT,
+                    block_moments,
+                    block_reference,
+                    needed[first:last],
+                    filled,
+                    work,
+                )
+                solve.write_planes(
+                    work, block_moments[0], needed[first:last], max_error, filled,
+                    flat_planes[4 * first : 4 * last], flat_alpha[3 * first : 3 * last], flat_rmse[first:last],
+                    flat_rmse_metric[first:last], flat_valid_count[first:last], flat_status[first:last],
                 )  # fmt: skip
-                first += filled
+                first = last
                 filled = 0
+                block_moments[:] = 0.0
 
 
 @kernel()
@@ -95,9 +115,14 @@ def fit_standard_tiles(
     height = raw.shape[0]
     tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
-    room = np.empty((13 + solve.WORK, TILES))
-    block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    room = np.zeros((25 + solve.WORK, TILES))
+    block_moments, block_sums, block_reference, work = room[:10], room[10:22], room[22:25], room[25:]
     strip_room = tile_moments.strip_room(raw)
+    flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
+    flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
+    flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
+    flat_rmse, flat_rmse_metric = rmse.ravel(), rmse_metric.ravel()
+    flat_valid_count, flat_status = valid_count.ravel(), status.ravel()
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -109,36 +134,39 @@ def fit_standard_tiles(
             if tan_x.ndim == 1:
                 tile_moments.standard_strip_separable(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
-                    row_start, row_stop, tile_start, tile_stop,
-                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
+                    row_start, row_stop, tile_start, tile_stop, strip_room,
+                    block_reference[2, filled:], block_sums[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
                 tile_moments.standard_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, tile_row, tile_start:tile_stop], full[:, tile_row, tile_start:tile_stop],
-                    row_start, row_stop, tile_start, tile_stop,
+                    centre[:, tile_row, tile_start:tile_stop], row_start, row_stop, tile_start, tile_stop,
                     strip_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
-                store(first, filled, block_moments, block_reference, moments, reference)
+                last = first + filled
+                if tan_x.ndim == 1:
+                    tile_moments.add_camera_terms(
+                        flat_centre[:, first:last],
+                        flat_full[:, first:last],
+                        filled,
+                        block_reference,
+                        block_moments,
+                    )
+                    tile_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
+                solve.copy(block_moments, filled, flat_moments[:, first:last])
+                solve.copy(block_reference, filled, flat_reference[:, first:last])
                 solve.standard_planes(
-                    method - solve.STANDARD_EXPLICIT, block_moments, block_reference, needed,
-                    max_error, filled, work, first,
-                    planes, alpha, rmse, rmse_metric, valid_count, status,
+                    method - solve.STANDARD_EXPLICIT, block_moments, block_reference, filled, work
+                )
+                solve.write_planes(
+                    work, block_moments[0], needed[first:last], max_error, filled,
+                    flat_planes[4 * first : 4 * last], flat_alpha[3 * first : 3 * last], flat_rmse[first:last],
+                    flat_rmse_metric[first:last], flat_valid_count[first:last], flat_status[first:last],
                 )  # fmt: skip
-                first += filled
+                first = last
                 filled = 0
-
-
-@kernel(inline=True)
-def store(first, count, block_moments, block_reference, moments, reference):
-    """Keep a block's moments and reference points."""
-    for entry in range(10):
-        for i in range(count):
-            moments[entry, first + i] = block_moments[entry, i]
-    for axis in range(3):
-        for i in range(count):
-            reference[axis, first + i] = block_reference[axis, i]
+                block_moments[:] = 0.0
+                block_sums[:] = 0.0

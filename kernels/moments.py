@@ -11,10 +11,9 @@ alone and tanθy on the row alone, multiplies by tanθx once per column instead 
 at a time, two at the end: the accumulators' loads and stores would otherwise cost more than the arithmetic, and
 one division gives the inverse of two depths, 1/a = b/(ab) and 1/b = a/(ab).
 
-A missing pixel is read as one at its tile's reference, whose part in a sum is nothing, and is counted. Without lens
-distortion tanθx and tanθy are linear in a tile's column j and row k, and its sums of 1, u, v, uu, uv and vv over
-missing pixels follow from those of 1, j, k, jj, jk and kk, which are whole numbers: a column adds up 1, k and kk
-in three fields of one number, and a tile that number times 1, j and jj.
+Missing pixels are counted. Without lens distortion tanθx and tanθy are linear in a tile's column j and row k, and
+its sums of 1, u, v, uu, uv and vv over missing pixels follow from those of 1, j, k, jj, jk and kk, which are whole
+numbers: a column adds up 1, k and kk in three fields of one number, and a tile that number times 1, j and jj.
 """
 
 import numpy as np
@@ -93,12 +92,11 @@ def spread_to_columns(values, count, tile_width, columns):
     """Give every column of ``count`` tiles the value of its tile."""
     for tile in range(count):
         value = values[tile]
-        # Four at a time: what goes beyond the tile is overwritten by the next.
-        for i in range(tile * tile_width, (tile + 1) * tile_width, 4):
-            columns[i] = value
-            columns[i + 1] = value
-            columns[i + 2] = value
-            columns[i + 3] = value
+        # Eight at a time: what goes beyond the tile is overwritten by the next.
+        for i in range(tile * tile_width, (tile + 1) * tile_width, 8):
+            part = columns[i : i + 8]
+            for k in range(8):
+                part[k] = value
 
 
 @kernel(inline=True)
@@ -112,16 +110,17 @@ def inverse_depths(a, b, scale, offset):
 
 @kernel(inline=True)
 def range_pair(
-    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_raw, reference_q
+    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_q
 ):  # fmt: skip
     """Σq, Σqv, Σqq and the codes of the missing ones of two pixels of a column."""
     valid_a = (a >= lowest) & (a <= highest)
     valid_b = (b >= lowest_b) & (b <= highest_b)
-    za = np.float64(a if valid_a else reference_raw)
-    zb = np.float64(b if valid_b else reference_raw)
-    qa, qb = inverse_depths(za, zb, scale, offset)
-    qa -= reference_q
-    qb -= reference_q
+    # Any number that is not 0 will do for a missing pixel.
+    qa, qb = inverse_depths(
+        np.float64(a if valid_a else lowest), np.float64(b if valid_b else lowest), scale, offset
+    )
+    qa = qa - reference_q if valid_a else 0.0
+    qb = qb - reference_q if valid_b else 0.0
     missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
     return qa + qb, qa * va + qb * vb, qa * qa + qb * qb, missing
 
@@ -137,7 +136,7 @@ def last_of_rows(raw, row, row_stop, lowest, highest):
 @kernel(reduction=True, inline=True)
 def add_two_range_rows(
     raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
-    reference_raw, reference_q, sums, codes,
+    reference_q, sums, codes,
 ):  # fmt: skip
     """Add two image rows, see `add_range_rows`; the second may be missing."""
     sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
@@ -148,7 +147,7 @@ def add_two_range_rows(
     for i in range(count):
         q, qv, qq, missing = range_pair(
             a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
-            reference_raw[i], reference_q[i],
+            reference_q[i],
         )  # fmt: skip
         sum_q[i] += q
         sum_qv[i] += qv
@@ -159,7 +158,7 @@ def add_two_range_rows(
 @kernel(reduction=True, inline=True)
 def add_four_range_rows(
     raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
-    reference_raw, reference_q, sums, codes,
+    reference_q, sums, codes,
 ):  # fmt: skip
     """Add four image rows, see `add_range_rows`; the fourth may be missing."""
     sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
@@ -172,11 +171,11 @@ def add_four_range_rows(
     for i in range(count):
         q, qv, qq, missing = range_pair(
             a[i], b[i], lowest, highest, lowest, highest, scale, offset, va, vb, code_a, code_b,
-            reference_raw[i], reference_q[i],
+            reference_q[i],
         )  # fmt: skip
         q_, qv_, qq_, missing_ = range_pair(
             c[i], d[i], lowest, highest, low, high, scale, offset, vc, vd, code_c, code_d,
-            reference_raw[i], reference_q[i],
+            reference_q[i],
         )  # fmt: skip
         sum_q[i] += q + q_
         sum_qv[i] += qv + qv_
@@ -187,7 +186,7 @@ def add_four_range_rows(
 @kernel(inline=True)
 def add_range_rows(
     raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
-    reference_raw, reference_q, sums, codes,
+    reference_q, sums, codes,
 ):  # fmt: skip
     """Add a band of at most `BAND_ROWS` image rows to the sums of their columns.
 
@@ -195,8 +194,8 @@ def add_range_rows(
     ----------
     left, count
         The first column and the number of columns.
-    reference_raw, reference_q : (COLUMNS,)
-        Raw value and inverse depth of the reference of each column's tile.
+    reference_q : (COLUMNS,) float64
+        Inverse depth of the reference of each column's tile.
     sums : (3, COLUMNS) float64, added to
         Σq, Σqv, Σqq of the valid pixels.
     codes : (COLUMNS,) uint64, added to
@@ -207,20 +206,20 @@ def add_range_rows(
         if row + 2 < row_stop:
             add_four_range_rows(
                 raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
-                reference_raw, reference_q, sums, codes,
+                reference_q, sums, codes,
             )  # fmt: skip
             row += 4
         else:
             add_two_range_rows(
                 raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
-                reference_raw, reference_q, sums, codes,
+                reference_q, sums, codes,
             )  # fmt: skip
             row += 2
 
 
 @kernel(inline=True)
-def take_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
-    """Take the missing pixels of a band of rows from the sums of 1, u, v, uu, uv and vv of its tiles.
+def add_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
+    """Add the missing pixels of a band of rows to the sums of 1, u, v, uu, uv and vv of its tiles.
 
     Parameters
     ----------
@@ -257,12 +256,12 @@ def take_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
             jj = np.float64(counts[2, tile] & FIELD_MASK)
             u_0 = first_u[tile]
             n_v = n * v_0 + k * step_v
-            moments[0, tile] -= n
-            moments[1, tile] -= n * u_0 + j * step_u
-            moments[2, tile] -= n_v
-            moments[4, tile] -= n * (u_0 * u_0) + j * (2.0 * u_0 * step_u) + jj * (step_u * step_u)
-            moments[5, tile] -= u_0 * n_v + step_u * (j * v_0 + jk * step_v)
-            moments[7, tile] -= n * (v_0 * v_0) + k * (2.0 * v_0 * step_v) + kk * (step_v * step_v)
+            moments[0, tile] += n
+            moments[1, tile] += n * u_0 + j * step_u
+            moments[2, tile] += n_v
+            moments[4, tile] += n * (u_0 * u_0) + j * (2.0 * u_0 * step_u) + jj * (step_u * step_u)
+            moments[5, tile] += u_0 * n_v + step_u * (j * v_0 + jk * step_v)
+            moments[7, tile] += n * (v_0 * v_0) + k * (2.0 * v_0 * step_v) + kk * (step_v * step_v)
 
 
 @kernel(reduction=True, inline=True)
@@ -284,34 +283,35 @@ def fold_range_columns(sums, u, tiles, span, moments):
 
 
 @kernel(inline=True)
-def start_strip(centre, full, count, reference, moments):
-    """Give a strip's tiles their central rays, the camera terms of all their pixels and no sums of the frame."""
-    for axis in range(2):
-        for i in range(count):
-            reference[axis, i] = centre[axis, i]
+def add_camera_terms(centre, full, count, reference, moments):
+    """Give tiles their central rays, and the camera terms of all their pixels less the missing ones."""
     for i in range(count):
-        moments[0, i] = full[0, i]
-        moments[1, i] = full[1, i]
-        moments[2, i] = full[2, i]
-        moments[4, i] = full[3, i]
-        moments[5, i] = full[4, i]
-        moments[7, i] = full[5, i]
+        reference[0, i] = centre[0, i]
     for i in range(count):
-        moments[3, i] = 0.0
-        moments[6, i] = 0.0
-        moments[8, i] = 0.0
-        moments[9, i] = 0.0
+        reference[1, i] = centre[1, i]
+    for i in range(count):
+        moments[0, i] = full[0, i] - moments[0, i]
+    for i in range(count):
+        moments[1, i] = full[1, i] - moments[1, i]
+    for i in range(count):
+        moments[2, i] = full[2, i] - moments[2, i]
+    for i in range(count):
+        moments[4, i] = full[3, i] - moments[4, i]
+    for i in range(count):
+        moments[5, i] = full[4, i] - moments[5, i]
+    for i in range(count):
+        moments[7, i] = full[5, i] - moments[7, i]
 
 
 @kernel(inline=True)
 def range_strip_separable(
-    raw, lowest, highest, scale, offset, u, v, tile_width, centre, full,
-    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
+    raw, lowest, highest, scale, offset, u, v, tile_width,
+    row_start, row_stop, tile_start, tile_stop, room, references, moments,
 ):  # fmt: skip
-    """Range-space moments of a strip of tiles, for a camera without lens distortion.
+    """Range-space sums of a strip of tiles, for a camera without lens distortion.
 
     Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). The
-    other entries are the camera's, less those of the missing pixels: A_valid = A_full - Σ_missing m mᵀ.
+    other entries are summed over the missing pixels: A_valid = A_full - Σ_missing m mᵀ, see `add_camera_terms`.
 
     Parameters
     ----------
@@ -321,28 +321,26 @@ def range_strip_separable(
         q = scale / raw, or scale * raw + offset unless ``offset`` is None.
     u, v : (C * tile_width,) and (H,) float64
         tanθx of each column and tanθy of each row, relative to its tile's centre.
-    centre, full : (2, N) and (6, N) float64
-        Of the N tiles, see `full_tile_moments`.
     row_start, row_stop
         Image rows of the tiles.
     room
         See `strip_room`.
-    reference, moments : (3, N) and (10, N) float64, written
+    references : (N,) float64, written
+        Inverse depth of the reference of each of the strip's tiles.
+    moments : (10, N) float64, added to
     """
-    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    sums, columns, references_raw, codes, counts = room
     tiles = tile_stop - tile_start
-    start_strip(centre, full, tiles, reference, moments)
     find_references(
         raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, reference[2],
+        references_raw, references,
     )  # fmt: skip
     # More than one turn only where a tile is wider than a strip.
     start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
     step_u = step_of_columns(u, start, last, tile_width)
     for left in range(start, last, COLUMNS):
         span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
-        spread_to_columns(references_raw, tiles, span, columns_raw)
-        spread_to_columns(reference[2], tiles, span, columns[0])
+        spread_to_columns(references, tiles, span, columns[0])
         for entry in range(3):
             for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
@@ -352,11 +350,9 @@ def range_strip_separable(
                 codes[i] = NO_CODE
             add_range_rows(
                 raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
-                columns_raw, columns[0], sums, codes,
+                columns[0], sums, codes,
             )  # fmt: skip
-            take_missing(
-                codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, tile_sums[0], moments
-            )
+            add_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
         fold_range_columns(sums, u[left:], tiles, span, moments)
 
 
@@ -379,15 +375,13 @@ def step_of_columns(u, start, last, tile_width):
 
 @kernel(inline=True)
 def strip_room(raw):
-    """Room for sums of columns, references of columns and tiles, missing pixels, sums of tiles."""
+    """Room for sums of columns, references of columns and tiles, counts of missing pixels."""
     return (
         np.empty((10, COLUMNS)),
         np.zeros((3, COLUMNS + 8)),
-        np.ones(COLUMNS + 8, raw.dtype),
         np.empty(TILES, raw.dtype),
         np.empty(COLUMNS, np.uint64),
         np.empty((3, TILES), np.uint64),
-        np.empty((12, TILES)),
     )
 
 
@@ -398,7 +392,7 @@ def add_range_rows_of_rays(
     """Add image rows to the sums of their columns, for rays that differ from pixel to pixel.
 
     ``columns`` (3, COLUMNS) holds each column's reference point; ``sums`` (10, COLUMNS) are in the order of the
-    moments. Those without q have the missing pixels in them, each counted -1.
+    moments, those without q over the missing pixels.
     """
     lost, lost_u, lost_v, sum_q, lost_uu = sums[0], sums[1], sums[2], sums[3], sums[4]
     lost_uv, sum_qu, lost_vv, sum_qv, sum_qq = sums[5], sums[6], sums[7], sums[8], sums[9]
@@ -430,8 +424,8 @@ def add_range_rows_of_rays(
             sum_qu[i] += qa * ua + qb * ub
             sum_qv[i] += qa * va + qb * vb
             sum_qq[i] += qa * qa + qb * qb
-            lost_a = 0.0 if valid_a else -1.0
-            lost_b = 0.0 if valid_b | (not is_pair) else -1.0
+            lost_a = 0.0 if valid_a else 1.0
+            lost_b = 0.0 if valid_b | (not is_pair) else 1.0
             lost[i] += lost_a + lost_b
             lost_ua, lost_ub = lost_a * ua, lost_b * ub
             lost_va, lost_vb = lost_a * va, lost_b * vb
@@ -461,22 +455,25 @@ def fold(columns, tiles, span, sums):
 
 @kernel(inline=True)
 def range_strip(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre, full,
-    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre,
+    row_start, row_stop, tile_start, tile_stop, room, references, moments,
 ):  # fmt: skip
-    """Range-space moments as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W)."""
-    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    """Range-space sums as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W).
+
+    ``centre`` (2, N) are the central rays of the tiles.
+    """
+    sums, columns, references_raw = room[:3]
     tiles = tile_stop - tile_start
-    start_strip(centre, full, tiles, reference, moments)
     find_references(
         raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, reference[2],
+        references_raw, references,
     )  # fmt: skip
     last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):
         span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
-        for axis in range(3):
-            spread_to_columns(reference[axis], tiles, span, columns[axis])
+        for axis in range(2):
+            spread_to_columns(centre[axis], tiles, span, columns[axis])
+        spread_to_columns(references, tiles, span, columns[2])
         for entry in range(10):
             for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
@@ -500,19 +497,14 @@ def depths(a, b, scale, offset):
 
 @kernel(inline=True)
 def standard_pair(
-    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_raw, reference_z
+    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_z
 ):  # fmt: skip
     """Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv and the codes of the missing ones of two pixels of a column."""
     valid_a = (a >= lowest) & (a <= highest)
     valid_b = (b >= lowest_b) & (b <= highest_b)
-    za, zb = depths(
-        np.float64(a if valid_a else reference_raw),
-        np.float64(b if valid_b else reference_raw),
-        scale,
-        offset,
-    )
-    za -= reference_z
-    zb -= reference_z
+    za, zb = depths(np.float64(a if valid_a else lowest), np.float64(b if valid_b else lowest), scale, offset)
+    za = za - reference_z if valid_a else 0.0
+    zb = zb - reference_z if valid_b else 0.0
     zva, zvb = za * va, zb * vb
     missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
     return (
@@ -529,7 +521,7 @@ def standard_pair(
 @kernel(reduction=True, inline=True)
 def add_two_standard_rows(
     raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
-    reference_raw, reference_z, sums, codes,
+    reference_z, sums, codes,
 ):  # fmt: skip
     """Add two image rows, see `add_standard_rows`; the second may be missing."""
     sum_z, sum_zv, sum_zvv, sum_zz, sum_zzv, sum_zzvv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
@@ -540,7 +532,7 @@ def add_two_standard_rows(
     for i in range(count):
         z, zv, zvv, zz, zzv, zzvv, missing = standard_pair(
             a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
-            reference_raw[i], reference_z[i],
+            reference_z[i],
         )  # fmt: skip
         sum_z[i] += z
         sum_zv[i] += zv
@@ -554,7 +546,7 @@ def add_two_standard_rows(
 @kernel(inline=True)
 def add_standard_rows(
     raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
-    reference_raw, reference_z, sums, codes,
+    reference_z, sums, codes,
 ):  # fmt: skip
     """Add a band of image rows to the sums of their columns: as `add_range_rows`.
 
@@ -563,7 +555,7 @@ def add_standard_rows(
     for row in range(row_start, row_stop, 2):
         add_two_standard_rows(
             raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
-            reference_raw, reference_z, sums, codes,
+            reference_z, sums, codes,
         )  # fmt: skip
 
 
@@ -642,30 +634,26 @@ def standard_from_sums(sums, count, reference, moments):
 
 @kernel(inline=True)
 def standard_strip_separable(
-    raw, lowest, highest, scale, offset, u, v, tile_width, centre, full,
-    row_start, row_stop, tile_start, tile_stop, room, reference, moments,
+    raw, lowest, highest, scale, offset, u, v, tile_width,
+    row_start, row_stop, tile_start, tile_stop, room, references, tile_sums, moments,
 ):  # fmt: skip
-    """Moments of (X, Y, Z) of a strip of tiles, for a camera without lens distortion.
+    """Sums of a strip of tiles for the moments of (X, Y, Z), for a camera without lens distortion.
 
     As `range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every entry depends
-    on the frame (the paper's eq. XYZ_scattermatrix).
+    on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the sums over missing pixels, and ``tile_sums``
+    (12, N) those of which `standard_from_sums` makes the rest.
     """
-    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    sums, columns, references_raw, codes, counts = room
     tiles = tile_stop - tile_start
-    start_strip(centre, full, tiles, reference, moments)
     find_references(
         raw, lowest, highest, scale, offset, False, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, reference[2],
+        references_raw, references,
     )  # fmt: skip
-    for entry in range(12):
-        for i in range(tiles):
-            tile_sums[entry, i] = 0.0
     start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
     step_u = step_of_columns(u, start, last, tile_width)
     for left in range(start, last, COLUMNS):
         span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
-        spread_to_columns(references_raw, tiles, span, columns_raw)
-        spread_to_columns(reference[2], tiles, span, columns[0])
+        spread_to_columns(references, tiles, span, columns[0])
         for entry in range(6):
             for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
@@ -675,16 +663,15 @@ def standard_strip_separable(
                 codes[i] = NO_CODE
             add_standard_rows(
                 raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
-                columns_raw, columns[0], sums, codes,
+                columns[0], sums, codes,
             )  # fmt: skip
-            take_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
+            add_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
         fold_thrice(sums[0], u[left:], tiles, span, tile_sums[0:])
         fold_thrice(sums[3], u[left:], tiles, span, tile_sums[3:])
         fold_twice(sums[1], u[left:], tiles, span, tile_sums[6:])
         fold_twice(sums[4], u[left:], tiles, span, tile_sums[8:])
         fold(sums[2], tiles, span, tile_sums[10])
         fold(sums[5], tiles, span, tile_sums[11])
-    standard_from_sums(tile_sums, tiles, reference, moments)
 
 
 @kernel(reduction=True, inline=True)
@@ -740,11 +727,14 @@ def add_standard_rows_of_rays(
 
 @kernel(inline=True)
 def standard_strip(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre, full,
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre,
     row_start, row_stop, tile_start, tile_stop, room, reference, moments,
 ):  # fmt: skip
-    """Moments as in `standard_strip_separable`, for any camera: tan_x, tan_y are (H, W)."""
-    sums, columns, columns_raw, references_raw, codes, counts, tile_sums = room
+    """Moments of (X, Y, Z) of a strip of tiles, for any camera: tan_x, tan_y are (H, W).
+
+    ``centre`` (2, N) are the central rays of the tiles; ``reference`` (3, N) is written, all of it.
+    """
+    sums, columns, references_raw = room[:3]
     tiles = tile_stop - tile_start
     find_references(
         raw, lowest, highest, scale, offset, False, row_start, row_stop, tile_start, tile_stop, tile_width,
@@ -753,9 +743,6 @@ def standard_strip(
     for axis in range(2):
         for i in range(tiles):
             reference[axis, i] = reference[2, i] * centre[axis, i]
-    for entry in range(10):
-        for i in range(tiles):
-            moments[entry, i] = 0.0
     last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):
         span, count = columns_in_strip(left, last, tile_width, raw.shape[1])

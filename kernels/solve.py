@@ -1,17 +1,16 @@
 """From moments to planes: the five methods' solves, for a strip of tiles at a time.
 
 A strip is up to `moments.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
-which ``count`` columns are filled. The loops run over the tiles and vectorise. Planes are written from entry
-``first`` of flat output arrays. A status says why a tile has no plane; its numbers are then NaN.
+which ``count`` columns are filled. The loops run over the tiles and vectorise. A status says why a tile has no
+plane; its numbers are then NaN.
 """
 
 import math
 
 import numpy as np
 
-from . import eigen4, secular
+from . import eigen3, eigen4, secular
 from ._jit import kernel
-from .eigen3 import smallest_eigenpair
 from .moments import TILES
 
 # Values of rgbd_planes.TileStatus.
@@ -27,7 +26,7 @@ CENTRE = 1e-6
 RANGE_EXPLICIT, RANGE_IMPLICIT, STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(5)
 
 # Rows of room that a strip's solve needs.
-WORK = 16
+WORK = 26
 
 
 @kernel(inline=True)
@@ -56,8 +55,9 @@ def explicit(moments, reference, count, solution, residual):
         c_ww = moments[9, i] - moments[3, i] * mean_w
         determinant = c_uu * c_vv - c_uv * c_uv
         trace = c_uu + c_vv
-        a = (c_vv * c_uw - c_uv * c_vw) / determinant
-        b = (c_uu * c_vw - c_uv * c_uw) / determinant
+        inverse = 1.0 / determinant
+        a = (c_vv * c_uw - c_uv * c_vw) * inverse
+        b = (c_uu * c_vw - c_uv * c_uw) * inverse
         solution[0, i] = a
         solution[1, i] = b
         solution[2, i] = (
@@ -69,156 +69,152 @@ def explicit(moments, reference, count, solution, residual):
 
 
 @kernel(inline=True)
-def range_planes(
-    implicit, moments, reference, needed, max_error, count, work, first,
-    planes, alpha, rmse, rmse_metric, valid_count, status,
-):  # fmt: skip
-    """Planes of q = α·m (eq. RGBD_space_plane_eq): d = 1/‖α‖ and n = -α/‖α‖, facing the camera.
+def range_planes(implicit, moments, reference, needed, count, work):
+    """Solve q = α·m (eq. RGBD_space_plane_eq).
 
     Parameters
     ----------
     implicit : bool
         Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix).
-    needed : (T,) float64
-        Fewer valid pixels give TOO_FEW.
-    max_error : float
-        Tiles with a larger ``rmse_metric`` get ROUGH.
-    planes, alpha, rmse, rmse_metric, valid_count, status : (T, 4), (T, 3), (T,)..., written from ``first``
+    needed : (N,) float64
+        Number of valid pixels that a tile needs.
+    work : (WORK, TILES) float64
+        On return rows 0 to 2 are α, 3 the residual in the method's own units, 4 that in metres along the normal, NaN
+        where there is no plane, and 5 the distance below which a plane passes through the camera centre.
     """
-    solution, residual, own, metric, distance, reason = work[:3], work[3], work[4], work[5], work[6], work[7]
+    solution, own, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
     explicit(moments, reference, count, solution, residual)
     if implicit:
         for i in range(count):
-            own[i] = residual[i] if moments[0, i] >= needed[first + i] else math.nan
-        secular.smallest_eigenvectors(moments, reference, count, work[8:], solution, own)
+            own[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
+        secular.smallest_eigenvectors(moments, reference, count, work[7:], solution, own)
         for i in range(count):
             a, b, c = solution[0, i], solution[1, i], solution[2, i]
             residual[i] = own[i] * (1.0 + a * a + b * b + c * c)
-    else:
-        for i in range(count):
-            own[i] = residual[i]
+            own[i] = math.sqrt(own[i] / moments[0, i])
     for i in range(count):
-        n = moments[0, i]
-        mean = 1.0 / n
+        mean = 1.0 / moments[0, i]
         a, b, c = solution[0, i], solution[1, i], solution[2, i]
-        d = 1.0 / math.sqrt(a * a + b * b + c * c)
         mean_q = reference[2, i] + moments[3, i] * mean
-        # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile. NaN without a plane.
-        error = d / mean_q * math.sqrt(residual[i] * mean)
-        enough = n >= needed[first + i]
-        fitted = enough & (d < math.inf) & (error == error)
-        nothing = 0.0 if fitted else math.nan
-        solution[0, i] = a + nothing
-        solution[1, i] = b + nothing
-        solution[2, i] = c + nothing
-        distance[i] = d + nothing
-        own[i] = math.sqrt(own[i] * mean) + nothing
-        metric[i] = error + nothing
-        rough = ROUGH if error > max_error else OK
-        reason[i] = (rough if fitted else DEGENERATE) if enough else TOO_FEW
-    for i in range(count):
-        d = distance[i]
-        planes[first + i, 0] = -solution[0, i] * d
-        planes[first + i, 1] = -solution[1, i] * d
-        planes[first + i, 2] = -solution[2, i] * d
-        planes[first + i, 3] = d
-    for i in range(count):
-        alpha[first + i, 0] = solution[0, i]
-        alpha[first + i, 1] = solution[1, i]
-        alpha[first + i, 2] = solution[2, i]
-    for i in range(count):
-        rmse[first + i] = own[i]
-    for i in range(count):
-        rmse_metric[first + i] = metric[i]
-    for i in range(count):
-        valid_count[first + i] = np.int32(moments[0, i])
-    for i in range(count):
-        status[first + i] = np.uint8(np.int32(reason[i]))
+        error = math.sqrt(residual[i] * mean)
+        if not implicit:
+            own[i] = error
+        # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile.
+        metric[i] = error / (math.sqrt(a * a + b * b + c * c) * mean_q)
+        nearest[i] = 0.0
 
 
 @kernel(inline=True)
-def write_plane(x, y, z, d, near, i, planes, alpha):
-    """Write the plane x·X + y·Y + z·Z + d = 0 of any sign and norm; return its norm, or 0 if degenerate."""
-    norm = math.sqrt(x * x + y * y + z * z)
-    if norm == 0.0 or not abs(d) > CENTRE * near * norm:
-        return 0.0
-    sign = math.copysign(1.0 / norm, d)
-    planes[i, 0] = x * sign
-    planes[i, 1] = y * sign
-    planes[i, 2] = z * sign
-    planes[i, 3] = d * sign
-    alpha[i, 0] = -x / d
-    alpha[i, 1] = -y / d
-    alpha[i, 2] = -z / d
-    return norm
-
-
-@kernel(inline=True)
-def standard_planes(
-    method, moments, reference, needed, max_error, count, work, first,
-    planes, alpha, rmse, rmse_metric, valid_count, status,
-):  # fmt: skip
-    """Planes from the moments of (X, Y, Z); see `range_planes` for the arrays.
+def standard_planes(method, moments, reference, count, work):
+    """Planes from the moments of (X, Y, Z): as `range_planes`.
 
     ``method`` 0 is explicit, 1 implicit (eq. implicit_plane_fitting_error: smallest eigenvector of
     eq. XYZ_scattermatrix, all four coefficients of norm 1) and 2 PCA (smallest eigenvector of the centred 3x3
     scatter matrix).
     """
-    solution, residual = work[:3], work[3]
+    solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
     if method == 0:
-        explicit(moments, reference, count, solution, residual)
+        explicit(moments, reference, count, solution, value)
+        for i in range(count):
+            mean = 1.0 / moments[0, i]
+            a, b = solution[0, i], solution[1, i]
+            # aX + bY - Z + c = 0
+            inverse = 1.0 / solution[2, i]
+            solution[0, i] = -a * inverse
+            solution[1, i] = -b * inverse
+            solution[2, i] = inverse
+            own[i] = math.sqrt(value[i] * mean)
+            metric[i] = own[i] / math.sqrt(1.0 + a * a + b * b)
+            nearest[i] = CENTRE * (reference[2, i] + moments[3, i] * mean)
+        return
+    mean, matrix, determined = work[7:10], work[10:16], work[16]
     for i in range(count):
-        n = moments[0, i]
-        t = first + i
-        valid_count[t] = np.int32(n)
-        planes[t, :] = math.nan
-        alpha[t, :] = math.nan
-        rmse[t] = math.nan
-        rmse_metric[t] = math.nan
-        if n < needed[t]:
-            status[t] = TOO_FEW
-            continue
-        status[t] = DEGENERATE
-        mean_x = reference[0, i] + moments[1, i] / n
-        mean_y = reference[1, i] + moments[2, i] / n
-        mean_z = reference[2, i] + moments[3, i] / n
-        if method == 0:
-            if math.isnan(residual[i]):
-                continue
-            a = solution[0, i]
-            b = solution[1, i]
-            norm = write_plane(a, b, -1.0, solution[2, i], mean_z, t, planes, alpha)
-            own = error = math.sqrt(residual[i] / n)
-            error /= math.sqrt(1.0 + a * a + b * b)
-        else:
-            c_xx = moments[4, i] - moments[1, i] * (moments[1, i] / n)
-            c_xy = moments[5, i] - moments[1, i] * (moments[2, i] / n)
-            c_xz = moments[6, i] - moments[1, i] * (moments[3, i] / n)
-            c_yy = moments[7, i] - moments[2, i] * (moments[2, i] / n)
-            c_yz = moments[8, i] - moments[2, i] * (moments[3, i] / n)
-            c_zz = moments[9, i] - moments[3, i] * (moments[3, i] / n)
-            # λ₂λ₃ and λ₂ + λ₃ or more, so this bounds λ₂ against λ₃.
-            minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
-            trace = c_xx + c_yy + c_zz
-            if not minors > COLLINEAR * trace * trace:
-                continue
-            if method == 1:
-                value, x, y, z = eigen4.smallest_eigenvector(
-                    n, mean_x, mean_y, mean_z, c_xx, c_xy, c_xz, c_yy, c_yz, c_zz
-                )
-                norm = write_plane(x, y, z, -1.0, mean_z, t, planes, alpha)
-                own = math.sqrt(value / n)
-                error = own * math.sqrt(1.0 + 1.0 / (x * x + y * y + z * z))
-            else:
-                value, x, y, z = smallest_eigenpair(c_xx, c_xy, c_xz, c_yy, c_yz, c_zz)
-                d = -(x * mean_x + y * mean_y + z * mean_z)
-                norm = write_plane(x, y, z, d, mean_z, t, planes, alpha)
-                own = error = math.sqrt(value / n)
-        if norm == 0.0:
-            continue
-        rmse[t] = own
-        rmse_metric[t] = error
-        status[t] = ROUGH if error > max_error else OK
+        inverse = 1.0 / moments[0, i]
+        s_x, s_y, s_z = moments[1, i], moments[2, i], moments[3, i]
+        c_xx = moments[4, i] - s_x * (s_x * inverse)
+        c_xy = moments[5, i] - s_x * (s_y * inverse)
+        c_xz = moments[6, i] - s_x * (s_z * inverse)
+        c_yy = moments[7, i] - s_y * (s_y * inverse)
+        c_yz = moments[8, i] - s_y * (s_z * inverse)
+        c_zz = moments[9, i] - s_z * (s_z * inverse)
+        matrix[0, i], matrix[1, i], matrix[2, i] = c_xx, c_xy, c_xz
+        matrix[3, i], matrix[4, i], matrix[5, i] = c_yy, c_yz, c_zz
+        mean[0, i] = reference[0, i] + s_x * inverse
+        mean[1, i] = reference[1, i] + s_y * inverse
+        mean[2, i] = reference[2, i] + s_z * inverse
+        nearest[i] = CENTRE * mean[2, i]
+        # λ₂λ₃ and λ₂ + λ₃ or more, so this bounds λ₂ against λ₃.
+        minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
+        trace = c_xx + c_yy + c_zz
+        determined[i] = 0.0 if minors > COLLINEAR * trace * trace else math.nan
+    if method == 1:
+        eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[17:], value, solution)
+        for i in range(count):
+            x, y, z = solution[0, i], solution[1, i], solution[2, i]
+            own[i] = math.sqrt(value[i] / moments[0, i])
+            metric[i] = own[i] * math.sqrt(1.0 + 1.0 / (x * x + y * y + z * z)) + determined[i]
+    else:
+        eigen3.smallest_eigenpairs(matrix, count, work[17:], value, solution)
+        for i in range(count):
+            x, y, z = solution[0, i], solution[1, i], solution[2, i]
+            inverse = 1.0 / (x * mean[0, i] + y * mean[1, i] + z * mean[2, i])
+            solution[0, i] = x * inverse
+            solution[1, i] = y * inverse
+            solution[2, i] = z * inverse
+            own[i] = math.sqrt(value[i] / moments[0, i])
+            metric[i] = own[i] + determined[i]
+
+
+@kernel(inline=True)
+def write_planes(
+    work, valid, needed, max_error, count, planes, alpha, rmse, rmse_metric, valid_count, status
+):  # fmt: skip
+    """From α and residuals to results: d = 1/‖α‖ and n = -α/‖α‖, facing the camera.
+
+    Parameters
+    ----------
+    work
+        What `range_planes` and `standard_planes` return.
+    valid, needed : (N,) float64
+        Numbers of valid pixels; fewer than ``needed`` give TOO_FEW.
+    max_error : float
+        Tiles with a larger ``rmse_metric`` get ROUGH.
+    planes, alpha, rmse, rmse_metric, valid_count, status : (4 * N,), (3 * N,), (N,)..., written
+        In one dimension, whose stride the compiler knows.
+    """
+    solution, own, metric, nearest, distance, reason = work[:3], work[3], work[4], work[5], work[6], work[7]
+    for i in range(count):
+        a, b, c = solution[0, i], solution[1, i], solution[2, i]
+        d = 1.0 / math.sqrt(a * a + b * b + c * c)
+        enough = valid[i] >= needed[i]
+        fitted = enough & (d < math.inf) & (d > nearest[i]) & (metric[i] == metric[i])
+        nothing = 0.0 if fitted else math.nan
+        solution[0, i] = a + nothing
+        solution[1, i] = b + nothing
+        solution[2, i] = c + nothing
+        distance[i] = d + nothing
+        own[i] += nothing
+        metric[i] += nothing
+        rough = ROUGH if metric[i] > max_error else OK
+        reason[i] = (rough if fitted else DEGENERATE) if enough else TOO_FEW
+    for i in range(count):
+        d = distance[i]
+        planes[4 * i] = -solution[0, i] * d
+        planes[4 * i + 1] = -solution[1, i] * d
+        planes[4 * i + 2] = -solution[2, i] * d
+        planes[4 * i + 3] = d
+    for i in range(count):
+        alpha[3 * i] = solution[0, i]
+        alpha[3 * i + 1] = solution[1, i]
+        alpha[3 * i + 2] = solution[2, i]
+    for i in range(count):
+        rmse[i] = own[i]
+    for i in range(count):
+        rmse_metric[i] = metric[i]
+    for i in range(count):
+        valid_count[i] = np.int32(valid[i])
+    for i in range(count):
+        status[i] = np.uint8(np.int32(reason[i]))
 
 
 @kernel()
@@ -232,21 +228,29 @@ def fit_moments(
     """
     room = np.empty((13 + WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
     for first in range(start, stop, TILES):
-        count = min(TILES, stop - first)
-        for entry in range(10):
-            for i in range(count):
-                block_moments[entry, i] = moments[entry, first + i]
-        for axis in range(3):
-            for i in range(count):
-                block_reference[axis, i] = reference[axis, first + i]
+        last = min(first + TILES, stop)
+        count = last - first
+        copy(moments[:, first:last], count, block_moments)
+        copy(reference[:, first:last], count, block_reference)
         if method <= RANGE_IMPLICIT:
             range_planes(
-                method == RANGE_IMPLICIT, block_moments, block_reference, needed, max_error, count, work, first,
-                planes, alpha, rmse, rmse_metric, valid_count, status,
-            )  # fmt: skip
+                method == RANGE_IMPLICIT, block_moments, block_reference, needed[first:last], count, work
+            )
         else:
-            standard_planes(
-                method - STANDARD_EXPLICIT, block_moments, block_reference, needed, max_error, count, work, first,
-                planes, alpha, rmse, rmse_metric, valid_count, status,
-            )  # fmt: skip
+            standard_planes(method - STANDARD_EXPLICIT, block_moments, block_reference, count, work)
+        write_planes(
+            work, block_moments[0], needed[first:last], max_error, count,
+            flat_planes[4 * first : 4 * last], flat_alpha[3 * first : 3 * last],
+            rmse[first:last], rmse_metric[first:last],
+            valid_count[first:last], status[first:last],
+        )  # fmt: skip
+
+
+@kernel(inline=True)
+def copy(values, count, where):
+    """Copy the first ``count`` columns of all rows."""
+    for row in range(len(values)):
+        for i in range(count):
+            where[row, i] = values[row, i]

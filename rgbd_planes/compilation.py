@@ -3,24 +3,26 @@
 import logging
 import threading
 from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 SECONDS_BEFORE_NOTICE = 1.0
 
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
 _announced = threading.Event()
+_NOTHING = nullcontext()
 
 
-@contextmanager
-def announced(key: Hashable) -> Iterator[None]:
+def announced(key: Hashable) -> AbstractContextManager[None]:
     """Log one line, once in a process, if the first call for ``key`` takes long; later calls cost nothing.
 
     A kernel that Numba's cache on disk holds loads in less than the time waited for.
     """
-    if key in _compiled or _announced.is_set():
-        yield
-        return
+    return _NOTHING if key in _compiled or _announced.is_set() else _first_call(key)
+
+
+@contextmanager
+def _first_call(key: Hashable) -> Iterator[None]:
     timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce)
     timer.daemon = True
     timer.start()

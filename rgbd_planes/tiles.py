@@ -92,6 +92,7 @@ class TileFitter:
         self._grid = len(tile_sizes(camera.height, self.tile[0])), len(tile_sizes(camera.width, self.tile[1]))
         self._centre, self._full = camera_terms(camera, self.tile)
         self._needed = valid_needed(self._full[0], max_missing).ravel()
+        self._compiled_for = method, implementation, camera.is_separable
         self._rough_test = RoughTest(camera.noise, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             self._kernel: Any = (
@@ -129,7 +130,7 @@ class TileFitter:
         frame = as_depth_frame(depth, self.camera)
         arrays = self._arrays((), out)
         threads = choose_num_threads(self._num_threads, frame.raw.size)
-        with announced((self.method, self.implementation, self.camera.is_separable, frame.raw.dtype)):
+        with announced((*self._compiled_for, frame.raw.dtype)):
             run_in_ranges(self._work(frame, arrays), self._grid[0], threads)
         return self._result(arrays) if out is None else out
 
@@ -163,9 +164,7 @@ class TileFitter:
                 work(max(start - i * rows, 0), min(stop - i * rows, rows))
 
         pixels = len(frames) * self.camera.width * self.camera.height
-        with announced(
-            (self.method, self.implementation, self.camera.is_separable, np.asarray(frames[0]).dtype)
-        ):
+        with announced((*self._compiled_for, np.asarray(frames[0]).dtype)):
             run_in_ranges(fit_some, len(frames) * rows, choose_num_threads(self._num_threads, pixels))
         return self._result(arrays) if out is None else out
 
@@ -222,11 +221,13 @@ class TileFitter:
 
     def _work(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         """Return what fits tile rows ``start`` to ``stop`` of a frame into arrays of shape (R, C, ...)."""
-        columns = self._grid[1]
-        flat = _flat(arrays)
-        fit = self._direct(frame, flat) if self.implementation == "direct" else self._windowed(frame, flat)
+        fit = (
+            self._direct(frame, arrays) if self.implementation == "direct" else self._windowed(frame, arrays)
+        )
         if self._rough_test.is_empty:
             return fit
+        columns = self._grid[1]
+        flat = _flat(arrays)
 
         def fit_and_test(start: int, stop: int) -> None:
             fit(start, stop)
@@ -234,10 +235,10 @@ class TileFitter:
 
         return fit_and_test
 
-    def _direct(self, frame: DepthFrame, flat: Arrays) -> Callable[[int, int], None]:
+    def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         # Numba compiles for a depth image or for a disparity image.
         offset = frame.offset if frame.is_disparity else None
-        results = flat.values()
+        results = [arrays[name] for name in ARRAYS]
 
         def fit(start: int, stop: int) -> None:
             self._kernel(
@@ -247,7 +248,8 @@ class TileFitter:
 
         return fit
 
-    def _windowed(self, frame: DepthFrame, flat: Arrays) -> Callable[[int, int], None]:
+    def _windowed(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
+        flat = _flat(arrays)
         flat["_reference"][:] = 0.0
         source = self._window_moments.prepare(frame)
         columns = self._grid[1]
