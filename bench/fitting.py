@@ -34,9 +34,9 @@ def case(
     return Case(camera, rendering.measure(holes=holes, seed=1), rendering.labels, rendering.planes)
 
 
-def fit(frame: Case, tile: int, method: str = "range_explicit") -> Callable[[], Any]:
-    """Our fit from raw depth to planes, residuals and statuses, one thread, into arrays that are there."""
-    fitter = rp.TileFitter(frame.camera, tile, method, num_threads=1)
+def fit(frame: Case, tile: int, method: str = "range_explicit", num_threads: int = 1) -> Callable[[], Any]:
+    """Our fit from raw depth to planes, residuals and statuses, into arrays that are there."""
+    fitter = rp.TileFitter(frame.camera, tile, method, num_threads=num_threads)
     out = fitter.fit(frame.depth)
     return lambda: fitter.fit(frame.depth, out=out)
 

@@ -1,11 +1,13 @@
-"""Tile fitting beside its peers: ``python -m bench.peers --out DIR``.
+"""Tile fitting and normals beside their peers: ``python -m bench.peers --out DIR``.
 
-Every system that is installed fits the same frame, one thread each, in turns, and is compared with the truth of
-the rendering: speed and accuracy in one table. Ratios of times taken in the same turn, with their quartiles, say
-more than times do. Writes peers.md, peers.json and scaling.png.
+Every system that is installed works on the same frame, in turns, one thread each and then all threads, and is compared
+with the truth of the rendering: speed and accuracy in one table. Ratios of times taken in the same turn, with their
+quartiles, say more than times do. Writes peers.md, peers.json and scaling.png.
 
-Peers: vectorised NumPy; OpenCV 5 (``depthTo3d``, and ``findPlanes`` with a least size that no plane reaches,
-so that it fits its blocks and merges none); Open3D's normals and planar patches. Extra: ``pip install .[peers]``.
+Peers: vectorised NumPy; OpenCV 5 (``depthTo3d``, ``RgbdNormals``, and ``findPlanes`` with a least size that no plane
+reaches, so that it fits its blocks and merges none); Open3D's normals and planar patches. Extra:
+``pip install .[peers]``. CAPE and PEAC have no packages: their rows are ratios to the same NumPy baseline, measured
+once, beside it, on a rendered room of six planes, with both built from their sources.
 """
 
 # ruff: noqa: E402
@@ -25,13 +27,31 @@ from typing import Any
 import numpy as np
 
 import rgbd_planes as rp
+from bench import test_normals as of_normals
 from bench.fitting import Case, case, fit, floor_of, median_angle, numpy_fit, ratio, take_turns
+from bench.floor import floor
 from rgbd_planes.fitting import METHODS
+from rgbd_planes.threads import run_in_ranges
 
 BASE = "NumPy, PCA in XYZ"
 FLOOR, FLOOR_SHARED = "floor: a division a pixel", "floor: a division for two pixels"
 FORMS = {BASE: "pca", "NumPy, Z = aX + bY + c": "z", "NumPy, 1/Z on the ray": "1/z"}
 NO_PLANE = 10**9
+THREADS = os.cpu_count() or 1
+
+# Time over the baseline's, least and most of several runs: by side of the tile.
+QUOTED = {
+    20: {
+        "CAPE, points given": "0.19–0.28",
+        "CAPE, from the depth": "0.43–0.64",
+        "PEAC, points given": "0.68",
+    },
+    10: {
+        "CAPE, points given": "0.21–0.23",
+        "CAPE, from the depth": "0.32–0.37",
+        "PEAC, points given": "0.42",
+    },
+}
 
 
 def systems(frame: Case, tile: int) -> tuple[dict[str, Callable[[], Any]], dict[str, float]]:
@@ -105,11 +125,66 @@ def compare(frame: Case, tile: int, repeats: int) -> list[dict[str, Any]]:
             "of_baseline": ratio(values, times[BASE]),
             "faster_than_baseline": ratio(times[BASE], values),
             "of_floor": ratio(values, times[FLOOR]),
-            "of_shared_floor": ratio(values, times[FLOOR_SHARED]),
             "median_deg": angles.get(name),
         }
         for name, values in times.items()
     ]
+
+
+def with_all_threads(frame: Case, tile: int, repeats: int) -> list[dict[str, Any]]:
+    """Time of each system with all threads over its own with one."""
+    both: dict[str, list[Callable[[], Any]]] = {}
+    for method in ("range_explicit", "standard_pca"):
+        both[method] = [fit(frame, tile, method, n) for n in (1, THREADS)]
+    both["normals 7"] = [
+        lambda n=n: rp.normals(frame.depth, frame.camera, 7, num_threads=n) for n in (1, THREADS)
+    ]
+    if of_normals.OPENCV:
+        import cv2
+
+        names = opencv(frame, tile) | {
+            "OpenCV FALS": of_normals.prepare("OpenCV FALS", of_normals.case(0.05)),
+        }
+        for name, function in names.items():
+            both[name] = [
+                lambda n=n, function=function: (cv2.setNumThreads(n), function()) for n in (1, THREADS)
+            ]
+    times = take_turns({f"{name} {i}": f for name, pair in both.items() for i, f in enumerate(pair)}, repeats)
+    if of_normals.OPENCV:
+        cv2.setNumThreads(1)
+    return [
+        {"system": name, "threads": THREADS, "speedup": ratio(times[f"{name} 0"], times[f"{name} 1"])}
+        for name in both
+    ]
+
+
+def compare_normals(holes: float, repeats: int) -> list[dict[str, Any]]:
+    """One row a way to compute the normals of all pixels: times, ratios to ours with window 7, accuracy."""
+    frame = of_normals.case(holes)
+    functions = {method: of_normals.prepare(method, frame) for method in of_normals.METHODS}
+    times = take_turns(functions, repeats)
+    return [
+        {
+            "holes": holes,
+            "system": name,
+            "median_ms": float(np.median(times[name]) * 1e3),
+            "of_ours": ratio(times[name], times["normals 7"]),
+            **of_normals.accuracy(function(), frame),
+        }
+        for name, function in functions.items()
+    ]
+
+
+def floor_of_batch(frames: Any, threads: int) -> Callable[[], None]:
+    """The floor kernel on many frames, shared by threads as `fit_batch` shares them."""
+    camera = case().camera
+
+    def some(start: int, stop: int) -> None:
+        sums, tiles = np.empty((3, camera.width)), np.empty((4, camera.height // 20, camera.width // 20))
+        for frame in frames[start:stop]:
+            floor(frame, camera.tan_x_columns, camera.tan_y_rows, 20, False, sums, tiles)
+
+    return lambda: run_in_ranges(some, len(frames), threads)
 
 
 def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
@@ -122,17 +197,25 @@ def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
         {str(tile): fit(case(), tile) for tile in (4, 5, 8, 10, 16, 20, 32, 40, 64)}, repeats
     )
     many = np.repeat(case().depth[None], 20 if quick else 100, axis=0)
-    batches = {}
-    for threads in range(1, (os.cpu_count() or 1) + 1):
+    batches: dict[str, Callable[[], Any]] = {}
+    for threads in range(1, THREADS + 1):
         fitter = rp.TileFitter(case().camera, 20, num_threads=threads)
         out = fitter.fit_batch(many)
-        batches[threads] = lambda fitter=fitter, out=out: fitter.fit_batch(many, out=out)
+        batches[f"fit_batch {threads}"] = lambda fitter=fitter, out=out: fitter.fit_batch(many, out=out)
+        batches[f"floor {threads}"] = floor_of_batch(many, threads)
     by_threads = take_turns(batches, max(5, repeats // 4))
     pixels = {f"{w}x{h}": w * h for w, h in frames}
     return {
         "size": [(name, float(np.median(t)) / pixels[name] * 1e9) for name, t in by_size.items()],
         "tile": [(int(name), float(np.median(t)) / case().depth.size * 1e9) for name, t in by_tile.items()],
-        "threads": [(n, ratio(by_threads[1], t)[1]) for n, t in by_threads.items()],
+        "threads": [
+            (n, ratio(by_threads["fit_batch 1"], by_threads[f"fit_batch {n}"])[1])
+            for n in range(1, THREADS + 1)
+        ],
+        # The machine's own limit: a kernel that does nothing but read and divide.
+        "threads, floor": [
+            (n, ratio(by_threads["floor 1"], by_threads[f"floor {n}"])[1]) for n in range(1, THREADS + 1)
+        ],
     }
 
 
@@ -149,18 +232,21 @@ def figure(points: dict[str, list[tuple[Any, float]]], path: Path) -> None:
         "side of a tile in pixels, 640 x 480",
         "threads, batch of 640 x 480",
     )
-    for axis, (name, values), title in zip(axes, points.items(), titles, strict=True):
-        labels, heights = zip(*values, strict=True)
+    for axis, name, title in zip(axes, ("size", "tile", "threads"), titles, strict=True):
+        labels, heights = zip(*points[name], strict=True)
         if name == "tile":
             axis.plot(labels, heights, "o-")
             axis.set_xscale("log", base=2)
             axis.set_xticks(labels, [str(label) for label in labels], fontsize=8)
             axis.minorticks_off()
         else:
-            axis.plot(range(len(labels)), heights, "o-")
+            axis.plot(range(len(labels)), heights, "o-", label="fit_batch" if name == "threads" else None)
             axis.set_xticks(range(len(labels)), [str(label) for label in labels], fontsize=8)
         if name == "threads":
             axis.plot(range(len(labels)), labels, ":", color="grey", label="ideal")
+            axis.plot(
+                range(len(labels)), [value for _, value in points["threads, floor"]], "s--", label="floor"
+            )
             axis.legend()
         axis.set_ylim(0.0)
         axis.set_xlabel(title)
@@ -169,25 +255,51 @@ def figure(points: dict[str, list[tuple[Any, float]]], path: Path) -> None:
     drawing.savefig(path, dpi=150)
 
 
+def spread(values: tuple[float, float, float]) -> str:
+    """Median and quartiles."""
+    low, middle, high = (f"{value:.3g}" for value in values)
+    return f"{middle} ({low}–{high})"
+
+
 def text(rows: list[dict[str, Any]]) -> str:
-    """The table in Markdown."""
-
-    def spread(values: tuple[float, float, float]) -> str:
-        low, middle, high = (f"{value:.3g}" for value in values)
-        return f"{middle} ({low}–{high})"
-
+    """The table of tile fitting in Markdown."""
     lines = [
-        "| tile | system | ms | x baseline | baseline / it | x floor | x shared floor | median angle |",
-        "|---|---|---|---|---|---|---|---|",
+        "| tile | system | ms | x baseline | baseline / it | x floor | median angle |",
+        "|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         angle = "" if row["median_deg"] is None else f"{row['median_deg']:.2f}°"
         lines.append(
             f"| {row['tile']} | {row['system']} | {row['median_ms']:.3f} | {spread(row['of_baseline'])} "
-            f"| {spread(row['faster_than_baseline'])} | {spread(row['of_floor'])} "
-            f"| {spread(row['of_shared_floor'])} | {angle} |"
+            f"| {spread(row['faster_than_baseline'])} | {spread(row['of_floor'])} | {angle} |"
         )
+    for tile, quoted in QUOTED.items():
+        for name, share in quoted.items():
+            lines.append(f"| {tile} | {name}, quoted | | {share} | | | |")
     return "\n".join(lines)
+
+
+def text_of_threads(rows: list[dict[str, Any]]) -> str:
+    """The table of what threads bring in Markdown."""
+    lines = [f"| one frame, {THREADS} threads | times as fast as with one |", "|---|---|"]
+    return "\n".join(lines + [f"| {row['system']} | {spread(row['speedup'])} |" for row in rows])
+
+
+def text_of_normals(rows: list[dict[str, Any]]) -> str:
+    """The table of normals in Markdown."""
+    lines = [
+        "| missing | normals | ms | x normals 7 | median | away from edges | near edges | valid pixels with one |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    return "\n".join(
+        lines
+        + [
+            f"| {row['holes']:.0%} | {row['system']} | {row['median_ms']:.2f} | {spread(row['of_ours'])} "
+            f"| {row['median_deg']:.2f}° | {row['inside_deg']:.2f}° | {row['near_edge_deg']:.2f}° "
+            f"| {row['share_of_valid']:.0%} |".replace("%", " %")
+            for row in rows
+        ]
+    )
 
 
 def main() -> None:
@@ -198,21 +310,23 @@ def main() -> None:
     arguments = parser.parse_args()
     frame, repeats = case(), 20 if arguments.quick else 150
     rows = compare(frame, 20, repeats) + compare(frame, 10, repeats)
+    normals = [row for holes in of_normals.HOLES for row in compare_normals(holes, repeats // 5)]
+    threaded = with_all_threads(frame, 20, repeats // 3)
     points = scaling(arguments.quick)
-    table = text(rows)
-    print(table)
+    heading = (
+        "640 x 480, uint16, 5 % missing, one thread; ratios: median (quartiles) of times taken in turns. The "
+        "baseline is NumPy's PCA."
+    )
+    report = "\n\n".join([heading, text(rows), text_of_normals(normals), text_of_threads(threaded)])
+    print(report)
     print()
     for name, values in points.items():
         print(f"{name}: " + ", ".join(f"{label} {value:.3g}" for label, value in values))
     arguments.out.mkdir(parents=True, exist_ok=True)
     about = {"python": platform.python_version(), "numpy": np.__version__, "machine": platform.machine()}
-    (arguments.out / "peers.json").write_text(
-        json.dumps({"about": about, "rows": rows, "scaling": points}, indent=1)
-    )
-    heading = (
-        "640 x 480, uint16, 5 % missing, one thread; ratios: median (quartiles) of times taken in turns."
-    )
-    (arguments.out / "peers.md").write_text(f"{heading}\n\n{table}\n")
+    measured = {"about": about, "rows": rows, "normals": normals, "threads": threaded, "scaling": points}
+    (arguments.out / "peers.json").write_text(json.dumps(measured, indent=1))
+    (arguments.out / "peers.md").write_text(f"{report}\n")
     figure(points, arguments.out / "scaling.png")
 
 

@@ -1,15 +1,13 @@
 """Normals of a frame: speed and accuracy beside OpenCV's RgbdNormals, one thread each.
 
     pytest bench/test_normals.py            times by pytest-benchmark, accuracy in extra_info
-    python bench/test_normals.py            one table: speed ratios of interleaved runs, and accuracy
+    python -m bench.peers                   one table: speed ratios of interleaved runs, and accuracy
 
 OpenCV 5 is used when it is installed (opencv-python-headless). Its methods get what they take: FALS, SRI and
 CROSS_PRODUCT the point cloud, ready made, and LINEMOD the raw frame; their results are turned towards the camera
 before they are compared with the truth, and written to arrays that are there already.
 """
 
-import argparse
-import time
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
@@ -106,60 +104,3 @@ def test_normals(benchmark: Any, method: str, holes: float) -> None:
     benchmark.group = f"normals 640 x 480, {holes:.0%} missing"
     benchmark.extra_info.update(accuracy(compute(), frame))
     benchmark(compute)
-
-
-def seconds(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Any]:
-    """Times of each function, taken in turns so that all see the same machine."""
-    times: dict[str, list[float]] = {name: [] for name in functions}
-    for function in functions.values():
-        function()
-    for _ in range(repeats):
-        for name, function in functions.items():
-            start = time.perf_counter()
-            function()
-            times[name].append(time.perf_counter() - start)
-    return {name: np.array(values) for name, values in times.items()}
-
-
-def print_table(holes: float, repeats: int) -> None:
-    """Print speed and accuracy of every method as a Markdown table."""
-    frame = case(holes)
-    functions = {method: prepare(method, frame) for method in METHODS}
-    times = seconds(functions, repeats)
-    base = times["normals 7"]
-    print(f"\n640 x 480, uint16, {holes:.0%} missing, noise 1.425e-3/m, one thread, {repeats} rounds\n")
-    print(
-        "| normals | ms | time ÷ normals 7 (10–90 %) | median | inside | near edges | 90 % | valid | missing |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
-    for method, function in functions.items():
-        found = accuracy(function(), frame)
-        ratio = times[method] / base
-        low, middle, high = np.percentile(ratio, [10, 50, 90])
-        print(
-            f"| {method} | {1e3 * np.median(times[method]):.2f} | {middle:.2f} ({low:.2f}–{high:.2f}) "
-            f"| {found['median_deg']:.2f}° | {found['inside_deg']:.2f}° | {found['near_edge_deg']:.2f}° "
-            f"| {found['p90_deg']:.1f}° | {found['share_of_valid']:.0%} | {found['share_of_missing']:.0%} |"
-        )
-
-
-def print_scaling(repeats: int) -> None:
-    """Print the cost per pixel by frame and window."""
-    print("\n| frame, 5 % missing | " + " | ".join(f"window {w}" for w in sorted(WINDOWS)) + " |")
-    print("|---" * (len(WINDOWS) + 1) + "|")
-    for width, height in ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160)):
-        frame = case(0.05, width, height)
-        functions = {f"normals {w}": prepare(f"normals {w}", frame) for w in sorted(WINDOWS)}
-        times = seconds(functions, max(3, repeats * 640 * 480 // (width * height)))
-        cost = " | ".join(f"{1e9 * np.median(t) / (width * height):.2f} ns" for t in times.values())
-        print(f"| {width} x {height} | {cost} |")
-        case.cache_clear()
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=30)
-    arguments = parser.parse_args()
-    for share in HOLES:
-        print_table(share, arguments.rounds)
-    print_scaling(arguments.rounds)
