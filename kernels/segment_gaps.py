@@ -10,7 +10,6 @@ import numpy as np
 from ._jit import kernel
 from .segment_blocks import joint_residual, residual
 
-STEP = 1  # every so many rows and columns are looked along
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
 OPEN = 0.1  # share of the rows or columns that may see through
@@ -54,78 +53,91 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
 
 
 @kernel()
-def measure_gaps(labels, inverse_depth, tan_x, tan_y, alpha, deviation, pairs, across, closed, opened):
-    """Look along rows, or along columns, from one plane of a pair to the other.
+def part_boxes(run_row, run_start, run_stop, runs, part, number, box):
+    """First row, row after the last, first column, column after the last of each label.
+
+    Runs and parts are those of `segment_parts.find_runs`; ``number`` (P,) int32 is the label of each part, 0 for
+    none. ``box`` (N + 1, 4) int64 is written, row a for label a.
+    """
+    box[:, 0] = box[:, 2] = np.iinfo(np.int64).max
+    box[:, 1] = box[:, 3] = 0
+    for i in range(runs):
+        b = box[number[part[i]]]
+        b[0], b[1] = min(b[0], run_row[i]), max(b[1], run_row[i] + 1)
+        b[2], b[3] = min(b[2], run_start[i]), max(b[3], run_stop[i])
+
+
+@kernel()
+def is_thin(labels, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, across):
+    """Whether the gap between labels a and b, looked at along rows or along columns, is longer than wide.
 
     Parameters
     ----------
     labels : (H, W) int32
-        0 none; plane a has label a + 1.
+    alpha : (3,) float64
+        The plane of both.
+    reach : float
+        What is farther than the plane by this, in 1/m, one sees through the gap.
+    box : (N + 1, 4) int64
+        Of `part_boxes`.
     across : bool
         Along the rows.
-    closed : (K, L) int64, written
-        How many gaps of each width, in pixels, each pair has.
-    opened : (K,) int64, written
-        How many more one sees through.
     """
-    height, width = labels.shape
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    closed[:] = 0
-    opened[:] = 0
-    last = np.empty(len(alpha) + 1, np.int64)
-    wanted = np.zeros(len(alpha) + 1, np.bool_)
-    for k in range(len(pairs)):
-        wanted[pairs[k, 0] + 1] = wanted[pairs[k, 1] + 1] = True
-    lines, length = (height, width) if across else (width, height)
-    for line in range(0, lines, STEP):
-        last[:] = -1
-        before = 0
-        for s in range(length):
-            a = labels[line, s] if across else labels[s, line]
-            if a != before and wanted[a]:
-                for k in range(len(pairs)):
-                    if pairs[k, 0] + 1 != a and pairs[k, 1] + 1 != a:
-                        continue
-                    b = pairs[k, 0] + pairs[k, 1] + 2 - a
-                    if last[b] <= last[a]:
-                        continue
-                    is_open = False
-                    for t in range(last[b] + 1, s):
-                        y, x = (line, t) if across else (t, line)
-                        q = inverse_depth[y, x]
-                        plane = (
-                            alpha[b - 1, 0] * tan_x[y * step_y, x]
-                            + alpha[b - 1, 1] * tan_y[y, x * step_x]
-                            + alpha[b - 1, 2]
-                        )
-                        is_open |= 0.0 < q < plane - BEYOND * deviation[b - 1]
-                    if is_open:
-                        opened[k] += 1
-                    else:
-                        closed[k, s - last[b] - 1] += 1
-            before = a
-            last[a] = s
+    i, j = (0, 2) if across else (2, 0)  # where lines, and places along them, stand in a box
+    first, stop = max(box[a, i], box[b, i]), min(box[a, i + 1], box[b, i + 1])
+    start, end = min(box[a, j], box[b, j]), max(box[a, j + 1], box[b, j + 1])
+    widest = stop - first  # no gap counts as thin that is wider than there are lines
+    if widest < LEAST:
+        return False
+    gaps = np.zeros(widest + 1, np.int64)
+    closed = opened = 0
+    for line in range(first, stop):
+        last_a = last_b = -1
+        for s in range(start, end):
+            label = labels[line, s] if across else labels[s, line]
+            if label != a and label != b:
+                continue
+            last = last_b if label == a else last_a
+            if last > (last_a if label == a else last_b):
+                through = False
+                for t in range(last + 1, s):
+                    y, x = (line, t) if across else (t, line)
+                    plane = alpha[0] * tan_x[y * step_y, x] + alpha[1] * tan_y[y, x * step_x] + alpha[2]
+                    through |= 0.0 < inverse_depth[y, x] < plane - reach
+                if through:
+                    opened += 1
+                else:
+                    closed += 1
+                    if s - last - 1 <= widest:
+                        gaps[s - last - 1] += 1
+            if label == a:
+                last_a = s
+            else:
+                last_b = s
+    if opened > OPEN * (opened + closed):
+        return False
+    crossed = 0
+    for gap in range(widest + 1):
+        crossed += gaps[gap]
+        if crossed >= LEAST and crossed >= gap:
+            return True
+    return False
 
 
 @kernel()
-def join_across(pairs, closed, opened, parent):
-    """Unite the pairs whose gaps are thin: no wider, for some way, than that way is long.
-
-    ``parent`` (N,) int64 becomes the first plane that each goes with.
-    """
-    for k in range(len(pairs)):
-        if opened[k] > OPEN * (closed[k].sum() + opened[k]):
-            continue
-        crossed = 0
-        for gap in range(closed.shape[1]):
-            crossed += closed[k, gap]
-            if crossed >= LEAST and crossed * STEP >= gap:
-                a, b = pairs[k]
-                while parent[a] != a:
-                    a = parent[a]
-                while parent[b] != b:
-                    b = parent[b]
-                parent[max(a, b)] = min(a, b)
-                break
+def join_across(labels, inverse_depth, tan_x, tan_y, alpha, deviation, pairs, count, box, parent):
+    """Unite the pairs of planes whose gaps are thin; ``parent`` (N,) int64 becomes the first each goes with."""
+    for k in range(count):
+        a, b = pairs[k]
+        reach = BEYOND * deviation[a]
+        if is_thin(labels, inverse_depth, tan_x, tan_y, a + 1, b + 1, alpha[a], reach, box, True) or is_thin(
+            labels, inverse_depth, tan_x, tan_y, a + 1, b + 1, alpha[a], reach, box, False
+        ):
+            while parent[a] != a:
+                a = parent[a]
+            while parent[b] != b:
+                b = parent[b]
+            parent[max(a, b)] = min(a, b)
     for a in range(len(parent)):
         parent[a] = parent[parent[a]]

@@ -451,7 +451,7 @@ def _result(
     chosen, deviation = moments[kept], deviation[of_part[kept]]
     alpha, rss = np.empty((len(kept), 3)), np.empty(len(kept))
     segment_parts.final_planes(chosen, alpha, rss)
-    whole = _join_across_gaps(labels, chosen, alpha, deviation, room, grid, rules)
+    whole = _join_across_gaps(labels, chosen, alpha, deviation, number, runs, room, grid, rules)
     first = np.flatnonzero(whole == np.arange(len(whole)))
     if len(first) < len(whole):
         new = np.append(0, np.searchsorted(first, whole) + 1).astype(np.int32)
@@ -481,6 +481,8 @@ def _join_across_gaps(
     moments: Floats,
     alpha: Floats,
     deviation: Floats,
+    number: NDArray[np.int32],
+    runs: int,
     room: _Room,
     grid: _Grid,
     rules: Rules,
@@ -491,22 +493,14 @@ def _join_across_gaps(
     count = segment_gaps.find_coplanar(
         moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
     )
-    pairs = pairs[:count]
-    closed, opened = np.empty((count, max(labels.shape)), np.int64), np.empty(count, np.int64)
-    for across in (True, False) if count else ():
-        segment_gaps.measure_gaps(
-            labels,
-            room.inverse_depth,
-            grid.tan_x,
-            grid.tan_y,
-            alpha,
-            deviation,
-            pairs,
-            across,
-            closed,
-            opened,
-        )
-        segment_gaps.join_across(pairs, closed, opened, parent)
+    if count:
+        row, start, stop, _, _, _, part, _ = room.runs
+        box = np.empty((len(moments) + 1, 4), np.int64)
+        segment_gaps.part_boxes(row, start, stop, runs, part, number, box)
+        segment_gaps.join_across(
+            labels, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count,
+            box, parent,
+        )  # fmt: skip
     return parent
 
 
