@@ -115,6 +115,11 @@ class Camera:
             self._set("depth_scale", _number("depth_scale", self.depth_scale))
             if not self.depth_scale > 0:
                 raise ValueError(f"expected depth_scale > 0 (raw units per metre), got {self.depth_scale!r}")
+            if self.depth_scale < 1:
+                raise ValueError(
+                    "expected depth_scale in raw units per metre, 1000 for millimetres, got "
+                    f"{self.depth_scale!r}: if these are metres per unit, {1 / self.depth_scale:g} is meant"
+                )
         if self.disparity is not None:
             if self.depth_scale is not None:
                 raise ValueError(
@@ -300,7 +305,10 @@ class Camera:
         known = [f.name for f in fields(cls)]
         unknown = sorted(str(k) for k in values if k not in known)
         if unknown:
-            raise ValueError(f"expected the camera keys {', '.join(known)}, got also {', '.join(unknown)}")
+            raise ValueError(
+                f"expected the camera keys {', '.join(known)}, got also {', '.join(unknown)}"
+                f"{camera_formats.whose(unknown)}"
+            )
         missing = [name for name in known[:6] if name not in values]
         if missing:
             raise ValueError(

@@ -24,7 +24,9 @@ def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     with open(path, encoding="utf-8") as file:
         try:
             values = json.load(file)
-        except ValueError as error:  # JSONDecodeError, or bytes that are no text
+        except UnicodeDecodeError:
+            raise ValueError(f"expected a JSON file, got {os.fspath(path)}, which is no text") from None
+        except ValueError as error:
             raise ValueError(f"expected a JSON file, got {os.fspath(path)}: {error}") from None
     if not isinstance(values, dict):
         raise ValueError(f"expected a JSON object in {os.fspath(path)}, got {type(values).__name__}")
@@ -46,6 +48,14 @@ def from_opencv(
         "cy": matrix[1, 2] - pixel_center,
         "distortion": _without_thin_prism(coefficients),
     }
+
+
+def whose(keys: list[str]) -> str:
+    """Which other format has such keys, as the end of a message; nothing if none is known."""
+    for key, other in (("intrinsic_matrix", "open3d"), ("K", "ros"), ("k", "ros"), ("ppx", "realsense")):
+        if key in keys:
+            return f": Camera.from_{other} reads that, Camera.save writes it as here"
+    return ""
 
 
 def from_ros(info: Any, rectified: bool) -> dict[str, Any]:

@@ -435,6 +435,9 @@ def _counts(tiles: "TilePlanes") -> str:
         line += (
             f"; median residual {1e3 * np.median(tiles.rmse_metric[tiles.fitted]):.1f} mm along the normal"
         )
+    else:
+        measured = tiles.valid_count.sum() / (tiles.camera.width * tiles.camera.height)
+        line += f"; {measured:.0%} of the pixels are measured"
     return line + "."
 
 

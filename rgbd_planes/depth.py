@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # Depths whose inverse, square and products stay finite in every kernel: the normal numbers of float32.
 _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 
+_PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
 
 
@@ -94,8 +95,8 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     Warns
     -----
     UserWarning
-        A float frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
-        farther says that it is not.
+        A frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
+        farther says that it is not. A frame of 8 bits that ends before 1 m: most likely a picture.
 
     Notes
     -----
@@ -124,8 +125,9 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     raw = np.require(array, dtype, ["C", "A"])
     depth_scale = camera.depth_scale if kind in "ui" else 1.0
     disparity = camera.disparity
-    if kind == "f" and disparity is None:
-        _warn_of_millimetres(raw, camera.depth_range)
+    if disparity is None:
+        assert depth_scale is not None
+        _warn_of_units(raw, array.dtype, depth_scale, camera.depth_range)
     lowest, highest, holes, missing = _validity(
         dtype.char,
         depth_scale if disparity is None else None,
@@ -161,23 +163,43 @@ def _check_shape(array: NDArray[Any], camera: "Camera") -> None:
     )
 
 
-def _warn_of_millimetres(raw: NDArray[Any], depth_range: tuple[float, float] | None) -> None:
+def _warn_of_units(
+    raw: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
+) -> None:
+    """Warn of a frame that is most likely not in the units that it is said to be in."""
+    if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and depth_range is None:
+        _warn(
+            f"a frame of 8 bits with a depth_scale of {depth_scale:g} per metre ends at {255 / depth_scale:.2g} m: "
+            "is it a picture of the depth?"
+        )
     if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
         return
+    farthest = _PLAINLY_NOT_METRES * depth_scale
+    if dtype.kind == "u" and dtype.itemsize <= 2 and 2.0 * farthest > 65535:
+        return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
     # About a thousand pixels say it as well as all of them; a step without a common divisor with the width
     # meets every column, whatever pattern the holes have.
     step = max(1, raw.size // 1024)
     while math.gcd(step, raw.shape[1]) > 1:
         step += 1
     sample = raw.reshape(-1)[::step]
-    far = np.count_nonzero((sample > _PLAINLY_NOT_METRES) & (sample < np.inf))
-    if far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf)):
-        warnings.warn(
+    far = np.count_nonzero((sample > farthest) & (sample < np.inf))
+    if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf))):
+        return
+    if dtype.kind == "f":
+        _warn(
             f"float depth is in metres, but most of this frame is beyond {_PLAINLY_NOT_METRES:g} m: "
-            "millimetres? depth_scale applies to integer frames only; divide the frame by it",
-            UserWarning,
-            stacklevel=_first_level_outside(),
+            "millimetres? depth_scale applies to integer frames only; divide the frame by it"
         )
+    else:
+        _warn(
+            f"with a depth_scale of {depth_scale:g} per metre most of this frame is beyond "
+            f"{_PLAINLY_NOT_METRES:g} m: is it in millimetres, depth_scale=1000?"
+        )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
 
 
 def _first_level_outside() -> int:

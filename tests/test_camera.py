@@ -236,7 +236,7 @@ cameras = st.builds(
     cx=numbers,
     cy=numbers,
     distortion=st.sampled_from([(), KINECT[:4], KINECT, RATIONAL]),
-    depth_scale=st.one_of(st.none(), st.floats(1e-3, 1e6)),
+    depth_scale=st.one_of(st.none(), st.floats(1.0, 1e6)),
     depth_range=st.one_of(st.none(), st.tuples(st.floats(0, 5), st.floats(6, 20))),
     invalid_values=st.lists(st.one_of(st.integers(0, 65535), numbers), max_size=3).map(tuple),
 )
@@ -280,6 +280,12 @@ def test_save_where_nothing_can_be_written(tmp_path):
         (
             '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "scale": 7, "k1": 0}',
             "also k1, scale$",
+        ),
+        ('{"width": 1, "height": 2, "intrinsic_matrix": []}', "Camera.from_open3d reads that"),
+        ('{"width": 1, "height": 2, "K": []}', "Camera.from_ros reads that"),
+        (
+            '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "depth_scale": 0.001}',
+            "got 0.001: if these are metres per unit, 1000 is meant",
         ),
     ],
 )

@@ -195,7 +195,7 @@ def test_bad_input_is_one_line_and_nothing_written(folder, capsys, spoil, option
 def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
     np.save("depth.npy", np.full((60, 80), np.nan))
     assert cli.main(["fit", "depth.npy", "--camera", "camera.json", "--figure", "p.png"]) == 0
-    assert "20 TOO_FEW." in capsys.readouterr().out
+    assert "20 TOO_FEW; 0% of the pixels are measured." in capsys.readouterr().out
 
 
 def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, monkeypatch):

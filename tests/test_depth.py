@@ -54,6 +54,7 @@ units = st.one_of(
 codes = st.one_of(st.integers(0, 65535), st.sampled_from([0, 1, 2047, 65534, 65535]))
 
 
+@pytest.mark.filterwarnings("ignore:with a depth_scale of")  # the units are any
 @given(
     depth=hnp.arrays(np.uint16, (4, 6), elements=codes),
     unit=units,
@@ -221,6 +222,22 @@ def test_millimetres_as_floats_draw_one_warning_here():
     assert caught[0].filename == __file__
     with pytest.warns(UserWarning, match="millimetres"):
         camera((480, 640), depth_range=(0.1, 10.0)).points(depth)
+
+
+def test_integers_in_unlikely_units_draw_a_warning():
+    depth = np.full((480, 640), 1500, np.uint16)
+    depth[::3] = 0
+    for dtype in (np.uint16, np.int32):
+        with pytest.warns(UserWarning, match="is it in millimetres, depth_scale=1000") as caught:
+            as_depth_frame(depth.astype(dtype), camera((480, 640), depth_scale=1.0))
+        assert caught[0].filename == __file__
+    with pytest.warns(UserWarning, match=r"ends at 0\.26 m: is it a picture of the depth"):
+        as_depth_frame((depth // 10).astype(np.uint8), camera((480, 640), depth_scale=1000.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_depth_frame(depth, camera((480, 640), depth_scale=1.0, depth_range=(1, 4000)))
+        as_depth_frame((depth // 10).astype(np.uint8), camera((480, 640), depth_scale=100.0))
+        as_depth_frame(np.full((480, 640), 65535, np.uint16), camera((480, 640), depth_scale=1000.0))
 
 
 @pytest.mark.parametrize("far", [0, 0.4, 0.49])
