@@ -17,7 +17,7 @@ from rgbd_planes.polygons import plane_polygons
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
-from rgbd_planes.tracking import Tracker
+from rgbd_planes.tracking import MEMORY, Tracker
 
 
 def record(
@@ -95,7 +95,7 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> No
     with _recording(path) as (rr, stream):
         for index, frame in enumerate(sequence):
             if tracker is None or tracker.shape != frame.camera.shape:
-                tracker = Tracker(frame.camera, memory=5)
+                tracker = Tracker(frame.camera, MEMORY)
             tracked = tracker.follow(segment(frame.depth, frame.camera))
             _log_frame(rr, stream, index, frame)
             stream.log("camera/planes", rr.SegmentationImage(tracked.labels.astype(np.uint16)))

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.metrics import compare_labels, plane_errors
+from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation import SMALLEST, Segmentation, segment
 
 SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
 TURNED = 20.0  # degrees between them, at most
 MOVED = 0.15  # difference of their distances from the camera, as a share of it, at most
+
+MEMORY = 30  # frames: a second
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,12 +47,13 @@ def segment_sequence(
     *,
     noise: Any = None,
     min_size: int = SMALLEST,
-    memory: int = 5,
+    memory: int = MEMORY,
 ) -> Iterator[TrackedSegmentation]:
     """Segment frame after frame, with ids that stay with their planes.
 
     A plane is the one seen before that it shares most pixels with, if the two are nearly the same plane: so
-    the camera may move by a small part of a plane's size from frame to frame.
+    the camera may move by a small part of a plane's size from frame to frame, and a plane that was covered
+    or lost for a while comes back under its old id.
 
     Parameters
     ----------
@@ -60,7 +63,7 @@ def segment_sequence(
     noise, min_size
         See `segment`.
     memory : int
-        For how many frames an id is kept at pixels where no plane is found any more.
+        For how many frames a plane that is not in sight is remembered, where it was.
 
     Returns
     -------
@@ -74,55 +77,60 @@ def segment_sequence(
 
 
 class Tracker:
-    """What was last seen at each pixel, and the planes that it belongs to."""
+    """The planes that were seen, and where each of them was seen last."""
 
     def __init__(self, camera: Camera, memory: int) -> None:
         self.shape = camera.shape
         self._memory = memory
-        self._seen = np.zeros(camera.shape, np.int32)
-        self._age = np.zeros(camera.shape, np.int32)
-        self._planes = np.zeros((1, 4))  # by id; 0 is none
+        # By id, from 1 on; the first entries stand for none.
+        self._planes = np.zeros((1, 4))
+        self._missed = np.zeros(1, np.int64)  # frames since it was seen
+        self._places = [np.zeros(0, np.int64)]  # of every second pixel of every second row
 
     def follow(self, found: Segmentation) -> TrackedSegmentation:
         """Give the planes of the next frame their ids."""
-        ids = self._known(found)
-        new = ids == 0
-        first = len(self._planes)
-        ids[new] = np.arange(first, first + np.count_nonzero(new))
+        labels = found.labels[::2, ::2].ravel()
+        ids = self._known(found, labels)
+        new = np.flatnonzero(ids == 0)
+        ids[new] = len(self._planes) + np.arange(len(new))
         self._planes = np.vstack([self._planes, found.planes[new]])
         self._planes[ids] = found.planes
-        tracked = TrackedSegmentation(found, ids)
+        self._missed = np.append(self._missed + 1, np.zeros(len(new), np.int64))
+        self._missed[ids] = 0
+        self._places += [self._places[0]] * len(new)
+        order = np.argsort(labels, kind="stable")
+        ends = np.searchsorted(labels[order], np.arange(len(found) + 1), side="right")
+        for label, i in enumerate(ids):
+            self._places[i] = order[ends[label] : ends[label + 1]]
+        for i in np.flatnonzero(self._missed > self._memory):
+            self._places[i] = self._places[0]
+        return TrackedSegmentation(found, ids)
 
-        labels = tracked.labels
-        owned = labels > 0
-        self._age += 1
-        self._age[owned] = 0
-        self._seen[owned] = labels[owned]
-        # An id that is in sight elsewhere has left this place.
-        self._seen[~owned & ((self._age > self._memory) | np.isin(self._seen, ids))] = 0
-        return tracked
-
-    def _known(self, found: Segmentation) -> NDArray[np.int32]:
+    def _known(self, found: Segmentation, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """(N,) int32: the id of the plane that each one was, 0 for those not seen before."""
         from scipy.optimize import linear_sum_assignment
 
         ids = np.zeros(len(found), np.int32)
-        before = compare_labels(found.labels, self._seen)
-        shared = before.table[1:, 1:]
-        if shared.size == 0:
+        remembered = [i for i, place in enumerate(self._places) if len(place)]
+        if not remembered or not len(found):
             return ids
+        sizes = np.bincount(labels, minlength=len(found) + 1)[1:]
+        places = [self._places[i] for i in remembered]
+        shared = np.array([np.bincount(labels[place], minlength=len(found) + 1)[1:] for place in places])
         rows, columns = np.nonzero(shared)
-        old = self._planes[before.truth_labels[rows]]
-        errors = plane_errors(found.planes[before.predicted_labels[columns] - 1], old)
-        smaller = np.minimum(before.truth_sizes[rows], before.predicted_sizes[columns])
+        old = self._planes[remembered][rows]
+        errors = plane_errors(found.planes[columns], old)
+        smaller = np.minimum(np.array([len(place) for place in places])[rows], sizes[columns])
         same = (
             (shared[rows, columns] >= SHARED * smaller)
             & (errors.angle_deg <= TURNED)
             & (np.abs(errors.offset) <= MOVED * old[:, 3])
         )
-        weight = np.zeros(shared.shape)
-        weight[rows[same], columns[same]] = shared[rows[same], columns[same]]
-        for i, j in zip(*linear_sum_assignment(weight, maximize=True), strict=True):
-            if weight[i, j] > 0.0:
-                ids[before.predicted_labels[j] - 1] = before.truth_labels[i]
+        # What is in sight goes before what was covered.
+        weight = np.where(same, shared[rows, columns] / (1.0 + self._missed[remembered][rows]), 0.0)
+        table = np.zeros(shared.shape)
+        table[rows, columns] = weight
+        for i, j in zip(*linear_sum_assignment(table, maximize=True), strict=True):
+            if table[i, j] > 0.0:
+                ids[j] = remembered[i]
         return ids

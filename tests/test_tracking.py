@@ -43,8 +43,17 @@ def wall_and_board(shown: bool) -> np.ndarray:
     return depth
 
 
-def test_a_plane_behind_another_is_new_when_it_comes_back() -> None:
-    frames = [wall_and_board(True), wall_and_board(False), wall_and_board(True)]
+def test_a_plane_that_was_covered_comes_back_under_its_id() -> None:
+    frames = [wall_and_board(True), wall_and_board(False), wall_and_board(False), wall_and_board(True)]
+    ids = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA)]
+    assert ids == [[1, 2], [1], [1], [1, 2]]
+    ids = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=1)]
+    assert ids == [[1, 2], [1], [1], [1, 3]]
+
+
+def test_another_plane_in_the_same_place_is_new() -> None:
+    nearer = np.where(wall_and_board(True) == 1.5, 1.0, 2.0)
+    frames = [wall_and_board(True), wall_and_board(False), nearer]
     ids = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA)]
     assert ids == [[1, 2], [1], [1, 3]]
 
