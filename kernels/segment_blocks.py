@@ -16,8 +16,11 @@ from ._jit import kernel
 BLOCK = 4
 # Owner of a block: EMPTY where no pixel is measured; MIXED - i where row i of a table has the owner of each.
 EMPTY, MIXED = -1, -2
-# Which moments hold nothing of the frame.
+# Which moments hold q, with their number, and which are the camera's.
+FRAME = (0, 3, 6, 8, 9)
 CAMERA = (1, 2, 4, 5, 7)
+# Blocks of a row that are worked on together.
+CHUNK = 164
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
 
@@ -136,74 +139,69 @@ def block_moments(
         The largest inverse depth.
     """
     height, width = raw.shape
-    rows, columns = camera.shape[1], camera.shape[2]
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    n, s_q, s_uq, s_vq, s_qq = (
-        np.zeros(columns * BLOCK),
-        np.zeros(columns * BLOCK),
-        np.zeros(columns * BLOCK),
-        np.zeros(columns * BLOCK),
-        np.zeros(columns * BLOCK),
-    )
-    sums = np.empty((10, columns))
-    v = np.empty(width)
-    largest = np.zeros(width, np.float32)
-    for row in range(rows):
+    # Of a size that is known beforehand: so the compiler sees that their rows are apart, and uses vectors.
+    along = np.zeros((5, CHUNK * BLOCK))  # n, Σq, Σuq, Σvq, Σqq down the columns of the image
+    sums = np.zeros((10, CHUNK))
+    v = np.empty(CHUNK * BLOCK)
+    largest = np.zeros(CHUNK * BLOCK, np.float32)
+    for row in range(camera.shape[1]):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
-        for y in range(top, bottom):
-            values, q = raw[y], inverse_depth[y]
-            u = tan_x[y * step_y]
-            if step_x:
-                v[:] = tan_y[y]
-            else:
-                v[:] = tan_y[y, 0]
-            keep = 0.0 if y == top else 1.0
-            for x in range(width):
-                q[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
-                largest[x] = q[x] if q[x] > largest[x] else largest[x]
-            for x in range(width):
-                p = np.float64(q[x])
-                n[x] = n[x] * keep + (1.0 if p > 0.0 else 0.0)
-                s_q[x] = s_q[x] * keep + p
-                s_qq[x] = s_qq[x] * keep + p * p
-                s_uq[x] = s_uq[x] * keep + u[x] * p
-                s_vq[x] = s_vq[x] * keep + v[x] * p
-        for c in range(columns):
-            x = c * BLOCK
-            sums[0, c] = (n[x] + n[x + 1]) + (n[x + 2] + n[x + 3])
-            sums[3, c] = (s_q[x] + s_q[x + 1]) + (s_q[x + 2] + s_q[x + 3])
-            sums[6, c] = (s_uq[x] + s_uq[x + 1]) + (s_uq[x + 2] + s_uq[x + 3])
-            sums[8, c] = (s_vq[x] + s_vq[x + 1]) + (s_vq[x + 2] + s_vq[x + 3])
-            sums[9, c] = (s_qq[x] + s_qq[x + 1]) + (s_qq[x + 2] + s_qq[x + 3])
-        for k in range(5):
-            sums[CAMERA[k]] = camera[k + 1, row]
-        for c in range(columns):
-            if sums[0, c] == camera[0, row, c]:
-                continue
-            for k in range(5):
-                sums[CAMERA[k], c] = 0.0
-            if sums[0, c] == 0.0:
-                continue
+        for start in range(0, camera.shape[2], CHUNK):
+            stop = min(start + CHUNK, camera.shape[2])
+            left, right = start * BLOCK, min(stop * BLOCK, width)
+            along[:, right - left :] = 0.0
             for y in range(top, bottom):
-                for x in range(c * BLOCK, min(c * BLOCK + BLOCK, width)):
-                    valid = 1.0 if inverse_depth[y, x] > 0.0 else 0.0
-                    u_x, v_x = tan_x[y * step_y, x], tan_y[y, x * step_x]
-                    sums[1, c] += valid * u_x
-                    sums[2, c] += valid * v_x
-                    sums[4, c] += valid * u_x * u_x
-                    sums[5, c] += valid * u_x * v_x
-                    sums[7, c] += valid * v_x * v_x
-        first = row * columns
-        for c in range(columns):
-            error, a, b, _ = solve(
-                sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c],
-                sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
-            )  # fmt: skip
-            rss[first + c] = error
-            slope[first + c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
-        for c in range(columns):
-            for k in range(10):
-                moments[first + c, k] = sums[k, c]
+                values, q = raw[y, left:right], inverse_depth[y, left:right]
+                u = tan_x[y * step_y, left:right]
+                if step_x:
+                    v[: right - left] = tan_y[y, left:right]
+                else:
+                    v[: right - left] = tan_y[y, 0]
+                keep = 0.0 if y == top else 1.0
+                for x in range(right - left):
+                    q[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
+                    largest[x] = q[x] if q[x] > largest[x] else largest[x]
+                for x in range(right - left):
+                    p = np.float64(q[x])
+                    along[0, x] = along[0, x] * keep + (1.0 if p > 0.0 else 0.0)
+                    along[1, x] = along[1, x] * keep + p
+                    along[2, x] = along[2, x] * keep + u[x] * p
+                    along[3, x] = along[3, x] * keep + v[x] * p
+                    along[4, x] = along[4, x] * keep + p * p
+            for k in range(5):
+                for c in range(stop - start):
+                    x = c * BLOCK
+                    sums[FRAME[k], c] = (along[k, x] + along[k, x + 1]) + (along[k, x + 2] + along[k, x + 3])
+                    sums[CAMERA[k], c] = camera[k + 1, row, start + c]
+            for c in range(stop - start):
+                if sums[0, c] == camera[0, row, start + c]:
+                    continue
+                for k in range(5):
+                    sums[CAMERA[k], c] = 0.0
+                if sums[0, c] == 0.0:
+                    continue
+                for y in range(top, bottom):
+                    for x in range(left + c * BLOCK, min(left + c * BLOCK + BLOCK, right)):
+                        valid = 1.0 if inverse_depth[y, x] > 0.0 else 0.0
+                        u_x, v_x = tan_x[y * step_y, x], tan_y[y, x * step_x]
+                        sums[1, c] += valid * u_x
+                        sums[2, c] += valid * v_x
+                        sums[4, c] += valid * u_x * u_x
+                        sums[5, c] += valid * u_x * v_x
+                        sums[7, c] += valid * v_x * v_x
+            first = row * camera.shape[2] + start
+            error, steep = rss[first : first + stop - start], slope[first : first + stop - start]
+            for c in range(stop - start):
+                e, a, b, _ = solve(
+                    sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c],
+                    sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
+                )  # fmt: skip
+                error[c] = e
+                steep[c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
+            for c in range(stop - start):
+                for k in range(10):
+                    moments[first + c, k] = sums[k, c]
     return largest.max()
 
 
