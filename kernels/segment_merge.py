@@ -112,12 +112,14 @@ def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, waves, floor, 
     makes Δ and no jump; two parallel planes make a jump before they make much Δ.
     """
     smaller = min(m_a[0], m_b[0])
-    rise = max(joint_residual(m_a, m_b) - rss, 0.0)
-    bend = rise / (noise * (floor * floor * waves * smaller + spread))
     step = (alpha_a[2] - alpha_b[2]) + (
         (alpha_a[0] - alpha_b[0]) * contact[1] + (alpha_a[1] - alpha_b[1]) * contact[2]
     ) / contact[0]
-    return max(bend, step * step / (noise * (jump * jump * waves + 8.0 * spread / smaller)))
+    jumped = step * step / (noise * (jump * jump * waves + 8.0 * spread / smaller))
+    if jumped > 1.0:  # enough to know
+        return jumped
+    rise = max(joint_residual(m_a, m_b) - rss, 0.0)
+    return max(jumped, rise / (noise * (floor * floor * waves * smaller + spread)))
 
 
 @kernel()
