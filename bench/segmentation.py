@@ -10,6 +10,7 @@ curved surfaces from planes was tuned on the scenes in ``bench.curved_scenes`` a
 """
 
 import argparse
+import contextlib
 import itertools
 import json
 import time
@@ -17,13 +18,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench import curved_scenes
-from rgbd_planes import Camera, scenes
+from bench.timing import in_turns
+from rgbd_planes import Camera, scenes, segmentation
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.kernels import (
+    segment_blocks,
+    segment_gaps,
+    segment_parts,
+    segment_regions,
+    segment_shape,
+)
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, Segmentation, segment, segment_frame
 
@@ -251,24 +261,58 @@ class Baseline:
         return np.concatenate([normals, -np.einsum("ijk,ijk->ij", normals, mean)[..., None]], axis=-1)
 
 
-def timing(frame: Frame, repeats: int = 40) -> None:
-    """Times of one frame, baseline and segmentation by turns, medians and the ratio."""
+STAGES = {
+    "read, blocks": (segment_blocks, ("block_moments", "sum_by_fours")),
+    "noise": (segmentation, ("estimate",)),
+    "quadtree": (segment_blocks, ("join_blocks",)),
+    "rounds: merge, own pixels": (segment_regions, ("find_regions",)),
+    "curved": (segment_shape, ("owned_means", "find_curved")),
+    "parts": (segment_parts, ("find_runs", "measure_parts")),
+    "labels": (segment_parts, ("write_labels",)),
+    "gaps": (segment_gaps, ("find_coplanar", "measure_gaps", "join_across")),
+}
+
+
+def timing(frame: Frame, rounds: int = 40) -> None:
+    """Times of one frame, baseline and segmentation in turns: the ratio, and what each stage takes."""
     numpy_fit = Baseline(frame.camera)
-    runs: dict[str, Callable[[], object]] = {
-        "NumPy, PCA of 20x20 tiles": lambda: numpy_fit.fit(frame.depth),
-        "segment": lambda: segment(frame.depth, frame.camera),
-    }
-    taken: dict[str, list[float]] = {name: [] for name in runs}
-    for _, (name, run) in itertools.product(range(repeats), runs.items()):
-        start = time.perf_counter()
-        run()
-        taken[name].append(1e3 * (time.perf_counter() - start))
-    reference, own = (np.array(times) for times in taken.values())
-    ratio = np.quantile(own / reference, [0.25, 0.5, 0.75])
-    print(
-        f"{frame.name}: {frame.depth.shape[1]} x {frame.depth.shape[0]}: segment {np.median(own):.1f} ms, "
-        f"NumPy {np.median(reference):.1f} ms, ratio {ratio[1]:.2f} ({ratio[0]:.2f} to {ratio[2]:.2f})"
+    times = in_turns(
+        {"numpy": lambda: numpy_fit.fit(frame.depth), "segment": lambda: segment(frame.depth, frame.camera)},
+        rounds,
     )
+    own, base = times["segment"], times["numpy"]
+    print(
+        f"{frame.name}: {frame.depth.shape[1]} x {frame.depth.shape[0]}: segment {1e3 * own.fastest:.2f} ms, "
+        f"NumPy, PCA of 20x20 tiles {1e3 * base.fastest:.2f} ms at best; "
+        f"ratio {own.fastest / base.fastest:.2f}, of the medians {own.median / base.median:.2f}"
+    )
+    spent = stage_times(frame, rounds)
+    rest = spent.pop("all") - sum(spent.values())
+    stages = (f"{stage} {1e3 * seconds:.2f}" for stage, seconds in (spent | {"between": rest}).items())
+    print("  ms at best: " + ", ".join(stages))
+
+
+def stage_times(frame: Frame, rounds: int) -> dict[str, float]:
+    """Seconds that each stage takes at best, and "all" of them with what is between."""
+    spent = {stage: np.zeros(rounds) for stage in (*STAGES, "all")}
+
+    def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            start = time.thread_time()
+            result = function(*arguments)
+            spent[stage][turn] += time.thread_time() - start
+            return result
+
+        return call
+
+    with contextlib.ExitStack() as patches:
+        for stage, (module, names) in STAGES.items():
+            for name in names:
+                patches.enter_context(mock.patch.object(module, name, timed(getattr(module, name), stage)))
+        whole = timed(lambda: segment(frame.depth, frame.camera), "all")
+        for turn in range(rounds):  # noqa: B007 - `call` reads it
+            whole()
+    return {stage: float(seconds.min()) for stage, seconds in spent.items()}
 
 
 def picture(frames: Sequence[Frame], path: Path) -> None:

@@ -472,7 +472,7 @@ def _result(
         sizes=sizes[1:],
         rmse=np.sqrt(rss / np.maximum(chosen[:, 0], 1.0)),
         reason=reason,
-        sigma=float(np.median(noise.sigma[1:])),
+        sigma=float(np.sort(noise.sigma[1:])[len(noise.sigma) // 2 - 1]),
     )
 
 
