@@ -269,7 +269,7 @@ STAGES = {
     "curved": (segment_shape, ("owned_means", "find_curved")),
     "parts": (segment_parts, ("find_runs", "measure_parts")),
     "labels": (segment_parts, ("write_labels",)),
-    "gaps": (segment_gaps, ("find_coplanar", "measure_gaps", "join_across")),
+    "gaps": (segment_gaps, ("find_coplanar", "part_boxes", "join_across")),
 }
 
 

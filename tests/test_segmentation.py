@@ -300,6 +300,46 @@ def test_same_bits_every_time(room):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
 
+def test_a_frame_leaves_nothing_behind_for_the_next(room):
+    # The arrays to work in are kept: what is measured in one frame may be missing in the next, and the other way.
+    _, depth = room
+    half = depth.copy()
+    half[:, : CAMERA.width // 2] = 0
+    first = segment(depth, CAMERA)
+    segment(half, CAMERA)
+    again = segment(depth, CAMERA)
+    assert (again.labels == first.labels).all()
+    assert (again.reason == first.reason).all()
+    assert (again.alpha == first.alpha).all()
+    segment(depth[::-1], CAMERA)
+    after = segment(half, CAMERA)
+    assert ((after.reason == Reason.MISSING) == (half == 0)).all()
+
+
+def test_rays_of_every_pixel_do_as_rays_of_rows_and_columns(room):
+    # Next to no distortion: another way through the kernels to the same planes.
+    _, depth = room
+    camera = Camera(**{**CAMERA.to_dict(), "distortion": (1e-9, 0.0, 0.0, 0.0)})
+    assert not camera.is_separable
+    bent, straight = segment(depth, camera), segment(depth, CAMERA)
+    assert len(bent) == len(straight)
+    assert (bent.labels == straight.labels).mean() > 0.999
+    assert bent.alpha == pytest.approx(straight.alpha, abs=1e-3)
+
+
+def test_planes_of_sparse_pixels():
+    # A block in four has more than half of its pixels: runs of blocks and of pixels make one part.
+    rng = np.random.default_rng(14)
+    depth = 1.0 / (0.7 + 0.1 * CAMERA.tan_x + rng.normal(0.0, 1e-3, CAMERA.shape))
+    measured = rng.random(depth.shape) < 0.45
+    depth[~measured] = 0.0
+    found = segment(depth, CAMERA)
+    assert len(found) == 1
+    assert found.sizes[0] == np.count_nonzero(found.labels)
+    assert (found.labels[measured] == 1).mean() > 0.99
+    assert ((found.reason == Reason.MISSING) == ~measured).all()
+
+
 def test_labels_for_others(room):
     found = segment(room[1], CAMERA)
     assert found.labels_from_minus_one().min() >= -1
