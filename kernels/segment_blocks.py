@@ -287,6 +287,38 @@ def square_residuals(moments, rss, slope, least, mean_square, slope_square):
 
 
 @kernel()
+def together(moments, offsets, shapes, rss, coarse, fine, least, most, ratio):
+    """By how much more the means of small squares scatter about the plane of a large one than independent noise's.
+
+    Where noise is independent the mean of n pixels has an n-th of their variance; where they go together it has
+    more, by as many as go together. Of the squares of level ``coarse`` with at least ``least`` pixels and a mean
+    squared residual of at most ``most``, by their parts of level ``fine``: ``ratio`` is written; returns how many.
+    """
+    side = 1 << (coarse - fine)
+    alpha = np.empty(3)
+    count = 0
+    for row in range(shapes[coarse, 0]):
+        for column in range(shapes[coarse, 1]):
+            i = offsets[coarse] + row * shapes[coarse, 1] + column
+            m = moments[i]
+            if m[0] < least or rss[i] <= 0.0 or rss[i] > most * (m[0] - 3.0) or not fit(m, alpha):
+                continue
+            total = 0.0
+            parts = -3.0  # the plane takes as many
+            for r in range(row * side, min(row * side + side, shapes[fine, 0])):
+                for c in range(column * side, min(column * side + side, shapes[fine, 1])):
+                    k = moments[offsets[fine] + r * shapes[fine, 1] + c]
+                    if k[0] > 0.0:
+                        e = k[3] - (alpha[0] * k[1] + alpha[1] * k[2] + alpha[2] * k[0])
+                        total += e * e / k[0]
+                        parts += 1.0
+            if parts > 0.0:
+                ratio[count] = total / parts * (m[0] - 3.0) / rss[i]
+                count += 1
+    return count
+
+
+@kernel()
 def join_blocks(
     moments, offsets, shapes, rss, slope, sigma, lateral, roughness, steepness, floor, spread, state
 ):

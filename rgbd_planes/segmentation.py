@@ -94,8 +94,8 @@ class Segmentation:
         -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label, but for
         strays that only go with their neighbours.
     alpha_covariance : (N, 3, 3) float64
-        Of α, 1/m². From the residual or the sensor's noise, whichever is larger, as if pixels farther
-        apart than the noise is correlated were independent.
+        Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
+        pixels as the frame's correlated noise leaves.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64
@@ -265,7 +265,7 @@ def segment_frame(
         grid.tan_x, grid.tan_y, grid.sums, *pitch, room.inverse_depth, room.pyramid, room.rss, room.slope,
     )  # fmt: skip
     segment_blocks.sum_by_fours(*squares_of, *pitch, room.rss, room.slope)
-    noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, nearest, sigma)
+    noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, grid.shapes, nearest, sigma)
     spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
 
     state = np.empty(grid.offsets[-1], np.int8)
@@ -468,7 +468,7 @@ def _result(
         labels=labels,
         planes=np.column_stack([-alpha * d[:, None], d]),
         alpha=alpha,
-        alpha_covariance=_covariance(chosen, rss, deviation),
+        alpha_covariance=_covariance(chosen, rss, deviation, noise.together),
         sizes=sizes[1:],
         rmse=np.sqrt(rss / np.maximum(chosen[:, 0], 1.0)),
         reason=reason,
@@ -504,9 +504,9 @@ def _join_across_gaps(
     return parent
 
 
-def _covariance(moments: Floats, rss: Floats, deviation: Floats) -> Floats:
-    """σ² (MᵀM)⁻¹ of each region."""
+def _covariance(moments: Floats, rss: Floats, deviation: Floats, together: float) -> Floats:
+    """σ² (MᵀM)⁻¹ of each region, where ``together`` pixels have one error between them."""
     n, u, v, _, uu, uv, _, vv, _, _ = moments.T
     normal = np.stack([uu, uv, u, uv, vv, v, u, v, n], axis=-1).reshape(-1, 3, 3)
-    variance = np.maximum(rss / np.maximum(n - 3.0, 1.0), deviation**2)
+    variance = together * np.maximum(rss / np.maximum(n - 3.0, 1.0), deviation**2)
     return np.asarray(variance[:, None, None] * np.linalg.inv(normal))

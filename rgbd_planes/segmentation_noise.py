@@ -38,11 +38,15 @@ class FrameNoise:
         Pixels: the slope of a surface from pixel to pixel times this is noise, too.
     growth : (3,) float64
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
+    together : float
+        Pixels that have one error between them, so that n of them tell as much as n / together: 1 for
+        independent ones. At most 64, those of the squares of 8 pixels from whose means it is estimated.
     """
 
     sigma: Floats
     lateral: float
     growth: Floats
+    together: float
 
 
 def estimate(
@@ -51,6 +55,7 @@ def estimate(
     rss: Floats,
     slope: Floats,
     offsets: NDArray[np.int64],
+    shapes: NDArray[np.int64],
     farthest: float,
     sigma: Callable[[Floats], Floats] | None,
 ) -> FrameNoise:
@@ -61,7 +66,7 @@ def estimate(
 
     Parameters
     ----------
-    moments, rss, slope, offsets
+    moments, rss, slope, offsets, shapes
         Of the squares, see `segment_blocks.sum_by_fours`.
     farthest : float
         Largest inverse depth of the frame, 1/m.
@@ -96,7 +101,22 @@ def estimate(
         table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
     else:
         table = np.broadcast_to(np.asarray(sigma(q), dtype=np.float64), q.shape)
-    return FrameNoise(np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]), lateral, growth)
+    return FrameNoise(
+        np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]),
+        lateral,
+        growth,
+        _together(moments, rss, offsets, shapes, typical),
+    )
+
+
+def _together(
+    moments: Floats, rss: Floats, offsets: NDArray[np.int64], shapes: NDArray[np.int64], typical: float
+) -> float:
+    """`FrameNoise.together` from the flat ones of the squares of 32 pixels."""
+    ratio = np.empty(offsets[4] - offsets[3])
+    least, most = _FULL * (BLOCK << 3) ** 2, 4.0 * typical
+    count = segment_blocks.together(moments, offsets, shapes, rss, 3, 1, least, most, ratio)
+    return max(_quantile(ratio[:count], 0.5), 1.0) if count >= _FEWEST_SQUARES else 1.0
 
 
 def _quantile(values: Floats, share: float) -> float:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.metrics import compare_labels, plane_errors
@@ -361,6 +362,21 @@ def test_covariance_is_that_of_the_fit():
     assert np.diag(predicted) == pytest.approx(np.diag(observed), rel=0.6)
     planes = np.cov([f.planes[0] for f in frames], rowvar=False)
     assert np.diag(frames[0].plane_covariance[0])[:2] == pytest.approx(np.diag(planes)[:2], rel=0.6)
+
+
+@pytest.mark.parametrize("pixels", [0.0, 0.8, 1.5])
+def test_covariance_of_correlated_noise_is_honest(pixels):
+    # The mean squared error of α in units of its covariance is 1; taking pixels as independent makes it 5 and 19.
+    rng = np.random.default_rng(18)
+    truth = np.array([0.1, 0.0, 0.6])
+    errors = []
+    for _ in range(25):
+        noise = gaussian_filter(rng.normal(size=CAMERA.shape), pixels)
+        q = truth[0] * CAMERA.tan_x + truth[2] + 1e-3 * noise / noise.std()
+        found = segment(1.0 / q, CAMERA)
+        error = found.alpha[0] - truth
+        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
+    assert 0.4 < np.mean(errors) < 2.0
 
 
 def test_plot_draws(room):
