@@ -1,224 +1,286 @@
 """How good a plane is: the chi-square of its residual and the covariance of its coefficients.
 
-Everything follows from a tile's moments and the noise of the inverse depth. Arrays are flat, one entry a
-tile. ``counts[i]`` says which entry of the tables by number of valid pixels belongs to tile i.
+Everything follows from a tile's moments and the noise of the inverse depth. Tiles come in blocks that stay in the
+nearest cache, one quantity a row of a small room, and a block's arrays are slices, which begin at 0: so the loops
+vectorise.
 """
 
 import math
 
+import numpy as np
+
+from . import chi_square
 from ._jit import kernel
 
-# The upper tail of the normal distribution is exp(-z²/2)·t·P(t) with t = 2/(2 + z): P, lowest power first,
-# interpolates SciPy's erfcx at the Chebyshev points of [0, 1]. Its relative error is below 2e-7.
-TAIL_0, TAIL_1, TAIL_2 = 0.1994711528305864, 0.19946815321121372, 0.14970880095785122
-TAIL_3, TAIL_4, TAIL_5 = 0.04863429921021592, -0.057593120028867975, -0.09997488775586835
-TAIL_6, TAIL_7, TAIL_8 = -0.20365999696080236, 0.7432728996205819, -0.7913807918587487
-TAIL_9, TAIL_10 = 0.3871027683456883, -0.0750493065385275
+# Tiles of a block, and the rows of its room: the moments and reference points, what all kernels need of them, and
+# from OWN what each has of its own.
+BLOCK = 128
+W_0, MEAN_Q, VARIANCE = 12, 13, 14
+OWN = 15
+TAILS = OWN + 5
+ROWS = TAILS + 16
+ONE, TWO = np.uintp(1), np.uintp(2)
 
 
-@kernel()
-def inverse_depths(moments, reference, in_range_space, start, stop, mean, spread):
-    """Mean inverse depth of each tile and the standard deviation about it, both (T,), written.
-
-    From the moments of (X, Y, Z) they are those of Z to first order. An empty ``spread`` is left out.
-    """
-    for i in range(start, stop):
-        w = reference[2, i] + moments[3, i] / moments[0, i]
-        mean[i] = w if in_range_space else 1.0 / w
-    for i in range(start, min(stop, spread.shape[0])):
-        mean_w = moments[3, i] / moments[0, i]
-        deviation = math.sqrt(max(moments[9, i] / moments[0, i] - mean_w * mean_w, 0.0))
-        spread[i] = deviation if in_range_space else deviation * mean[i] * mean[i]
+@kernel(inline=True)
+def load(rows, target, first, count, room):
+    """Copy a block of tiles of each of ``rows`` into the room, from row ``target``."""
+    for entry in range(rows.shape[0]):
+        row = rows[entry, first : first + count]
+        for i in range(count):
+            room[target + entry, i] = row[i]
 
 
-@kernel()
-def residual_ratio(
-    planes, rmse_metric, valid_count, mean, variance, counts, expected, freedom, ratio, inverse_freedom,
-):  # fmt: skip
-    """Sum of squared residuals in inverse depth over what the noise alone makes it on average.
+@kernel(inline=True)
+def pixel_variance(alpha, in_range_space, noise, lateral, first, count, room):
+    """Mean inverse depth of a block of tiles, and the variance of one of their pixels, averaged over the tile.
 
     Parameters
     ----------
-    mean, variance : (T,) float64
-        Inverse depth of the tile, and the variance of one pixel's.
-    expected, freedom : (K,) float64
-        Expected sum of squared residuals for each count, in units of ``variance``, and its degrees of
-        freedom.
-    ratio, inverse_freedom : (T,) float64, written
-        The ratio is NaN where there is no plane, and 0 where no residual is expected, as of three pixels.
+    alpha : (T, 3) float64
+    noise : (1 + K,) float64
+        A scale, then the variance of the inverse depth q at √q = 0, 1/scale, 2/scale, ..., linear in between and
+        beyond; of K = 1 it is the same everywhere.
+    lateral : (2,) float64
+        Variance across the ray, in tanθx and tanθy: times the squared slopes of q it is noise, too.
     """
-    for i in range(ratio.shape[0]):
-        k = counts[i]
+    for i in range(count):
+        w = room[W_0, i] + room[3, i] / room[0, i]
+        room[MEAN_Q, i] = w if in_range_space else 1.0 / w
+    if noise.shape[0] == 2:
+        for i in range(count):
+            room[VARIANCE, i] = noise[1]
+    else:
+        scale, last = noise[0], noise.shape[0] - 3.0
+        for i in range(count):
+            q = room[MEAN_Q, i]
+            share = 1.0 / room[0, i]
+            mean_w = room[3, i] * share
+            # From the moments of (X, Y, Z) to first order.
+            spread = math.sqrt(max(room[9, i] * share - mean_w * mean_w, 0.0))
+            spread *= 1.0 if in_range_space else q * q
+            near = math.sqrt(q + spread) * scale
+            far = math.sqrt(max(q - spread, 0.05 * q)) * scale
+            room[OWN, i] = near
+            room[OWN + 1, i] = far
+            room[OWN + 2, i] = min(max(near, 0.0), last)
+            room[OWN + 3, i] = min(max(far, 0.0), last)
+        for end in range(OWN, OWN + 2):
+            for i in range(count):
+                k = np.uintp(room[end + 2, i])
+                room[end + 2, i] = noise[k + ONE] + (room[end, i] - k) * (noise[k + TWO] - noise[k + ONE])
+        for i in range(count):
+            room[VARIANCE, i] = 0.5 * (room[OWN + 2, i] + room[OWN + 3, i])
+    if lateral[0] > 0.0:
+        slopes = alpha[first : first + count]
+        for i in range(count):
+            slope_x, slope_y = slopes[i, 0], slopes[i, 1]
+            room[VARIANCE, i] += lateral[0] * slope_x * slope_x + lateral[1] * slope_y * slope_y
+
+
+@kernel(inline=True)
+def squared_residuals(planes, rmse_metric, first, count, room, target):
+    """Sums of squared residuals in inverse depth over the variance, into a row of the room."""
+    plane, error = planes[first : first + count], rmse_metric[first : first + count]
+    for i in range(count):
         # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``.
-        rmse = rmse_metric[i] * mean[i] / planes[i, 3]
-        total = variance[i] * expected[k]
-        ratio[i] = valid_count[i] * rmse * rmse / total if total > 0.0 else rmse * 0.0
-        inverse_freedom[i] = 1.0 / freedom[k]
+        rmse = error[i] * room[MEAN_Q, i] / plane[i, 3]
+        room[target, i] = room[0, i] * rmse * rmse / room[VARIANCE, i]
 
 
 @kernel()
-def mark_rough(planes, rmse_metric, valid_count, mean, variance, limit, start, stop, status, rough):
-    """Give status ``rough`` to the tiles whose sum of squared residuals is above ``limit[n]·variance``."""
-    for i in range(start, stop):
-        rmse = rmse_metric[i] * mean[i] / planes[i, 3]
-        if valid_count[i] * rmse * rmse > limit[valid_count[i]] * variance[i]:
-            status[i] = rough
+def mark_rough(
+    moments, reference, planes, alpha, rmse_metric, in_range_space, noise, lateral, limit, start, stop,
+    status, rough,
+):  # fmt: skip
+    """Give status ``rough`` to the tiles whose sum of squared residuals, over the variance, is above limit[n].
 
-
-@kernel(reduction=True)
-def chi_square_tail(ratio, inverse_freedom, p_value):
-    """Probability that chi-square over its degrees of freedom exceeds ``ratio``.
-
-    L = x^(1/6) - x^(1/3)/2 + x^(1/2)/3 is very nearly normal (Canal, "A normal approximation for the
-    chi-square distribution", Computational Statistics & Data Analysis 48, 2005). For 10 degrees of freedom
-    or more p is right to 1e-4, for 100 to 2e-6. Plain arithmetic without a branch, so that it vectorises.
+    Of tiles ``start`` to ``stop`` of a frame: arrays are (10, T), (3, T), (T, 4), (T, 3), (T,); ``noise`` and
+    ``lateral`` as in `pixel_variance`.
     """
-    for i in range(ratio.shape[0]):
-        x = math.sqrt(min(max(ratio[i], 1e-6), 1e6))
-        v = inverse_freedom[i]
-        # Cube root of x by Halley's method.
-        y = math.sqrt(math.sqrt(x))
-        for _ in range(3):
-            cube = y * y * y
-            y = y * (cube + 2.0 * x) / (2.0 * cube + x)
-        value = y - 0.5 * y * y + y * y * y / 3.0
-        mean = 5.0 / 6.0 - v * (1.0 / 9.0 + v * (7.0 / 648.0 - v * 25.0 / 2187.0))
-        variance = v * (1.0 / 18.0 + v * (1.0 / 162.0 - v * 37.0 / 11664.0))
-        z = (value - mean) / math.sqrt(variance)
-        size = min(abs(z), 37.0)
-        # exp(-z²/2): the exponential series of a 1024th of the exponent, squared ten times.
-        e = -size * size * (0.5 / 1024.0)
-        e = 1.0 + e * (
-            1.0 + e * (1.0 / 2.0 + e * (1.0 / 6.0 + e * (1.0 / 24.0 + e * (1.0 / 120.0 + e / 720.0))))
-        )
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        t = 2.0 / (2.0 + size)
-        p = TAIL_6 + t * (TAIL_7 + t * (TAIL_8 + t * (TAIL_9 + t * TAIL_10)))
-        p = TAIL_0 + t * (TAIL_1 + t * (TAIL_2 + t * (TAIL_3 + t * (TAIL_4 + t * (TAIL_5 + t * p)))))
-        tail = t * e * p
-        tail = tail if z > 0.0 else 1.0 - tail
-        p_value[i] = tail if ratio[i] >= 0.0 else math.nan
+    room = np.empty((ROWS, BLOCK))
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        load(moments[:1], 0, first, count, room)
+        load(moments[3:4], 3, first, count, room)
+        load(moments[9:], 9, first, count, room)
+        load(reference[2:], W_0, first, count, room)
+        pixel_variance(alpha, in_range_space, noise, lateral, first, count, room)
+        squared_residuals(planes, rmse_metric, first, count, room, OWN)
+        mark = status[first : first + count]
+        for i in range(count):
+            if room[OWN, i] > limit[np.uintp(room[0, i])]:
+                mark[i] = rough
+
+
+# Rows of the results.
+P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27
+RESULTS = 28
+# A covariance's entries are kept as the rows of a matrix: where in the block's room each is.
+ALPHA = TAILS
+OF_ALPHA = ALPHA + np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])
+PLANE = ALPHA + 6
+OF_PLANE = PLANE + np.array([0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9])
 
 
 @kernel()
-def ray_covariance(moments, reference, in_range_space, tilt_variance, offset_variance, i):
-    """Covariance of tile i's α, as its entries aa, ab, ac, bb, bc, cc: σq²A⁻¹ with A = MᵀM.
+def uncertainty(
+    moments, reference, planes, alpha, rmse_metric, counts, in_range_space, noise, lateral, tables, results
+):  # fmt: skip
+    """P-values of the residuals, covariances of α and of (n, d), and deviations of the tiles of F frames.
 
-    In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a
-    variance of its own. From the moments of (X, Y, Z) the scatter of the rays u = X/Z is that to first
-    order: noise along the ray drops out of it.
-    """
-    share = 1.0 / moments[0, i]
-    s_u = moments[1, i]
-    s_v = moments[2, i]
-    mean_u = reference[0, i] + s_u * share
-    mean_v = reference[1, i] + s_v * share
-    c_uu = moments[4, i] - s_u * s_u * share
-    c_uv = moments[5, i] - s_u * s_v * share
-    c_vv = moments[7, i] - s_v * s_v * share
-    if not in_range_space:
-        s_w = moments[3, i]
-        c_uw = moments[6, i] - s_u * s_w * share
-        c_vw = moments[8, i] - s_v * s_w * share
-        c_ww = moments[9, i] - s_w * s_w * share
-        nearness = 1.0 / (reference[2, i] + s_w * share)
-        mean_u *= nearness
-        mean_v *= nearness
-        square = nearness * nearness
-        c_uu = (c_uu - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
-        c_uv = (c_uv - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
-        c_vv = (c_vv - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
-    scale = tilt_variance / (c_uu * c_vv - c_uv * c_uv)
-    aa = scale * c_vv
-    ab = -scale * c_uv
-    bb = scale * c_uu
-    ac = -(aa * mean_u + ab * mean_v)
-    bc = -(ab * mean_u + bb * mean_v)
-    return aa, ab, ac, bb, bc, offset_variance * share - (ac * mean_u + bc * mean_v)
-
-
-@kernel()
-def alpha_covariance(moments, reference, alpha, in_range_space, variance, counts, tilt, offset, covariance):
-    """Covariance of α, (T, 3, 3), written; NaN where there is no plane.
+    All are NaN where there is no plane.
 
     Parameters
     ----------
-    variance : (T,) float64
-        Of one pixel's inverse depth.
-    tilt, offset : (K,) float64
-        Correlated noise: the factors, by count, on the variances of the slopes and of the mean. 1 where
-        pixels are independent.
+    moments, reference : (F, 10, T) and (F, 3, T) float64
+    planes, alpha, rmse_metric : (F, T, 4), (F, T, 3), (F, T) float64
+    counts : (F, T) integers
+        Which column of ``tables`` belongs to a tile.
+    noise, lateral
+        As in `pixel_variance`.
+    tables : (6, K) float64
+        By number of pixels: 1 over the expected sum of squared residuals, or 0 where it is 0; rows 1 to 3 of
+        `chi_square.tails`; the factors of correlated noise on the variances of the slopes and of the mean inverse
+        depth, 1 where pixels are independent.
+    results : (F, RESULTS, T) float64, written
+        From row P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres).
     """
-    for i in range(covariance.shape[0]):
-        k = counts[i]
-        scale = variance[i] + 0.0 * alpha[i, 0]
-        aa, ab, ac, bb, bc, cc = ray_covariance(
-            moments, reference, in_range_space, scale * tilt[k], scale * offset[k], i
-        )
-        covariance[i, 0, 0] = aa
-        covariance[i, 0, 1] = ab
-        covariance[i, 0, 2] = ac
-        covariance[i, 1, 0] = ab
-        covariance[i, 1, 1] = bb
-        covariance[i, 1, 2] = bc
-        covariance[i, 2, 0] = ac
-        covariance[i, 2, 1] = bc
-        covariance[i, 2, 2] = cc
+    room = np.empty((ROWS, BLOCK))
+    tails = room[TAILS : TAILS + chi_square.WORK]
+    for frame in range(moments.shape[0]):
+        for first in range(0, moments.shape[2], BLOCK):
+            stop = min(first + BLOCK, moments.shape[2])
+            count = stop - first
+            load(moments[frame], 0, first, count, room)
+            load(reference[frame], 10, first, count, room)
+            pixel_variance(alpha[frame], in_range_space, noise, lateral, first, count, room)
+            squared_residuals(planes[frame], rmse_metric[frame], first, count, room, TAILS)
+            number = counts[frame, first:stop]
+            for i in range(count):
+                k = np.uintp(number[i])
+                room[TAILS, i] *= tables[0, k]
+                room[TAILS + 1, i] = tables[1, k]
+                room[TAILS + 2, i] = tables[2, k]
+                room[TAILS + 3, i] = tables[3, k]
+            chi_square.tails(tails, count)
+            store(tails[0], results[frame, P_VALUE, first:stop])
+
+            ray_scatter(in_range_space, count, room)
+            # The moments but for n are done with: their rows take what is needed next.
+            plane = planes[frame, first:stop]
+            for i in range(count):
+                k = np.uintp(number[i])
+                room[1, i] = tables[4, k]
+                room[2, i] = tables[5, k]
+            for i in range(count):
+                room[3, i] = plane[i, 0]
+                room[4, i] = plane[i, 1]
+                room[5, i] = plane[i, 2]
+                room[6, i] = plane[i, 3]
+            covariances(count, room)
+            for entry in range(9):
+                store(room[OF_ALPHA[entry]], results[frame, ALPHA_COVARIANCE + entry, first:stop])
+            for entry in range(16):
+                store(room[OF_PLANE[entry]], results[frame, PLANE_COVARIANCE + entry, first:stop])
+            store(room[7], results[frame, ANGLE_STD, first:stop])
+            store(room[8], results[frame, OFFSET_STD, first:stop])
 
 
-@kernel()
-def plane_covariance(moments, reference, planes, in_range_space, variance, counts, tilt, offset, covariance):
-    """Covariance of (n, d), (T, 4, 4), written, from that of α to first order.
+@kernel(inline=True)
+def store(row, target):
+    """Copy the beginning of a row of the room to where it is kept."""
+    for i in range(target.shape[0]):
+        target[i] = row[i]
 
-    dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
+
+@kernel(inline=True)
+def ray_scatter(in_range_space, count, room):
+    """Mean ray and centred scatter of the rays of a block: ū, v̄, Suu, Suv, Svv, into rows from OWN.
+
+    From the moments of (X, Y, Z) the scatter of the rays u = X/Z is that to first order: noise along the ray drops
+    out of it.
     """
-    for i in range(covariance.shape[0]):
-        k = counts[i]
-        x = planes[i, 0]
-        y = planes[i, 1]
-        z = planes[i, 2]
-        d = planes[i, 3]
-        scale = variance[i] * d * d
-        aa, ab, ac, bb, bc, cc = ray_covariance(
-            moments, reference, in_range_space, scale * tilt[k], scale * offset[k], i
-        )
-        # Σn, and nᵀΣn
+    for i in range(count):
+        share = 1.0 / room[0, i]
+        s_u = room[1, i]
+        s_v = room[2, i]
+        mean_u = room[10, i] + s_u * share
+        mean_v = room[11, i] + s_v * share
+        c_uu = room[4, i] - s_u * s_u * share
+        c_uv = room[5, i] - s_u * s_v * share
+        c_vv = room[7, i] - s_v * s_v * share
+        if not in_range_space:
+            s_w = room[3, i]
+            c_uw = room[6, i] - s_u * s_w * share
+            c_vw = room[8, i] - s_v * s_w * share
+            c_ww = room[9, i] - s_w * s_w * share
+            nearness = room[MEAN_Q, i]
+            mean_u *= nearness
+            mean_v *= nearness
+            square = nearness * nearness
+            c_uu = (c_uu - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
+            c_uv = (c_uv - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
+            c_vv = (c_vv - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
+        room[OWN, i] = mean_u
+        room[OWN + 1, i] = mean_v
+        room[OWN + 2, i] = c_uu
+        room[OWN + 3, i] = c_uv
+        room[OWN + 4, i] = c_vv
+
+
+@kernel(inline=True)
+def covariances(count, room):
+    """Covariances of α, σq²A⁻¹ with A = MᵀM, and of (n, d), in rows from ALPHA and from PLANE; deviations in 7 and 8.
+
+    In the coordinates u - ū, v - v̄ the normal equations of slopes (factor in row 1) and mean (in row 2) separate, and
+    each may have a variance of its own. The planes are in rows 3 to 6. Of (n, d) to first order: dn = -d·P·dα and
+    dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
+    """
+    for i in range(count):
+        mean_u, mean_v = room[OWN, i], room[OWN + 1, i]
+        c_uu, c_uv, c_vv = room[OWN + 2, i], room[OWN + 3, i], room[OWN + 4, i]
+        x, y, z, d = room[3, i], room[4, i], room[5, i], room[6, i]
+        nothing = 0.0 * d  # NaN where there is no plane
+        variance = room[VARIANCE, i] + nothing
+        scale = variance * room[1, i] / (c_uu * c_vv - c_uv * c_uv)
+        aa = scale * c_vv
+        ab = -scale * c_uv
+        bb = scale * c_uu
+        ac = -(aa * mean_u + ab * mean_v)
+        bc = -(ab * mean_u + bb * mean_v)
+        cc = variance * room[2, i] / room[0, i] - (ac * mean_u + bc * mean_v)
+        room[ALPHA, i] = aa
+        room[ALPHA + 1, i] = ab
+        room[ALPHA + 2, i] = ac
+        room[ALPHA + 3, i] = bb
+        room[ALPHA + 4, i] = bc
+        room[ALPHA + 5, i] = cc
+        # Σn and s = nᵀΣn; with h = Σn - sn/2, PΣP = Σ - nhᵀ - hnᵀ.
         s_x = aa * x + ab * y + ac * z
         s_y = ab * x + bb * y + bc * z
         s_z = ac * x + bc * y + cc * z
         s = x * s_x + y * s_y + z * s_z
-        # PΣP = Σ - n(Σn)ᵀ - (Σn)nᵀ + s·nnᵀ
-        xy = ab - x * s_y - s_x * y + s * x * y
-        xz = ac - x * s_z - s_x * z + s * x * z
-        yz = bc - y * s_z - s_y * z + s * y * z
-        xd = -d * (s_x - s * x)
-        yd = -d * (s_y - s * y)
-        zd = -d * (s_z - s * z)
-        covariance[i, 0, 0] = aa - (2.0 * s_x - s * x) * x
-        covariance[i, 0, 1] = xy
-        covariance[i, 0, 2] = xz
-        covariance[i, 0, 3] = xd
-        covariance[i, 1, 0] = xy
-        covariance[i, 1, 1] = bb - (2.0 * s_y - s * y) * y
-        covariance[i, 1, 2] = yz
-        covariance[i, 1, 3] = yd
-        covariance[i, 2, 0] = xz
-        covariance[i, 2, 1] = yz
-        covariance[i, 2, 2] = cc - (2.0 * s_z - s * z) * z
-        covariance[i, 2, 3] = zd
-        covariance[i, 3, 0] = xd
-        covariance[i, 3, 1] = yd
-        covariance[i, 3, 2] = zd
-        covariance[i, 3, 3] = d * d * s
+        h_x = s_x - 0.5 * s * x
+        h_y = s_y - 0.5 * s * y
+        h_z = s_z - 0.5 * s * z
+        square = d * d
+        cube = -square * d
+        xx = square * (aa - 2.0 * h_x * x)
+        yy = square * (bb - 2.0 * h_y * y)
+        zz = square * (cc - 2.0 * h_z * z)
+        room[PLANE, i] = xx
+        room[PLANE + 1, i] = square * (ab - x * h_y - h_x * y)
+        room[PLANE + 2, i] = square * (ac - x * h_z - h_x * z)
+        room[PLANE + 3, i] = cube * (s_x - s * x)
+        room[PLANE + 4, i] = yy
+        room[PLANE + 5, i] = square * (bc - y * h_z - h_y * z)
+        room[PLANE + 6, i] = cube * (s_y - s * y)
+        room[PLANE + 7, i] = zz
+        room[PLANE + 8, i] = cube * (s_z - s * z)
+        room[PLANE + 9, i] = square * square * s
+        room[7, i] = math.sqrt(max(xx + yy + zz, 0.0)) * (180.0 / math.pi) + nothing
+        room[8, i] = square * math.sqrt(max(s, 0.0)) + nothing
 
 
 @kernel()

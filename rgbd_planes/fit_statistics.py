@@ -1,13 +1,15 @@
 """What the sensor's noise says of fitted planes: covariances, p-values, and which tiles are too rough."""
 
 import functools
-from typing import TYPE_CHECKING, Any
+import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.kernels import statistics
-from rgbd_planes.noise import NoiseModel, ResidualStatistics
+from rgbd_planes.camera import Camera
+from rgbd_planes.kernels import chi_square, statistics
+from rgbd_planes.noise import NoiseModel
 
 if TYPE_CHECKING:
     from rgbd_planes.fitting import Arrays
@@ -16,24 +18,17 @@ if TYPE_CHECKING:
 Float = npt.NDArray[np.float64]
 
 DEFAULT_SIGNIFICANCE = 0.01
-# Below this many degrees of freedom the normal approximation of the chi-square is off in the third digit.
-FEW = 12.0
+ROUGH = 3
+# Tables have an entry for each number of pixels up to this one.
+_MOST_COUNTS = 10_000
 
 
-@functools.lru_cache(maxsize=32)
-def _table(noise: NoiseModel, largest: int) -> ResidualStatistics:
-    """Statistics for every count from 0 to ``largest``."""
-    return noise.statistics(np.arange(largest + 1))
-
-
-class FrameStatistics:
-    """The uncertainty of the planes of one frame, from its moments.
+class FitStatistics:
+    """The uncertainty of the planes of a fit, from its moments.
 
     Parameters
     ----------
     fits : PlaneFits
-    arrays : dict
-        Those of the frame, flat: see `flat_frames`.
 
     Raises
     ------
@@ -41,58 +36,77 @@ class FrameStatistics:
         The camera has no noise model.
     """
 
-    def __init__(self, fits: "PlaneFits", arrays: "Arrays") -> None:
-        noise = fits.camera.noise
-        if noise is None:
+    def __init__(self, fits: "PlaneFits") -> None:
+        if fits.camera.noise is None:
             raise ValueError(
                 "expected a camera with a noise model for uncertainties, got one without: "
                 "Camera(..., noise=rp.noise.kinect_v1()), or rp.estimate_noise(frames, camera)"
             )
-        self._arrays = arrays
-        self._in_range_space = in_range_space = fits.method.startswith("range")
-        self._count = len(arrays["status"])
-        moments, reference = arrays["_moments"], arrays["_reference"]
-        self._mean = np.empty(self._count)
-        spread = np.empty(0 if noise.is_constant else self._count)
-        statistics.inverse_depths(moments, reference, in_range_space, 0, self._count, self._mean, spread)
-        self._variance = noise.mean_variance(self._mean, spread)
-        counts = arrays["valid_count"]
-        largest = int(counts.max(initial=0))
-        if largest <= 10_000:
-            self._counts, self._table = counts, _table(noise, _round_up(largest))
+        self.is_current = False
+        """Whether `compute` has been called for the arrays as they are."""
+        self._noise = fits.camera.noise
+        self._most = fits._most_pixels
+        shape = fits.status.shape
+        dimensions = len(shape) - fits._cell_dimensions
+        self._frames, self._cells = shape[:dimensions], shape[dimensions:]
+        count, tiles = math.prod(self._frames), math.prod(self._cells)
+        self._counts = fits.valid_count.reshape(count, tiles)
+        self._arrays = (
+            fits._moments.reshape(count, 10, tiles), fits._reference.reshape(count, 3, tiles),
+            fits.planes.reshape(count, tiles, 4), fits.alpha.reshape(count, tiles, 3),
+            fits.rmse_metric.reshape(count, tiles),
+        )  # fmt: skip
+        self._settings = fits.method.startswith("range"), *_of_camera(fits.camera)
+        self._rows = np.empty((count, statistics.RESULTS, tiles))
+        self._read_only = self._rows.view()
+        self._read_only.flags.writeable = False
+
+    def row(self, first: int) -> Float:
+        """Return one value a tile: S."""
+        return self._read_only[:, first].reshape(self._frames + self._cells)
+
+    def matrix(self, first: int, side: int) -> Float:
+        """Return one matrix a tile: S + (side, side). Its entries are apart in memory: each is a row."""
+        rows = self._read_only[:, first : first + side * side]
+        matrix = rows.reshape(self._frames + (side, side) + self._cells)
+        n, dimensions = len(self._frames), matrix.ndim
+        return matrix.transpose(*range(n), *range(n + 2, dimensions), n, n + 1)
+
+    def compute(self) -> None:
+        """Compute what the fit's arrays say now."""
+        counts = self._counts
+        most = int(counts.max(initial=0)) if self._most is None else self._most
+        if most <= _MOST_COUNTS:
+            tables = _all_tables(self._noise, _round_up(most))
         else:
-            counts, self._counts = np.unique(counts, return_inverse=True)
-            self._table = noise.statistics(counts)
+            numbers, index = np.unique(counts, return_inverse=True)
+            counts, tables = index.reshape(counts.shape).astype(np.int32), _tables(self._noise, numbers)
+        statistics.uncertainty(*self._arrays, counts, *self._settings, tables, self._rows)
+        self.is_current = True
 
-    def p_value(self, out: Float) -> None:
-        """Write the p-values of the residuals into (T,) ``out``."""
-        ratio, inverse_freedom = np.empty((2, self._count))
-        statistics.residual_ratio(
-            self._arrays["planes"], self._arrays["rmse_metric"], self._arrays["valid_count"], self._mean,
-            self._variance, self._counts, self._table.expected, self._table.freedom,
-            ratio, inverse_freedom,
-        )  # fmt: skip
-        statistics.chi_square_tail(ratio, inverse_freedom, out)
-        few = np.flatnonzero((inverse_freedom > 1.0 / FEW) & (ratio >= 0.0))
-        if len(few):
-            from scipy.special import chdtrc
 
-            freedom = 1.0 / inverse_freedom[few]
-            out[few] = np.where(freedom < 0.01, 1.0, chdtrc(freedom, freedom * ratio[few]))
+def _of_camera(camera: Camera) -> tuple[Float, Float]:
+    """The noise along and across the ray, as the kernels take it."""
+    assert camera.noise is not None
+    pitch = np.array([1.0 / camera.fx, 1.0 / camera.fy])
+    return camera.noise._variances, (camera.noise.lateral * pitch) ** 2
 
-    def alpha_covariance(self, out: Float) -> None:
-        """Write the covariances of α into (T, 3, 3) ``out``."""
-        self._covariance(statistics.alpha_covariance, "alpha", out)
 
-    def plane_covariance(self, out: Float) -> None:
-        """Write the covariances of (n, d) into (T, 4, 4) ``out``."""
-        self._covariance(statistics.plane_covariance, "planes", out)
+def _tables(noise: NoiseModel, counts: npt.NDArray[np.integer]) -> Float:
+    """What `kernels.statistics.uncertainty` needs by number of pixels."""
+    made = noise.statistics(counts)
+    exact = made.expected <= 0.0  # three pixels fit exactly: p is 1, of however many degrees of freedom
+    half = 0.5 * np.maximum(np.where(exact, 1e3, made.freedom), chi_square.LEAST_FREEDOM)
+    inverse = np.divide(1.0, made.expected, out=np.zeros(half.shape), where=~exact)
+    return np.stack(
+        [inverse, np.sqrt(half), 1.0 / np.sqrt(half), 1.0 / (half + 0.5), made.tilt, made.offset]
+    )
 
-    def _covariance(self, kernel: Any, of: str, out: Float) -> None:
-        kernel(
-            self._arrays["_moments"], self._arrays["_reference"], self._arrays[of], self._in_range_space,
-            self._variance, self._counts, self._table.tilt, self._table.offset, out,
-        )  # fmt: skip
+
+@functools.lru_cache(maxsize=32)
+def _all_tables(noise: NoiseModel, most: int) -> Float:
+    """For every number of pixels from 0 to ``most``."""
+    return _tables(noise, np.arange(most + 1))
 
 
 @functools.lru_cache(maxsize=32)
@@ -120,65 +134,32 @@ class RoughTest:
 
     Parameters
     ----------
-    noise : NoiseModel or None
+    camera : Camera
     significance : float or None
         As in `TileFitter`.
     largest : int
         Most pixels of a tile.
     """
 
-    def __init__(self, noise: NoiseModel | None, significance: float | None, largest: int) -> None:
+    def __init__(self, camera: Camera, significance: float | None, largest: int) -> None:
         if significance is not None and not 0.0 <= significance < 1.0:
             raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
-        if significance is not None and noise is None:
+        if significance is not None and camera.noise is None:
             raise ValueError(
                 "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
                 "or rp.estimate_noise(frames, camera)"
             )
         level = DEFAULT_SIGNIFICANCE if significance is None else significance
-        self._noise = noise if level > 0.0 else None
-        if self._noise is None:
-            return
-        self._limit = _limits(self._noise, level, _round_up(largest))
-
-    @property
-    def is_empty(self) -> bool:
+        self.is_empty = camera.noise is None or level == 0.0
         """Whether there is nothing to test."""
-        return self._noise is None
+        if camera.noise is not None and not self.is_empty:
+            self._settings = *_of_camera(camera), _limits(camera.noise, level, _round_up(largest))
 
     def mark(self, method: str, arrays: "Arrays", start: int, stop: int) -> None:
         """Mark tiles ``start`` to ``stop`` of one frame: flat arrays, as in `fitting.solve_planes`."""
-        if self._noise is None:
+        if self.is_empty:
             return
-        mean = np.empty(len(arrays["status"]))
-        spread = np.empty(0 if self._noise.is_constant else len(mean))
-        statistics.inverse_depths(
-            arrays["_moments"], arrays["_reference"], method.startswith("range"), start, stop, mean, spread
-        )
-        variance = np.empty(len(mean))
-        variance[start:stop] = self._noise.mean_variance(mean[start:stop], spread[start:stop])
         statistics.mark_rough(
-            arrays["planes"], arrays["rmse_metric"], arrays["valid_count"], mean, variance, self._limit,
-            start, stop, arrays["status"], ROUGH,
+            arrays["_moments"], arrays["_reference"], arrays["planes"], arrays["alpha"], arrays["rmse_metric"],
+            method.startswith("range"), *self._settings, start, stop, arrays["status"], ROUGH,
         )  # fmt: skip
-
-
-ROUGH = 3
-
-
-def flat_frames(fits: "PlaneFits", cells: int) -> list[dict[str, npt.NDArray[Any]]]:
-    """The arrays of each frame of ``fits``, flat: (T, ...), and (10, T), (3, T).
-
-    ``cells`` is the number of dimensions that count the planes of a frame.
-    """
-    names = ("planes", "alpha", "rmse_metric", "valid_count", "status", "_moments", "_reference")
-    batch = fits.status.ndim > cells
-    frames = []
-    for i in range(len(fits.status) if batch else 1):
-        flat = {}
-        for name in names:
-            array = getattr(fits, name)[i] if batch else getattr(fits, name)
-            leading = name in ("_moments", "_reference")
-            flat[name] = array.reshape((len(array), -1) if leading else (-1, *array.shape[cells:]))
-        frames.append(flat)
-    return frames

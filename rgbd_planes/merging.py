@@ -69,7 +69,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     statistics.add_moments(moments, reference, flat, arrays["_moments"], arrays["_reference"])
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
     largest = int(arrays["valid_count"].max(initial=0))
-    RoughTest(fits.camera.noise, significance, largest).mark(fits.method, arrays, 0, count)
+    RoughTest(fits.camera, significance, largest).mark(fits.method, arrays, 0, count)
     return MergedPlanes(camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), **arrays)
 
 

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+# Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
+_ENTRIES, _LARGEST = 2048, 100.0
+
 KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
 
@@ -55,6 +58,9 @@ class NoiseModel:
     spread : float
         Relative standard deviation of the noise's variance from place to place, over what depth explains:
         texture, reflectance.
+    lateral : float
+        Standard deviation, in pixels, of where across its ray a measurement lies: times the change of q from pixel
+        to pixel it is noise, too, that of steep surfaces. `sigma` is without it.
     evidence : NoiseEvidence, optional
         What `rgbd_planes.estimate_noise` saw; no part of a file.
     """
@@ -68,6 +74,7 @@ class NoiseModel:
     floor: float = 0.0
     floor_length: float = 60.0
     spread: float = 0.0
+    lateral: float = 0.0
     evidence: Any = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -84,7 +91,7 @@ class NoiseModel:
                     f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}"
                 )
             object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
-        for name in ("step", "disparity_step", "floor", "spread"):
+        for name in ("step", "disparity_step", "floor", "spread", "lateral"):
             value = float(getattr(self, name))
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"expected {name} of 0 or more, got {value!r}")
@@ -126,22 +133,19 @@ class NoiseModel:
         z = np.asarray(depth, np.float64)
         return np.asarray(self.sigma(1.0 / z) * z * z)
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether σq is the same at every depth."""
-        return self.formula is None and self.samples is None and len(self.coefficients) == 1 and not self.step
+    @functools.cached_property
+    def _variances(self) -> Floats:
+        """σq² as `kernels.statistics.pixel_variance` takes it."""
+        if self.formula is None and self.samples is None and len(self.coefficients) == 1 and not self.step:
+            return np.array([1.0, float(self.sigma(1.0)) ** 2])
+        scale = _ENTRIES / math.sqrt(_LARGEST)
+        roots = np.maximum(np.arange(_ENTRIES + 1), 0.5) / scale  # no function need be defined at 0
+        return np.concatenate([[scale], self.sigma(roots**2) ** 2])
 
     @property
     def is_independent(self) -> bool:
         """Whether pixels err independently of each other, all of them alike."""
         return not (any(share for share, _ in self.correlation) or self.floor or self.spread)
-
-    def mean_variance(self, mean: Floats, spread: Floats) -> Floats:
-        """σq² averaged over tiles whose inverse depths have this mean and standard deviation."""
-        if self.is_constant:
-            return np.full(mean.shape, self.coefficients[0] ** 2 + self.disparity_step**2 / 12.0)
-        near, far = self.sigma(mean + spread), self.sigma(np.maximum(mean - spread, 0.05 * mean))
-        return np.asarray(0.5 * (near * near + far * far))
 
     def sample_share(self, count: ArrayLike) -> Floats:
         """Effective number of independent pixels, as a share of ``count`` neighbouring ones.

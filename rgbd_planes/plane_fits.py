@@ -2,12 +2,16 @@
 
 import enum
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.kernels import statistics
+
+if TYPE_CHECKING:
+    from rgbd_planes.fit_statistics import FitStatistics
 
 Float = npt.NDArray[np.float64]
 
@@ -76,15 +80,15 @@ class PlaneFits:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
         Of the chi-square of the residual in inverse depth under ``camera.noise``. On surfaces that are flat
-        it is uniform between 0 and 1; below the significance level a tile is ROUGH. This and the covariances
-        are computed when first asked for.
+        it is uniform between 0 and 1; below the significance level a tile is ROUGH. This, the covariances
+        and the standard deviations are computed together, when one of them is first asked for.
 
         Raises
         ------
         ValueError
             The camera has no noise model: so for all of these.
         """
-        return self._statistic("p_value", ())
+        return self._statistics.row(statistics.P_VALUE)
 
     @property
     def alpha_covariance(self) -> Float:
@@ -93,55 +97,49 @@ class PlaneFits:
         Of ``range_explicit`` it is exact where σq is constant over the tile. For the other methods it is, to
         first order, that of ``range_explicit`` on the same pixels: the bound that they do not reach.
         """
-        return self._statistic("alpha_covariance", (3, 3))
+        return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
     @property
     def plane_covariance(self) -> Float:
         """S + (4, 4) float64: covariance of (n, d), from that of α to first order; its rank is 3."""
-        return self._statistic("plane_covariance", (4, 4))
+        return self._statistics.matrix(statistics.PLANE_COVARIANCE, 4)
 
     @property
     def angle_std(self) -> Float:
         """S float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
-        variance = np.trace(self.plane_covariance[..., :3, :3], axis1=-2, axis2=-1)
-        return np.asarray(np.degrees(np.sqrt(variance)))
+        return self._statistics.row(statistics.ANGLE_STD)
 
     @property
     def offset_std(self) -> Float:
         """S float64, metres: standard deviation of d."""
-        return np.asarray(np.sqrt(self.plane_covariance[..., 3, 3]))
+        return self._statistics.row(statistics.OFFSET_STD)
 
-    def _statistic(self, name: str, entries: tuple[int, ...]) -> Float:
-        """The statistic, computed once."""
-        made: dict[str, Any] = self.__dict__.setdefault("_statistics", {})
-        if name not in made:
-            from rgbd_planes.fit_statistics import FrameStatistics, flat_frames
+    @property
+    def _statistics(self) -> "FitStatistics":
+        """What the camera's noise says of these planes, computed when first asked for."""
+        made: FitStatistics | None = self.__dict__.get("_made")
+        if made is None:
+            from rgbd_planes.fit_statistics import FitStatistics
 
-            frames = made.get("frames")
-            if frames is None:
-                flat = flat_frames(self, self._cell_dimensions)
-                frames = made["frames"] = [FrameStatistics(self, arrays) for arrays in flat]
-            values = made.get("room", {}).pop(name, None)
-            if values is None:
-                values = np.empty((*self.shape, *entries))
-            values.flags.writeable = True
-            for frame, out in zip(frames, values.reshape(len(frames), -1, *entries), strict=True):
-                getattr(frame, name)(out)
-            values.flags.writeable = False
-            made[name] = values
-        return cast(Float, made[name])
+            made = self.__dict__["_made"] = FitStatistics(self)
+        if not made.is_current:
+            made.compute()
+        return made
 
     def _forget_statistics(self) -> None:
         """To be called when the arrays are written into again: so will be those of the statistics."""
-        made = self.__dict__.pop("_statistics", None)
-        if made is not None:
-            made.pop("frames", None)
-            self.__dict__["_statistics"] = {"room": made.pop("room", {}) | made}
+        if "_made" in self.__dict__:
+            self.__dict__["_made"].is_current = False
 
     @property
     def _cell_dimensions(self) -> int:
         """How many dimensions count the planes of one frame: 2 for tiles, 1 for windows."""
         return min(self._moments.ndim - 1, 2)
+
+    @property
+    def _most_pixels(self) -> int | None:
+        """What ``valid_count`` cannot exceed, where that is known beforehand."""
+        return None
 
     @property
     def fitted(self) -> npt.NDArray[np.bool_]:

@@ -42,6 +42,10 @@ class TilePlanes(PlaneFits):
         """(C,) int64: width in pixels of each column of tiles."""
         return tile_sizes(self.camera.width, self.tile[1])
 
+    @property
+    def _most_pixels(self) -> int:
+        return self.tile[0] * self.tile[1]
+
     def __getitem__(self, frame: int) -> "TilePlanes":
         """The planes of one frame of a batch, without copying."""
         if len(self.shape) != 3:

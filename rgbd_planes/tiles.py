@@ -93,7 +93,7 @@ class TileFitter:
         self._centre, self._full = camera_terms(camera, self.tile)
         self._needed = valid_needed(self._full[0], max_missing).ravel()
         self._compiled_for = method, implementation, camera.is_separable
-        self._rough_test = RoughTest(camera.noise, significance, self.tile[0] * self.tile[1])
+        self._rough_test = RoughTest(camera, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             self._kernel: Any = (
                 grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles

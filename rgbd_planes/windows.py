@@ -78,7 +78,7 @@ def fit_windows(
     frame = as_depth_frame(depth, camera)
 
     arrays = allocate((), (len(rectangles),))
-    rough_test = RoughTest(camera.noise, significance, int(rectangles[:, 2:].prod(axis=1).max(initial=0)))
+    rough_test = RoughTest(camera, significance, int(rectangles[:, 2:].prod(axis=1).max(initial=0)))
     needed = valid_needed(rectangles[:, 2] * rectangles[:, 3], max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
