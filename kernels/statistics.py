@@ -14,7 +14,7 @@ from ._jit import kernel
 
 # Tiles of a block, and the rows of its room: the moments and reference points, what all kernels need of them, and
 # from OWN what each has of its own.
-BLOCK = 128
+BLOCK = 64
 W_0, MEAN_Q, VARIANCE = 12, 13, 14
 OWN = 15
 TAILS = OWN + 5
@@ -53,24 +53,25 @@ def pixel_variance(alpha, in_range_space, noise, lateral, first, count, room):
     else:
         scale, last = noise[0], noise.shape[0] - 3.0
         for i in range(count):
-            q = room[MEAN_Q, i]
+            position = math.sqrt(room[MEAN_Q, i]) * scale
+            room[OWN, i] = position
+            room[OWN + 1, i] = min(max(position, 0.0), last)
+        for i in range(count):
+            k = np.uintp(room[OWN + 1, i])
+            room[OWN + 1, i] = room[OWN, i] - k
+            room[OWN + 2, i] = noise[k + ONE]
+            room[OWN + 3, i] = noise[k + TWO]
+        for i in range(count):
+            step = room[OWN + 3, i] - room[OWN + 2, i]
+            variance = room[OWN + 2, i] + room[OWN + 1, i] * step
+            # Averaged over the tile as a power of q is: this is its exponent times the variance.
+            power = 0.5 * room[OWN, i] * step
             share = 1.0 / room[0, i]
             mean_w = room[3, i] * share
-            # From the moments of (X, Y, Z) to first order.
-            spread = math.sqrt(max(room[9, i] * share - mean_w * mean_w, 0.0))
-            spread *= 1.0 if in_range_space else q * q
-            near = math.sqrt(q + spread) * scale
-            far = math.sqrt(max(q - spread, 0.05 * q)) * scale
-            room[OWN, i] = near
-            room[OWN + 1, i] = far
-            room[OWN + 2, i] = min(max(near, 0.0), last)
-            room[OWN + 3, i] = min(max(far, 0.0), last)
-        for end in range(OWN, OWN + 2):
-            for i in range(count):
-                k = np.uintp(room[end + 2, i])
-                room[end + 2, i] = noise[k + ONE] + (room[end, i] - k) * (noise[k + TWO] - noise[k + ONE])
-        for i in range(count):
-            room[VARIANCE, i] = 0.5 * (room[OWN + 2, i] + room[OWN + 3, i])
+            w = room[W_0, i] + mean_w
+            # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
+            spread = (room[9, i] * share - mean_w * mean_w) / (w * w)
+            room[VARIANCE, i] = variance + 0.5 * power * (power / variance - 1.0) * spread
     if lateral[0] > 0.0:
         slopes = alpha[first : first + count]
         for i in range(count):

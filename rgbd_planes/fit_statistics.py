@@ -60,17 +60,22 @@ class FitStatistics:
         self._rows = np.empty((count, statistics.RESULTS, tiles))
         self._read_only = self._rows.view()
         self._read_only.flags.writeable = False
+        self._shown: dict[int, Float] = {}
 
     def row(self, first: int) -> Float:
         """Return one value a tile: S."""
-        return self._read_only[:, first].reshape(self._frames + self._cells)
+        if first not in self._shown:
+            self._shown[first] = self._read_only[:, first].reshape(self._frames + self._cells)
+        return self._shown[first]
 
     def matrix(self, first: int, side: int) -> Float:
         """Return one matrix a tile: S + (side, side). Its entries are apart in memory: each is a row."""
-        rows = self._read_only[:, first : first + side * side]
-        matrix = rows.reshape(self._frames + (side, side) + self._cells)
-        n, dimensions = len(self._frames), matrix.ndim
-        return matrix.transpose(*range(n), *range(n + 2, dimensions), n, n + 1)
+        if first not in self._shown:
+            rows = self._read_only[:, first : first + side * side]
+            matrix = rows.reshape(self._frames + (side, side) + self._cells)
+            n = len(self._frames)
+            self._shown[first] = matrix.transpose(*range(n), *range(n + 2, matrix.ndim), n, n + 1)
+        return self._shown[first]
 
     def compute(self) -> None:
         """Compute what the fit's arrays say now."""
