@@ -35,6 +35,8 @@ LENGTHS = (1.0, 2.0, 4.0, 8.0)
 """Correlation lengths, in pixels, among which the random error is shared out."""
 FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
 """Candidates for the length of the systematic error, up to half of the largest tile."""
+LATERALS = np.linspace(0.0, 1.2, 25)
+"""Candidates for the lateral error, in pixels."""
 CELL = 8
 """Side in pixels of the cells of the flatness map."""
 _MOST_MISSING = 0.1
@@ -148,9 +150,10 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Flat tiles of one size: mean and deviation of q, sum of squared residuals, pixels, place."""
+    """Flat tiles of one size: mean of q, its squared slope a pixel, sum of squared residuals, pixels, place."""
 
     q: Float
+    slope_square: Float
     rss: Float
     count: npt.NDArray[np.int32]
     place: tuple[npt.NDArray[np.intp], ...]
@@ -175,7 +178,13 @@ class _Samples:
             chosen[chosen] = residual < _CLUTTERED * np.median(residual)
         q = 1.0 / _depth(planes)
         rss = planes.valid_count * planes.rmse**2
-        return cls(q[chosen], rss[chosen], planes.valid_count[chosen], np.nonzero(chosen))
+        pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
+        slope_square = np.sum((planes.alpha[chosen][:, :2] * pitch) ** 2, axis=1)
+        return cls(q[chosen], slope_square, rss[chosen], planes.valid_count[chosen], np.nonzero(chosen))
+
+    def variance(self, model: NoiseModel) -> Float:
+        """Of a pixel's random error, by the model."""
+        return np.asarray(model.sigma(self.q) ** 2 + model.lateral**2 * self.slope_square)
 
 
 def _depth(planes: TilePlanes) -> Float:
@@ -241,28 +250,35 @@ def _non_negative(terms: Float, values: Float, robust: bool = True) -> Float:
 
 
 def _fit_depth(samples: _Samples) -> NoiseModel:
-    """σq against depth: the medians of the bins, each that of itself and its neighbours.
+    """σq against depth, in bins, beside the lateral error that leaves residuals nearest to the model.
 
-    Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
+    Each bin's σq is that which makes half of its residuals larger than the model's; of three neighbours the middle
+    one is taken. Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
     """
-    q, sigma = _by_depth(samples)
-    ends = np.concatenate([sigma[:1], sigma, sigma[-1:]])
-    sigma = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
+    bins = _bins(samples.q, 60)
+    q = np.array([np.median(samples.q[chosen]) for chosen in bins])
+    seen = samples.rss / samples.count
+    best = np.inf, 0.0, np.zeros(len(q))
+    for lateral in LATERALS:
+        across = lateral**2 * samples.slope_square
+        # Below a tenth of what is seen another cause would be the larger.
+        variance = np.array([max(np.median((seen - across)[some]), 0.01 * np.median(seen[some])) for some in bins])
+        ends = np.concatenate([variance[:1], variance, variance[-1:]])
+        variance = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
+        error = np.log(seen / (np.interp(samples.q, q, variance) + across))
+        distance = float(np.mean(np.abs(error - np.median(error))))
+        if distance < 0.999 * best[0]:
+            best = distance, lateral, variance
+    _, lateral, variance = best
+    sigma = np.sqrt(variance)
     spread = np.log(q) - np.log(q).mean()
     power = float(np.clip(spread @ np.log(sigma) / max(spread @ spread, 1e-9), 0.0, 2.0))
     farther, nearer = np.array([0.25, 0.35, 0.5, 0.7]), np.array([1.4, 2.0, 2.8, 4.0])
-    return table(
+    along = table(
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),
         np.concatenate([sigma[0] * farther**power, sigma, sigma[-1] * nearer**power]),
     )
-
-
-def _by_depth(samples: _Samples) -> tuple[Float, Float]:
-    """Median inverse depth and median root mean square residual of equally many tiles."""
-    bins = _bins(samples.q, 60)
-    q = np.array([np.median(samples.q[chosen]) for chosen in bins])
-    sigma = np.array([np.sqrt(np.median(samples.rss[chosen] / samples.count[chosen])) for chosen in bins])
-    return q, sigma
+    return replace(along, lateral=lateral)
 
 
 def _typical(samples: _Samples, model: NoiseModel) -> float:
@@ -270,7 +286,7 @@ def _typical(samples: _Samples, model: NoiseModel) -> float:
     made = model.statistics(samples.count)
     v = 2.0 / (9.0 * np.maximum(made.freedom, 1.0))
     median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
-    return float(np.median(samples.rss / samples.count / model.sigma(samples.q) ** 2 / median_over_mean))
+    return float(np.median(samples.rss / samples.count / samples.variance(model) / median_over_mean))
 
 
 def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
@@ -298,6 +314,7 @@ def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     return replace(
         model,
         samples=tuple((q, scale * sigma) for q, sigma in model.samples or ()),
+        lateral=scale * model.lateral,
         correlation=tuple(
             (float(share / random), length)
             for share, length in zip(shares[1:-1], LENGTHS, strict=True)
@@ -323,7 +340,7 @@ def _fit_spread(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     spreads = []
     for size in (8, 12, 16, 24):
         some = samples[size]
-        ratio = some.rss / some.count / model.sigma(some.q) ** 2
+        ratio = some.rss / some.count / some.variance(model)
         reach = np.quantile(ratio, _TAIL) / np.median(ratio)
         freedom = 1.0 / (1.0 / float(even.statistics(size * size).freedom) + 0.5 * candidates**2)
         reaches = chdtri(freedom, 1.0 - _TAIL) / chdtri(freedom, 0.5)
@@ -344,9 +361,9 @@ def _evidence(
     size = WINDOW // 3
     chosen = samples[size]
     made = model.statistics(chosen.count)
-    ratio = chosen.rss / model.sigma(chosen.q) ** 2 / made.expected
-    q, sigma = _by_depth(chosen)
-    pixels = np.array([size * size])
+    ratio = chosen.rss / chosen.variance(model) / made.expected
+    bins = _bins(chosen.q, 60)
+    seen, expected = chosen.rss / chosen.count, chosen.variance(model) * made.expected / chosen.count
     sizes = np.array(list(samples))
     sums, numbers = np.zeros(tiles[size].shape[1:]), np.zeros(tiles[size].shape[1:])
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
@@ -357,9 +374,9 @@ def _evidence(
         sizes=sizes,
         residuals=np.sqrt([_typical(some, model) for some in samples.values()]),
         expected=np.sqrt(model.statistics(sizes**2).expected) / sizes,
-        inverse_depth=q,
-        sigma=sigma,
-        sigma_fit=model.sigma(q) * np.sqrt(model.statistics(pixels).expected / pixels),
+        inverse_depth=np.array([np.median(chosen.q[some]) for some in bins]),
+        sigma=np.sqrt([np.median(seen[some]) for some in bins]),
+        sigma_fit=np.sqrt([np.median(expected[some]) for some in bins]),
         p_values=chdtrc(made.freedom, ratio * made.freedom),
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
         flatness=flatness,
