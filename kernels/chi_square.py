@@ -45,8 +45,8 @@ MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
 WHOLE, WHOLE_BITS = 2.0**52, np.int64(0x4330000000000000)
 LN_2 = math.log(2.0)
 
-# Rows of room that `tails` needs, of which the first four hold its arguments and the first its result.
-WORK = 7
+# Rows of room that `tails` needs, of which the first two hold its arguments and the first its result.
+WORK = 5
 
 
 @kernel(inline=True)
@@ -71,12 +71,11 @@ def tails(work, count):
     Parameters
     ----------
     work : (WORK, N) float64
-        Rows 1 to 3 are √a, 1/√a and 1/(a + 1/2) of half the degrees of freedom, at least `LEAST_FREEDOM`.
+        Its second row is 1 over the degrees of freedom, at least `LEAST_FREEDOM`.
     count : int
         Number of values.
     """
-    ratio, root, inverse_root, s = work[0], work[1], work[2], work[3]
-    mantissa, eta, correction = work[4], work[5], work[6]
+    ratio, s, mantissa, eta, correction = work[0], work[1], work[2], work[3], work[4]
     for i in range(count):
         mantissa[i] = min(max(ratio[i], 1e-18), 1e6)
     split(mantissa, eta, count)
@@ -89,6 +88,9 @@ def tails(work, count):
         x = min(max(ratio[i], 1e-18), 1e6)
         half_square = x - 1.0 - (eta[i] * LN_2 + 2.0 * w * (1.0 + series))
         eta[i] = math.copysign(math.sqrt(max(2.0 * half_square, 0.0)), x - 1.0)
+        # a = 1/(2v), so that 1/(a + 1/2) = 2v/(1 + v); a itself takes the place of the mantissa.
+        mantissa[i] = 0.5 / s[i]
+        s[i] = 2.0 * s[i] / (1.0 + s[i])
         correction[i] = 0.0
     for j in range(CORRECTION.shape[0] - 1, -1, -1):
         c_0, c_1, c_2, c_3, c_4 = CORRECTION[j]
@@ -96,7 +98,8 @@ def tails(work, count):
             of_s = c_0 + s[i] * (c_1 + s[i] * (c_2 + s[i] * (c_3 + s[i] * c_4)))
             correction[i] = correction[i] * min(max(eta[i], ETA_LEAST), ETA_MOST) + of_s
     for i in range(count):
-        z = eta[i] * root[i] + correction[i] * inverse_root[i]
+        root = math.sqrt(mantissa[i])
+        z = eta[i] * root + correction[i] / root
         size = min(abs(z), 37.0)
         # exp(-z²/2): the exponential series of a 1024th of the exponent, squared ten times.
         e = -size * size * (0.5 / 1024.0)

@@ -15,11 +15,16 @@ from ._jit import kernel
 # Tiles of a block, and the rows of its room: the moments and reference points, what all kernels need of them, and
 # from OWN what each has of its own.
 BLOCK = 64
-W_0, MEAN_Q, VARIANCE = 12, 13, 14
-OWN = 15
+W_0, MEAN_Q, ALONG, ACROSS = 12, 13, 14, 15
+OWN = 16
 TAILS = OWN + 5
 ROWS = TAILS + 16
-ONE, TWO = np.uintp(1), np.uintp(2)
+# What ``noise`` holds: variances across the ray in tanθx and tanθy, which times the squared slopes of q are noise, too;
+# half the squared spread of the variance from place to place; then, from SCALE, a scale and the variance of q along
+# the ray at √q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
+LATERAL_X, LATERAL_Y, HALF_SPREAD, SCALE = 0, 1, 2, 3
+VARIANCES = np.uintp(4)
+ONE = np.uintp(1)
 
 
 @kernel(inline=True)
@@ -32,26 +37,16 @@ def load(rows, target, first, count, room):
 
 
 @kernel(inline=True)
-def pixel_variance(alpha, in_range_space, noise, lateral, first, count, room):
-    """Mean inverse depth of a block of tiles, and the variance of one of their pixels, averaged over the tile.
-
-    Parameters
-    ----------
-    alpha : (T, 3) float64
-    noise : (1 + K,) float64
-        A scale, then the variance of the inverse depth q at √q = 0, 1/scale, 2/scale, ..., linear in between and
-        beyond; of K = 1 it is the same everywhere.
-    lateral : (2,) float64
-        Variance across the ray, in tanθx and tanθy: times the squared slopes of q it is noise, too.
-    """
+def pixel_variance(alpha, in_range_space, noise, first, count, room):
+    """Mean inverse depth of a block of tiles, and the variance of their pixels along the ray and from across it."""
     for i in range(count):
         w = room[W_0, i] + room[3, i] / room[0, i]
         room[MEAN_Q, i] = w if in_range_space else 1.0 / w
-    if noise.shape[0] == 2:
+    if noise.shape[0] == VARIANCES + ONE:
         for i in range(count):
-            room[VARIANCE, i] = noise[1]
+            room[ALONG, i] = noise[VARIANCES]
     else:
-        scale, last = noise[0], noise.shape[0] - 3.0
+        scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
         for i in range(count):
             position = math.sqrt(room[MEAN_Q, i]) * scale
             room[OWN, i] = position
@@ -59,8 +54,8 @@ def pixel_variance(alpha, in_range_space, noise, lateral, first, count, room):
         for i in range(count):
             k = np.uintp(room[OWN + 1, i])
             room[OWN + 1, i] = room[OWN, i] - k
-            room[OWN + 2, i] = noise[k + ONE]
-            room[OWN + 3, i] = noise[k + TWO]
+            room[OWN + 2, i] = noise[VARIANCES + k]
+            room[OWN + 3, i] = noise[VARIANCES + k + ONE]
         for i in range(count):
             step = room[OWN + 3, i] - room[OWN + 2, i]
             variance = room[OWN + 2, i] + room[OWN + 1, i] * step
@@ -71,33 +66,64 @@ def pixel_variance(alpha, in_range_space, noise, lateral, first, count, room):
             w = room[W_0, i] + mean_w
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
             spread = (room[9, i] * share - mean_w * mean_w) / (w * w)
-            room[VARIANCE, i] = variance + 0.5 * power * (power / variance - 1.0) * spread
-    if lateral[0] > 0.0:
-        slopes = alpha[first : first + count]
+            room[ALONG, i] = variance + 0.5 * power * (power / variance - 1.0) * spread
+    slopes, x, y = alpha[first : first + count], noise[LATERAL_X], noise[LATERAL_Y]
+    if x > 0.0:
         for i in range(count):
-            slope_x, slope_y = slopes[i, 0], slopes[i, 1]
-            room[VARIANCE, i] += lateral[0] * slope_x * slope_x + lateral[1] * slope_y * slope_y
+            room[ACROSS, i] = x * slopes[i, 0] * slopes[i, 0] + y * slopes[i, 1] * slopes[i, 1]
+    else:
+        for i in range(count):
+            room[ACROSS, i] = 0.0
 
 
 @kernel(inline=True)
-def squared_residuals(planes, rmse_metric, first, count, room, target):
-    """Sums of squared residuals in inverse depth over the variance, into a row of the room."""
+def residual_ratio(planes, rmse_metric, counts, half_spread, tables, first, count, room, target):
+    """Sum of squared residuals over its expected value, and 1 over the degrees of freedom, into two rows of the room.
+
+    Errors across the ray are independent from pixel to pixel. With the covariance C of the others and the projection P
+    on residuals, half the variance of the sum is tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
+
+    Parameters
+    ----------
+    tables : (4, K) float64
+        Its first rows are tr(PC) and tr((PC)²) by number of pixels, for a variance of 1.
+    """
+    number = counts[first : first + count]
+    for i in range(count):
+        k = np.uintp(number[i])
+        room[target, i] = tables[0, k]
+        room[target + 1, i] = tables[1, k]
     plane, error = planes[first : first + count], rmse_metric[first : first + count]
     for i in range(count):
-        # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``.
+        n = room[0, i]
+        along, across = room[ALONG, i], room[ACROSS, i]
+        independent = across * max(n - 3.0, 0.0)
+        of_along = along * room[target, i]
+        expected = max(of_along + independent, 1e-150)
+        half_variance = along * along * room[target + 1, i] + across * (2.0 * of_along + independent)
+        # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly.
         rmse = error[i] * room[MEAN_Q, i] / plane[i, 3]
-        room[target, i] = room[0, i] * rmse * rmse / room[VARIANCE, i]
+        share = 1.0 / expected
+        room[target, i] = (n if n > 3.0 else 0.0) * rmse * rmse * share
+        inverse = half_variance * share * share + half_spread
+        room[target + 1, i] = min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM)
 
 
 @kernel()
 def mark_rough(
-    moments, reference, planes, alpha, rmse_metric, in_range_space, noise, lateral, limit, start, stop,
+    moments, reference, planes, alpha, rmse_metric, counts, in_range_space, noise, tables, limits, start, stop,
     status, rough,
 ):  # fmt: skip
-    """Give status ``rough`` to the tiles whose sum of squared residuals, over the variance, is above limit[n].
+    """Give status ``rough`` to the tiles whose sum of squared residuals is larger than noise explains.
 
-    Of tiles ``start`` to ``stop`` of a frame: arrays are (10, T), (3, T), (T, 4), (T, 3), (T,); ``noise`` and
-    ``lateral`` as in `pixel_variance`.
+    Of tiles ``start`` to ``stop`` of a frame: arrays are (10, T), (3, T), (T, 4), (T, 3), (T,), (T,).
+
+    Parameters
+    ----------
+    counts, noise, tables
+        As in `uncertainty`.
+    limits : (K,) float64
+        The largest permitted sum over its expected value, by powers of 1/√(degrees of freedom).
     """
     room = np.empty((ROWS, BLOCK))
     for first in range(start, stop, BLOCK):
@@ -106,11 +132,18 @@ def mark_rough(
         load(moments[3:4], 3, first, count, room)
         load(moments[9:], 9, first, count, room)
         load(reference[2:], W_0, first, count, room)
-        pixel_variance(alpha, in_range_space, noise, lateral, first, count, room)
-        squared_residuals(planes, rmse_metric, first, count, room, OWN)
+        pixel_variance(alpha, in_range_space, noise, first, count, room)
+        residual_ratio(planes, rmse_metric, counts, noise[HALF_SPREAD], tables, first, count, room, OWN)
+        for i in range(count):
+            room[OWN + 1, i] = math.sqrt(room[OWN + 1, i])
+            room[OWN + 2, i] = 0.0
+        for k in range(limits.shape[0] - 1, -1, -1):
+            limit = limits[k]
+            for i in range(count):
+                room[OWN + 2, i] = room[OWN + 2, i] * room[OWN + 1, i] + limit
         mark = status[first : first + count]
         for i in range(count):
-            if room[OWN, i] > limit[np.uintp(room[0, i])]:
+            if room[OWN, i] > room[OWN + 2, i]:
                 mark[i] = rough
 
 
@@ -126,7 +159,7 @@ OF_PLANE = PLANE + np.array([0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9])
 
 @kernel()
 def uncertainty(
-    moments, reference, planes, alpha, rmse_metric, counts, in_range_space, noise, lateral, tables, results
+    moments, reference, planes, alpha, rmse_metric, counts, tables, in_range_space, noise, results
 ):  # fmt: skip
     """P-values of the residuals, covariances of α and of (n, d), and deviations of the tiles of F frames.
 
@@ -138,12 +171,11 @@ def uncertainty(
     planes, alpha, rmse_metric : (F, T, 4), (F, T, 3), (F, T) float64
     counts : (F, T) integers
         Which column of ``tables`` belongs to a tile.
-    noise, lateral
-        As in `pixel_variance`.
-    tables : (6, K) float64
-        By number of pixels: 1 over the expected sum of squared residuals, or 0 where it is 0; rows 1 to 3 of
-        `chi_square.tails`; the factors of correlated noise on the variances of the slopes and of the mean inverse
-        depth, 1 where pixels are independent.
+    tables : (4, K) float64
+        By number of pixels: the first two as in `residual_ratio`; the factors of correlated noise on the variances of
+        the slopes and of the mean inverse depth, 1 where pixels are independent.
+    noise : (5 or more,) float64
+        See LATERAL_X.
     results : (F, RESULTS, T) float64, written
         From row P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres).
     """
@@ -155,25 +187,21 @@ def uncertainty(
             count = stop - first
             load(moments[frame], 0, first, count, room)
             load(reference[frame], 10, first, count, room)
-            pixel_variance(alpha[frame], in_range_space, noise, lateral, first, count, room)
-            squared_residuals(planes[frame], rmse_metric[frame], first, count, room, TAILS)
-            number = counts[frame, first:stop]
-            for i in range(count):
-                k = np.uintp(number[i])
-                room[TAILS, i] *= tables[0, k]
-                room[TAILS + 1, i] = tables[1, k]
-                room[TAILS + 2, i] = tables[2, k]
-                room[TAILS + 3, i] = tables[3, k]
+            pixel_variance(alpha[frame], in_range_space, noise, first, count, room)
+            residual_ratio(
+                planes[frame], rmse_metric[frame], counts[frame], noise[HALF_SPREAD], tables, first, count, room,
+                TAILS,
+            )  # fmt: skip
             chi_square.tails(tails, count)
             store(tails[0], results[frame, P_VALUE, first:stop])
 
             ray_scatter(in_range_space, count, room)
             # The moments but for n are done with: their rows take what is needed next.
-            plane = planes[frame, first:stop]
+            plane, number = planes[frame, first:stop], counts[frame, first:stop]
             for i in range(count):
                 k = np.uintp(number[i])
-                room[1, i] = tables[4, k]
-                room[2, i] = tables[5, k]
+                room[1, i] = tables[2, k]
+                room[2, i] = tables[3, k]
             for i in range(count):
                 room[3, i] = plane[i, 0]
                 room[4, i] = plane[i, 1]
@@ -243,14 +271,14 @@ def covariances(count, room):
         c_uu, c_uv, c_vv = room[OWN + 2, i], room[OWN + 3, i], room[OWN + 4, i]
         x, y, z, d = room[3, i], room[4, i], room[5, i], room[6, i]
         nothing = 0.0 * d  # NaN where there is no plane
-        variance = room[VARIANCE, i] + nothing
-        scale = variance * room[1, i] / (c_uu * c_vv - c_uv * c_uv)
+        along, across = room[ALONG, i], room[ACROSS, i] + nothing
+        scale = (along * room[1, i] + across) / (c_uu * c_vv - c_uv * c_uv)
         aa = scale * c_vv
         ab = -scale * c_uv
         bb = scale * c_uu
         ac = -(aa * mean_u + ab * mean_v)
         bc = -(ab * mean_u + bb * mean_v)
-        cc = variance * room[2, i] / room[0, i] - (ac * mean_u + bc * mean_v)
+        cc = (along * room[2, i] + across) / room[0, i] - (ac * mean_u + bc * mean_v)
         room[ALPHA, i] = aa
         room[ALPHA + 1, i] = ab
         room[ALPHA + 2, i] = ac

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.kernels import chi_square, statistics
+from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ class FitStatistics:
         self.is_current = False
         """Whether `compute` has been called for the arrays as they are."""
         self._noise = fits.camera.noise
-        self._most = fits._most_pixels
+        most = fits._most_pixels
+        self._tables = None if most is None else _Tables(self._noise, most)
         shape = fits.status.shape
         dimensions = len(shape) - fits._cell_dimensions
         self._frames, self._cells = shape[:dimensions], shape[dimensions:]
@@ -56,7 +57,7 @@ class FitStatistics:
             fits.planes.reshape(count, tiles, 4), fits.alpha.reshape(count, tiles, 3),
             fits.rmse_metric.reshape(count, tiles),
         )  # fmt: skip
-        self._settings = fits.method.startswith("range"), *_of_camera(fits.camera)
+        self._settings = fits.method.startswith("range"), _of_camera(fits.camera)
         self._rows = np.empty((count, statistics.RESULTS, tiles))
         self._read_only = self._rows.view()
         self._read_only.flags.writeable = False
@@ -79,59 +80,72 @@ class FitStatistics:
 
     def compute(self) -> None:
         """Compute what the fit's arrays say now."""
-        counts = self._counts
-        most = int(counts.max(initial=0)) if self._most is None else self._most
-        if most <= _MOST_COUNTS:
-            tables = _all_tables(self._noise, _round_up(most))
-        else:
-            numbers, index = np.unique(counts, return_inverse=True)
-            counts, tables = index.reshape(counts.shape).astype(np.int32), _tables(self._noise, numbers)
-        statistics.uncertainty(*self._arrays, counts, *self._settings, tables, self._rows)
+        made = self._tables
+        if made is None:
+            made = _Tables(self._noise, int(self._counts.max(initial=0)))
+        statistics.uncertainty(*self._arrays, *made.of(self._counts), *self._settings, self._rows)
         self.is_current = True
 
 
-def _of_camera(camera: Camera) -> tuple[Float, Float]:
-    """The noise along and across the ray, as the kernels take it."""
-    assert camera.noise is not None
-    pitch = np.array([1.0 / camera.fx, 1.0 / camera.fy])
-    return camera.noise._variances, (camera.noise.lateral * pitch) ** 2
+def _of_camera(camera: Camera) -> Float:
+    """The camera's noise, as `kernels.statistics` takes it."""
+    noise = camera.noise
+    assert noise is not None
+    x, y = noise.lateral / camera.fx, noise.lateral / camera.fy
+    return np.concatenate([[x * x, y * y, 0.5 * noise.spread**2], noise._variances])
 
 
-def _tables(noise: NoiseModel, counts: npt.NDArray[np.integer]) -> Float:
-    """What `kernels.statistics.uncertainty` needs by number of pixels."""
+class _Tables:
+    """Tables by number of pixels for `kernels.statistics`.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    most : int
+        The largest number that can be.
+    """
+
+    def __init__(self, noise: NoiseModel, most: int) -> None:
+        self._noise = noise
+        self._all = None
+        if most <= _MOST_COUNTS:
+            self._all = _all_tables(noise, max(256, 1 << max(most - 1, 0).bit_length()))
+
+    def of(
+        self, counts: npt.NDArray[np.int32], part: slice = slice(None)
+    ) -> tuple[npt.NDArray[np.int32], Float]:
+        """Which column belongs to each of ``counts``, and the tables; in other parts there may be nothing yet."""
+        if self._all is not None:
+            return counts, self._all
+        index = np.zeros_like(counts)
+        numbers, inverse = np.unique(counts[part], return_inverse=True)
+        index[part] = inverse.reshape(index[part].shape)
+        return index, _some_tables(self._noise, numbers)
+
+
+def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer]) -> Float:
     made = noise.statistics(counts)
-    exact = made.expected <= 0.0  # three pixels fit exactly: p is 1, of however many degrees of freedom
-    half = 0.5 * np.maximum(np.where(exact, 1e3, made.freedom), chi_square.LEAST_FREEDOM)
-    inverse = np.divide(1.0, made.expected, out=np.zeros(half.shape), where=~exact)
-    return np.stack(
-        [inverse, np.sqrt(half), 1.0 / np.sqrt(half), 1.0 / (half + 0.5), made.tilt, made.offset]
-    )
+    half_variance = made.expected**2 * np.maximum(1.0 / made.freedom - 0.5 * noise.spread**2, 0.0)
+    return np.stack([made.expected, half_variance, made.tilt, made.offset])
 
 
 @functools.lru_cache(maxsize=32)
 def _all_tables(noise: NoiseModel, most: int) -> Float:
-    """For every number of pixels from 0 to ``most``."""
-    return _tables(noise, np.arange(most + 1))
+    """For every number of pixels from 0 to ``most``: few sizes, so that tables are shared."""
+    return _some_tables(noise, np.arange(most + 1))
 
 
 @functools.lru_cache(maxsize=32)
-def _limits(noise: NoiseModel, level: float, largest: int) -> Float:
-    """Largest sum of squared residuals in units of σq² that passes the test, for every count."""
+def _limits(level: float) -> Float:
+    """Quantiles of chi-square over its degrees of freedom, by powers of 1/√(degrees of freedom), right to 1e-5 of p."""
+    from numpy.polynomial import Chebyshev, Polynomial
     from scipy.special import chdtri
 
-    # Of thousands of pixels the limit per pixel hardly changes: between some of them it is interpolated.
-    counts = np.arange(largest + 1.0)
-    some = np.append(counts[:2048], np.geomspace(2048.0, max(largest, 2048.0) + 1.0, 200))
-    table = noise.statistics(some)
-    limit = table.expected * chdtri(table.freedom, level) / table.freedom / np.maximum(some, 1.0)
-    limits = counts * np.interp(counts, some, limit)
-    limits[:4] = np.inf  # three pixels fit exactly
-    return np.asarray(limits)
+    def limit(x: Float) -> Float:
+        freedom = np.maximum(x, 1e-3) ** -2
+        return np.asarray(chdtri(freedom, level) / freedom)
 
-
-def _round_up(count: int) -> int:
-    """The next of few sizes, so that tables are shared."""
-    return max(256, 1 << (count - 1).bit_length()) if count else 256
+    return np.asarray(Chebyshev.interpolate(limit, 10, domain=[0.0, 1.0]).convert(kind=Polynomial).coef)
 
 
 class RoughTest:
@@ -158,13 +172,16 @@ class RoughTest:
         self.is_empty = camera.noise is None or level == 0.0
         """Whether there is nothing to test."""
         if camera.noise is not None and not self.is_empty:
-            self._settings = *_of_camera(camera), _limits(camera.noise, level, _round_up(largest))
+            self._tables = _Tables(camera.noise, largest)
+            self._settings = _of_camera(camera), _limits(level)
 
     def mark(self, method: str, arrays: "Arrays", start: int, stop: int) -> None:
         """Mark tiles ``start`` to ``stop`` of one frame: flat arrays, as in `fitting.solve_planes`."""
         if self.is_empty:
             return
+        noise, limits = self._settings
+        counts, tables = self._tables.of(arrays["valid_count"], slice(start, stop))
         statistics.mark_rough(
             arrays["_moments"], arrays["_reference"], arrays["planes"], arrays["alpha"], arrays["rmse_metric"],
-            method.startswith("range"), *self._settings, start, stop, arrays["status"], ROUGH,
+            counts, method.startswith("range"), noise, tables, limits, start, stop, arrays["status"], ROUGH,
         )  # fmt: skip

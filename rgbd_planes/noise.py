@@ -177,7 +177,7 @@ class NoiseModel:
         # Where the variance itself varies, that of the sum of squares grows by (spread · expected)².
         freedom = 1.0 / (np.exp(-log_freedom) + 0.5 * self.spread**2)
         return ResidualStatistics(
-            np.where(more, n * expected, 0.0), np.where(more, freedom, 1e-3), tilt, offset
+            np.where(more, n * expected, 0.0), np.where(more, freedom, 1e-3), tilt, offset, self.spread
         )
 
     @property
@@ -238,6 +238,20 @@ class ResidualStatistics:
     freedom: Floats
     tilt: Floats
     offset: Floats
+    spread: float = 0.0
+
+    def with_independent(self, along: Floats, across: Floats, count: NDArray[Any]) -> tuple[Floats, Floats]:
+        """Expected sum of squared residuals and degrees of freedom, with an independent part of the variance.
+
+        ``along`` is this model's σq², ``across`` the independent variance; ``count`` the pixels, three or more.
+        """
+        independent = np.maximum(count - 3.0, 1e-9)
+        expected = along * self.expected + across * independent
+        # Half the variance of a quadratic form is tr((PC)²), C = C₁ + across·I.
+        inverse = np.maximum(1.0 / self.freedom - 0.5 * self.spread**2, 0.0)
+        half = (along * self.expected) ** 2 * inverse
+        half = half + across * (2.0 * along * self.expected + across * independent)
+        return expected, 1.0 / (half / expected**2 + 0.5 * self.spread**2)
 
 
 @functools.lru_cache(maxsize=64)

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 Float = npt.NDArray[np.float64]
 
-WINDOW = 48
+WINDOW = 24
 """Side in pixels of the windows that are judged flat or not."""
-SIZES = (4, 6, 8, 12, 16, 24, 48, 96)
+SIZES = (6, 8, 12, 24, 48, 96)
 """Sides of the tiles whose residuals are compared; all but the last divide a window."""
 LENGTHS = (1.0, 2.0, 4.0, 8.0)
 """Correlation lengths, in pixels, among which the random error is shared out."""
@@ -42,8 +42,9 @@ CELL = 8
 _MOST_MISSING = 0.1
 _BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
 _CLUTTERED = 4.0  # and over those of other windows
-_TAIL = 0.98  # quantile at which the spread is matched: near the significance levels that matter
+_TAIL = 0.95  # quantile at which the spread is matched: near the significance levels that matter
 _FEWEST_WINDOWS = 16
+_ENOUGH_LARGE = 48
 _TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
 _LARGE = 60
 
@@ -140,12 +141,25 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
             f"expected frames with at least {_FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
             f"found {count} in {len(opened)} frames"
         )
-    samples = {size: _Samples.of(planes, flat) for size, planes in tiles.items()}
-    samples = {size: some for size, some in samples.items() if len(some.count) >= _FEWEST_WINDOWS // 3}
-    model = _fit_depth(samples[WINDOW // 3])
+    samples = _all_samples(tiles, flat)
+    large = _flat_windows(tiles[2 * WINDOW], tiles[8]) if 2 * WINDOW in tiles else flat[:, :0, :0]
+    # How far errors reach shows in large windows, if there are enough of them.
+    reaching = samples
+    if np.count_nonzero(large) >= _ENOUGH_LARGE:
+        reaching = _all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
+    model = _fit_depth(samples[12])
     for _ in range(3):
-        model = _fit_reach(samples, _fit_spread(samples, model))
+        model = _fit_reach(reaching, _fit_spread(samples, model))
+        model = _fit_scale(samples[12], model)
     return replace(model, evidence=_evidence(opened, camera, model, samples, tiles, count))
+
+
+def _all_samples(
+    tiles: dict[int, TilePlanes], flat: npt.NDArray[np.bool_], window: int = WINDOW
+) -> "dict[int, _Samples]":
+    """The tiles in flat windows, by size, of which there are some."""
+    samples = {size: _Samples.of(planes, flat, tiles[window]) for size, planes in tiles.items()}
+    return {size: some for size, some in samples.items() if len(some.count) >= _FEWEST_WINDOWS // 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,12 +168,14 @@ class _Samples:
 
     q: Float
     slope_square: Float
+    tilt_square: Float
+    window: int
     rss: Float
     count: npt.NDArray[np.int32]
     place: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_]) -> "_Samples":
+    def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes) -> "_Samples":
         """The tiles of ``planes`` that lie in flat windows."""
         _, rows, columns = planes.shape
         size = planes.tile[0]
@@ -168,23 +184,44 @@ class _Samples:
             chosen = np.zeros(planes.shape, bool)
             chosen[:, : inside.shape[1], : inside.shape[2]] = inside
         else:
-            # All four windows flat; together they must be as well.
-            padded = np.zeros((len(flat), 2 * rows, 2 * columns), bool)
-            padded[:, : flat.shape[1], : flat.shape[2]] = flat
-            chosen = np.asarray(padded.reshape(len(flat), rows, 2, columns, 2).all(axis=(2, 4)))
+            # All its windows flat; together they must be as well.
+            many = size // WINDOW
+            padded = np.zeros((len(flat), many * rows, many * columns), bool)
+            inside = flat[:, : many * rows, : many * columns]
+            padded[:, : inside.shape[1], : inside.shape[2]] = inside
+            chosen = np.asarray(padded.reshape(len(flat), rows, many, columns, many).all(axis=(2, 4)))
         chosen &= planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * size * size)
         if size > WINDOW and chosen.any():
             residual = planes.rmse[chosen]
             chosen[chosen] = residual < _CLUTTERED * np.median(residual)
         q = 1.0 / _depth(planes)
         rss = planes.valid_count * planes.rmse**2
+        # Slopes of small tiles are noise themselves, and larger where the residual is: those of windows are taken.
+        place = np.nonzero(chosen)
+        alpha = planes.alpha[place]
+        of_window = alpha
+        if size < windows.tile[0]:
+            of_window = windows.alpha[place[0], *(index * size // windows.tile[0] for index in place[1:])]
         pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
-        slope_square = np.sum((planes.alpha[chosen][:, :2] * pitch) ** 2, axis=1)
-        return cls(q[chosen], slope_square, rss[chosen], planes.valid_count[chosen], np.nonzero(chosen))
+        slope_square = np.sum((of_window[:, :2] * pitch) ** 2, axis=1)
+        # Independent errors of variance 1 make it 1 on average, but for what the window shares.
+        n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = np.moveaxis(planes._moments, 1, 0)[:, *place]
+        tilt_x, tilt_y = (alpha - of_window)[:, :2].T
+        tilt_square = 0.5 * (
+            (s_uu - s_u * s_u / n) * tilt_x**2
+            + 2.0 * (s_uv - s_u * s_v / n) * tilt_x * tilt_y
+            + (s_vv - s_v * s_v / n) * tilt_y**2
+        )
+        return cls(
+            q[chosen], slope_square, tilt_square, windows.tile[0], rss[chosen], planes.valid_count[chosen], place
+        )
 
-    def variance(self, model: NoiseModel) -> Float:
-        """Of a pixel's random error, by the model."""
-        return np.asarray(model.sigma(self.q) ** 2 + model.lateral**2 * self.slope_square)
+    def relative(self, model: NoiseModel) -> tuple[Float, Float]:
+        """Sum of squared residuals over what the model expects, and its degrees of freedom."""
+        made = model.statistics(self.count)
+        along, across = model.sigma(self.q) ** 2, model.lateral**2 * self.slope_square
+        expected, freedom = made.with_independent(along, across, self.count)
+        return self.rss / expected, freedom
 
 
 def _depth(planes: TilePlanes) -> Float:
@@ -201,12 +238,13 @@ def _flat_windows(planes: TilePlanes, small: TilePlanes) -> npt.NDArray[np.bool_
     others is missed, nor is a bent one taken for flat. What is far rougher than usual, clutter, is left out.
     """
     frames, rows, columns = planes.shape
-    parts = WINDOW // small.tile[0]
+    window = planes.tile[0]
+    parts = window // small.tile[0]
     inside = np.full((frames, rows * parts, columns * parts), np.nan)
     inside[:, : small.shape[1], : small.shape[2]] = small.rmse
     inside = np.moveaxis(inside.reshape(frames, rows, parts, columns, parts), 3, 2)
-    good = planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * WINDOW * WINDOW)
-    good &= (planes.tile_heights == WINDOW)[:, None] & (planes.tile_widths == WINDOW)
+    good = planes.fitted & (planes.valid_count >= (1.0 - _MOST_MISSING) * window * window)
+    good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
     good &= planes.rmse > 0.0
     flat = np.zeros(planes.shape, bool)
     local = np.median(inside[good].reshape(-1, parts * parts), axis=1)
@@ -242,14 +280,14 @@ def _non_negative(terms: Float, values: Float, robust: bool = True) -> Float:
 
     weights = 1.0 / values
     for _ in range(10 if robust else 1):
-        solution = np.asarray(nnls(terms * weights[:, None], values * weights)[0])
+        solution = np.asarray(nnls(terms * weights[:, None], values * weights, maxiter=1000)[0])
         error = np.abs(terms @ solution / values - 1.0)
         scale = 2.0 * np.median(error) + 1e-9
         weights = 1.0 / (values * np.sqrt(1.0 + (error / scale) ** 2))
     return solution
 
 
-def _fit_depth(samples: _Samples) -> NoiseModel:
+def _fit_depth(samples: _Samples, known: float | None = None) -> NoiseModel:
     """σq against depth, in bins, beside the lateral error that leaves residuals nearest to the model.
 
     Each bin's σq is that which makes half of its residuals larger than the model's; of three neighbours the middle
@@ -258,8 +296,9 @@ def _fit_depth(samples: _Samples) -> NoiseModel:
     bins = _bins(samples.q, 60)
     q = np.array([np.median(samples.q[chosen]) for chosen in bins])
     seen = samples.rss / samples.count
+    seen = np.maximum(seen, 1e-3 * np.median(seen))
     best = np.inf, 0.0, np.zeros(len(q))
-    for lateral in LATERALS:
+    for lateral in LATERALS if known is None else [known]:
         across = lateral**2 * samples.slope_square
         # Below a tenth of what is seen another cause would be the larger.
         variance = np.array([max(np.median((seen - across)[some]), 0.01 * np.median(seen[some])) for some in bins])
@@ -282,27 +321,53 @@ def _fit_depth(samples: _Samples) -> NoiseModel:
 
 
 def _typical(samples: _Samples, model: NoiseModel) -> float:
-    """Expected mean square residual in units of σq², from the median of the tiles."""
+    """Expected mean square residual in units of σq², lateral error apart, from the median of the tiles."""
     made = model.statistics(samples.count)
-    v = 2.0 / (9.0 * np.maximum(made.freedom, 1.0))
+    v = 2.0 / (9.0 * np.maximum(samples.relative(model)[1], 1.0))
     median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
-    return float(np.median(samples.rss / samples.count / samples.variance(model) / median_over_mean))
+    seen = samples.rss / samples.count / median_over_mean
+    across = model.lateral**2 * samples.slope_square
+    ratio = (seen - across) / model.sigma(samples.q) ** 2
+    return max(float(np.median(ratio)), 0.01)
+
+
+def _typical_tilt(samples: _Samples, model: NoiseModel) -> float:
+    """Variance of slopes in units of that of independent errors, lateral error apart, from the median of the tiles."""
+    across = model.lateral**2 * samples.slope_square
+    ratio = (samples.tilt_square / np.log(2.0) - across) / model.sigma(samples.q) ** 2
+    return max(float(np.median(ratio)), 0.01)
+
+
+def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Float:
+    """Expected variance of slopes about those of the window, if all errors had this correlation."""
+    alone = NoiseModel(correlation=(part,) if part[1] else ())
+    shared = (sizes / window) ** 4 * float(alone.statistics(window**2).tilt)
+    return np.asarray(alone.statistics(sizes**2).tilt - shared)
 
 
 def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     """How the variance is shared out over correlation lengths, from how residuals grow with the tiles."""
     sizes = np.array(list(samples))
-    values = np.array([_typical(some, model) for some in samples.values()])
+    values = [_typical(some, model) for some in samples.values()]
+    small = [size for size, some in samples.items() if size <= some.window // 2]
+    values = np.array([*values, *(_typical_tilt(samples[size], model) for size in small)])
     best = None
     for floor_length in FLOOR_LENGTHS:
         if 2 * floor_length > sizes.max():
             continue
         parts = [(0.0, 0.0), *((1.0, length) for length in (*LENGTHS, floor_length))]
-        terms = np.stack([_per_pixel(part, sizes) for part in parts], axis=1)
+        terms = np.stack(
+            [
+                np.append(_per_pixel(part, sizes), _tilts(part, np.array(small), samples[small[0]].window))
+                for part in parts
+            ],
+            axis=1,
+        )
         shares = _non_negative(terms, values, robust=False)
         error = float(np.sum((terms @ shares / values - 1.0) ** 2))
         if best is None or error < 0.999 * best[0]:
             best = error, floor_length, shares
+    if "RS" in __import__("os").environ: print(small, values.round(2), (terms@best[2]).round(2))
     assert best is not None
     _, floor_length, shares = best
     random = float(shares[:-1].sum())
@@ -314,7 +379,6 @@ def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     return replace(
         model,
         samples=tuple((q, scale * sigma) for q, sigma in model.samples or ()),
-        lateral=scale * model.lateral,
         correlation=tuple(
             (float(share / random), length)
             for share, length in zip(shares[1:-1], LENGTHS, strict=True)
@@ -323,6 +387,13 @@ def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
         floor=float(np.sqrt(shares[-1] / random)),
         floor_length=floor_length,
     )
+
+
+def _fit_scale(samples: _Samples, model: NoiseModel) -> NoiseModel:
+    """Make half of the residuals of tiles larger than the model's."""
+    pixels = np.median(samples.count)
+    scale = np.sqrt(_typical(samples, model) / float(model.statistics(pixels).expected / pixels))
+    return replace(model, samples=tuple((q, scale * s) for q, s in model.samples or ()))
 
 
 def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Float:
@@ -338,14 +409,16 @@ def _fit_spread(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     candidates = np.linspace(0.0, 1.5, 61)
     even = replace(model, spread=0.0)
     spreads = []
-    for size in (8, 12, 16, 24):
+    for size in (8, 12, 24):
         some = samples[size]
-        ratio = some.rss / some.count / some.variance(model)
+        ratio, freedoms = some.relative(even)
         reach = np.quantile(ratio, _TAIL) / np.median(ratio)
-        freedom = 1.0 / (1.0 / float(even.statistics(size * size).freedom) + 0.5 * candidates**2)
+        freedom = 1.0 / (1.0 / np.median(freedoms) + 0.5 * candidates**2)
         reaches = chdtri(freedom, 1.0 - _TAIL) / chdtri(freedom, 0.5)
         spreads.append(float(np.interp(reach, reaches, candidates)))
+    DEBUG.append(spreads)
     return replace(model, spread=float(np.median(spreads)))
+DEBUG=[]
 
 
 def _evidence(
@@ -358,12 +431,12 @@ def _evidence(
 ) -> NoiseEvidence:
     from scipy.special import chdtrc
 
-    size = WINDOW // 3
+    size = WINDOW // 2
     chosen = samples[size]
-    made = model.statistics(chosen.count)
-    ratio = chosen.rss / chosen.variance(model) / made.expected
+    ratio, freedom = chosen.relative(model)
     bins = _bins(chosen.q, 60)
-    seen, expected = chosen.rss / chosen.count, chosen.variance(model) * made.expected / chosen.count
+    seen = chosen.rss / chosen.count
+    expected = seen / ratio
     sizes = np.array(list(samples))
     sums, numbers = np.zeros(tiles[size].shape[1:]), np.zeros(tiles[size].shape[1:])
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
@@ -377,7 +450,7 @@ def _evidence(
         inverse_depth=np.array([np.median(chosen.q[some]) for some in bins]),
         sigma=np.sqrt([np.median(seen[some]) for some in bins]),
         sigma_fit=np.sqrt([np.median(expected[some]) for some in bins]),
-        p_values=chdtrc(made.freedom, ratio * made.freedom),
+        p_values=chdtrc(freedom, ratio * freedom),
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
         flatness=flatness,
         flatness_count=flatness_count,
