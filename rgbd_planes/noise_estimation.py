@@ -1,9 +1,10 @@
 """A sensor's noise from ordinary frames: whatever in them is flat shows it.
 
-The mean square residual of flat tiles, at several sizes, is all that is used. How it changes with depth
-gives σq; how it grows with the size of the tile says how far errors reach: independent errors leave all
-sizes alike, a bias that bends over 50 pixels shows in large tiles only. Both are fitted by non-negative
-least squares; how unequal the tiles are gives the spread.
+Flat tiles of several sizes are all that is used. How their mean square residual changes with depth gives σq, how it
+changes with the slope of the surface the lateral error. How it grows with the size of the tile, and how much more
+the slopes of tiles differ from their surroundings' than independent errors would make them, says how far errors
+reach: independent errors leave all sizes alike, a bias that bends over 50 pixels shows in large tiles only. How
+unequal the tiles are gives the spread.
 """
 
 from collections.abc import Sequence
@@ -30,7 +31,7 @@ Float = npt.NDArray[np.float64]
 WINDOW = 24
 """Side in pixels of the windows that are judged flat or not."""
 SIZES = (6, 8, 12, 24, 48, 96)
-"""Sides of the tiles whose residuals are compared; all but the last divide a window."""
+"""Sides of the tiles that are compared: they divide a window, or are two or four of them."""
 LENGTHS = (1.0, 2.0, 4.0, 8.0)
 """Correlation lengths, in pixels, among which the random error is shared out."""
 FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
@@ -42,9 +43,10 @@ CELL = 8
 _MOST_MISSING = 0.1
 _BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
 _CLUTTERED = 4.0  # and over those of other windows
-_TAIL = 0.95  # quantile at which the spread is matched: near the significance levels that matter
+_TAIL = 0.95  # quantile at which the spread is matched: above are also tiles that are not flat
+_REFERENCE = 12  # side of the tiles that σq and the lateral error are taken from
 _FEWEST_WINDOWS = 16
-_ENOUGH_LARGE = 48
+_ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 _TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
 _LARGE = 60
 
@@ -63,7 +65,7 @@ class NoiseEvidence:
         Median of the root mean square residual of the flat tiles of each size, as a multiple of the model's
         σq, and the same by the model.
     inverse_depth, sigma, sigma_fit : (K,) float64
-        By depth: σq from the tiles of `WINDOW` / 3 pixels there, and the model's.
+        By depth: root mean square residual of the tiles of 12 pixels there, and the model's.
     p_values : (T,) float64
         Of those tiles; uniform if the model is right.
     noise_map : (R, C) float64
@@ -142,15 +144,16 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
             f"found {count} in {len(opened)} frames"
         )
     samples = _all_samples(tiles, flat)
-    large = _flat_windows(tiles[2 * WINDOW], tiles[8]) if 2 * WINDOW in tiles else flat[:, :0, :0]
-    # How far errors reach shows in large windows, if there are enough of them.
+    # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
     reaching = samples
-    if np.count_nonzero(large) >= _ENOUGH_LARGE:
-        reaching = _all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
-    model = _fit_depth(samples[12])
+    if 2 * WINDOW in tiles:
+        large = _flat_windows(tiles[2 * WINDOW], tiles[8])
+        if np.count_nonzero(large) >= _ENOUGH_LARGE:
+            reaching = _all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
+    model = _fit_depth(samples[_REFERENCE])
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
-        model = _fit_scale(samples[12], model)
+        model = _fit_scale(samples[_REFERENCE], model)
     return replace(model, evidence=_evidence(opened, camera, model, samples, tiles, count))
 
 
@@ -164,7 +167,11 @@ def _all_samples(
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Flat tiles of one size: mean of q, its squared slope a pixel, sum of squared residuals, pixels, place."""
+    """Flat tiles of one size.
+
+    Mean of q, squared slope of q a pixel and how the tile's own differs from it, side of the window of which it is,
+    sum of squared residuals, pixels, place.
+    """
 
     q: Float
     slope_square: Float
@@ -176,7 +183,7 @@ class _Samples:
 
     @classmethod
     def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes) -> "_Samples":
-        """The tiles of ``planes`` that lie in flat windows."""
+        """The tiles of ``planes`` that lie in flat windows, and the slopes of ``windows``."""
         _, rows, columns = planes.shape
         size = planes.tile[0]
         if size <= WINDOW:
@@ -216,12 +223,14 @@ class _Samples:
             q[chosen], slope_square, tilt_square, windows.tile[0], rss[chosen], planes.valid_count[chosen], place
         )
 
-    def relative(self, model: NoiseModel) -> tuple[Float, Float]:
-        """Sum of squared residuals over what the model expects, and its degrees of freedom."""
+    def across(self, model: NoiseModel) -> Float:
+        """Variance of q from the lateral error."""
+        return np.asarray(model.lateral**2 * self.slope_square)
+
+    def expected(self, model: NoiseModel) -> tuple[Float, Float]:
+        """The sum of squared residuals that the model expects, and its degrees of freedom."""
         made = model.statistics(self.count)
-        along, across = model.sigma(self.q) ** 2, model.lateral**2 * self.slope_square
-        expected, freedom = made.with_independent(along, across, self.count)
-        return self.rss / expected, freedom
+        return made.with_independent(model.sigma(self.q) ** 2, self.across(model), self.count)
 
 
 def _depth(planes: TilePlanes) -> Float:
@@ -274,21 +283,8 @@ def _mode(values: Float) -> float:
     return float(np.mean(values))
 
 
-def _non_negative(terms: Float, values: Float, robust: bool = True) -> Float:
-    """Non-negative least squares of relative errors; outliers lose their weight."""
-    from scipy.optimize import nnls
-
-    weights = 1.0 / values
-    for _ in range(10 if robust else 1):
-        solution = np.asarray(nnls(terms * weights[:, None], values * weights, maxiter=1000)[0])
-        error = np.abs(terms @ solution / values - 1.0)
-        scale = 2.0 * np.median(error) + 1e-9
-        weights = 1.0 / (values * np.sqrt(1.0 + (error / scale) ** 2))
-    return solution
-
-
-def _fit_depth(samples: _Samples, known: float | None = None) -> NoiseModel:
-    """σq against depth, in bins, beside the lateral error that leaves residuals nearest to the model.
+def _fit_depth(samples: _Samples) -> NoiseModel:
+    """σq against depth, in bins, and the lateral error with which residuals are nearest to the model.
 
     Each bin's σq is that which makes half of its residuals larger than the model's; of three neighbours the middle
     one is taken. Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
@@ -298,10 +294,11 @@ def _fit_depth(samples: _Samples, known: float | None = None) -> NoiseModel:
     seen = samples.rss / samples.count
     seen = np.maximum(seen, 1e-3 * np.median(seen))
     best = np.inf, 0.0, np.zeros(len(q))
-    for lateral in LATERALS if known is None else [known]:
+    for lateral in LATERALS:
         across = lateral**2 * samples.slope_square
-        # Below a tenth of what is seen another cause would be the larger.
-        variance = np.array([max(np.median((seen - across)[some]), 0.01 * np.median(seen[some])) for some in bins])
+        variance = np.array(
+            [max(np.median((seen - across)[some]), 0.01 * np.median(seen[some])) for some in bins]
+        )
         ends = np.concatenate([variance[:1], variance, variance[-1:]])
         variance = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
         error = np.log(seen / (np.interp(samples.q, q, variance) + across))
@@ -322,52 +319,62 @@ def _fit_depth(samples: _Samples, known: float | None = None) -> NoiseModel:
 
 def _typical(samples: _Samples, model: NoiseModel) -> float:
     """Expected mean square residual in units of σq², lateral error apart, from the median of the tiles."""
-    made = model.statistics(samples.count)
-    v = 2.0 / (9.0 * np.maximum(samples.relative(model)[1], 1.0))
+    v = 2.0 / (9.0 * np.maximum(samples.expected(model)[1], 1.0))
     median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
-    seen = samples.rss / samples.count / median_over_mean
-    across = model.lateral**2 * samples.slope_square
-    ratio = (seen - across) / model.sigma(samples.q) ** 2
-    return max(float(np.median(ratio)), 0.01)
+    return _along(samples, model, samples.rss / samples.count / median_over_mean)
 
 
 def _typical_tilt(samples: _Samples, model: NoiseModel) -> float:
-    """Variance of slopes in units of that of independent errors, lateral error apart, from the median of the tiles."""
-    across = model.lateral**2 * samples.slope_square
-    ratio = (samples.tilt_square / np.log(2.0) - across) / model.sigma(samples.q) ** 2
-    return max(float(np.median(ratio)), 0.01)
+    """Variance of slopes, as a multiple of that of independent errors of variance σq², in the same way."""
+    return _along(samples, model, samples.tilt_square / np.log(2.0))
+
+
+def _along(samples: _Samples, model: NoiseModel, seen: Float) -> float:
+    """Median of what is seen in units of σq², the part of the lateral error taken off."""
+    return max(float(np.median((seen - samples.across(model)) / model.sigma(samples.q) ** 2)), 0.01)
+
+
+def _alone(part: tuple[float, float]) -> NoiseModel:
+    """Noise of this share and length alone; length 0 is independent."""
+    return NoiseModel(correlation=(part,) if part[1] else ())
+
+
+def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Float:
+    """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
+    return np.asarray(_alone(part).statistics(sizes**2).expected / sizes**2)
 
 
 def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Float:
-    """Expected variance of slopes about those of the window, if all errors had this correlation."""
-    alone = NoiseModel(correlation=(part,) if part[1] else ())
-    shared = (sizes / window) ** 4 * float(alone.statistics(window**2).tilt)
-    return np.asarray(alone.statistics(sizes**2).tilt - shared)
+    """Expected variance of slopes about those of the window that the tiles are part of."""
+    shared = (sizes / window) ** 4 * float(_alone(part).statistics(window**2).tilt)
+    return np.asarray(_alone(part).statistics(sizes**2).tilt - shared)
 
 
 def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
-    """How the variance is shared out over correlation lengths, from how residuals grow with the tiles."""
+    """How the variance is shared out over correlation lengths, from how residuals and slopes change with size.
+
+    By least squares of relative errors, no share below 0.
+    """
+    from scipy.optimize import nnls
+
     sizes = np.array(list(samples))
-    values = [_typical(some, model) for some in samples.values()]
-    small = [size for size, some in samples.items() if size <= some.window // 2]
-    values = np.array([*values, *(_typical_tilt(samples[size], model) for size in small)])
+    window = samples[_REFERENCE].window
+    small = sizes[sizes <= window // 2]
+    values = np.array(
+        [_typical(some, model) for some in samples.values()]
+        + [_typical_tilt(samples[size], model) for size in small]
+    )
     best = None
     for floor_length in FLOOR_LENGTHS:
-        if 2 * floor_length > sizes.max():
+        if 2 * floor_length > sizes.max() and best is not None:
             continue
         parts = [(0.0, 0.0), *((1.0, length) for length in (*LENGTHS, floor_length))]
-        terms = np.stack(
-            [
-                np.append(_per_pixel(part, sizes), _tilts(part, np.array(small), samples[small[0]].window))
-                for part in parts
-            ],
-            axis=1,
-        )
-        shares = _non_negative(terms, values, robust=False)
-        error = float(np.sum((terms @ shares / values - 1.0) ** 2))
+        terms = [np.append(_per_pixel(part, sizes), _tilts(part, small, window)) for part in parts]
+        relative = np.stack(terms, axis=1) / values[:, None]
+        shares = np.asarray(nnls(relative, np.ones(len(values)), maxiter=1000)[0])
+        error = float(np.sum((relative @ shares - 1.0) ** 2))
         if best is None or error < 0.999 * best[0]:
             best = error, floor_length, shares
-    if "RS" in __import__("os").environ: print(small, values.round(2), (terms@best[2]).round(2))
     assert best is not None
     _, floor_length, shares = best
     random = float(shares[:-1].sum())
@@ -396,12 +403,6 @@ def _fit_scale(samples: _Samples, model: NoiseModel) -> NoiseModel:
     return replace(model, samples=tuple((q, scale * s) for q, s in model.samples or ()))
 
 
-def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Float:
-    """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
-    alone = NoiseModel(correlation=(part,) if part[1] else ())
-    return np.asarray(alone.statistics(sizes**2).expected / sizes**2)
-
-
 def _fit_spread(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     """The spread with which residuals reach as far above their median as those of the tiles do."""
     from scipy.special import chdtri
@@ -411,14 +412,13 @@ def _fit_spread(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     spreads = []
     for size in (8, 12, 24):
         some = samples[size]
-        ratio, freedoms = some.relative(even)
+        expected, freedoms = some.expected(even)
+        ratio = some.rss / expected
         reach = np.quantile(ratio, _TAIL) / np.median(ratio)
         freedom = 1.0 / (1.0 / np.median(freedoms) + 0.5 * candidates**2)
         reaches = chdtri(freedom, 1.0 - _TAIL) / chdtri(freedom, 0.5)
         spreads.append(float(np.interp(reach, reaches, candidates)))
-    DEBUG.append(spreads)
     return replace(model, spread=float(np.median(spreads)))
-DEBUG=[]
 
 
 def _evidence(
@@ -431,12 +431,11 @@ def _evidence(
 ) -> NoiseEvidence:
     from scipy.special import chdtrc
 
-    size = WINDOW // 2
+    size = _REFERENCE
     chosen = samples[size]
-    ratio, freedom = chosen.relative(model)
+    expected, freedom = chosen.expected(model)
+    ratio = chosen.rss / expected
     bins = _bins(chosen.q, 60)
-    seen = chosen.rss / chosen.count
-    expected = seen / ratio
     sizes = np.array(list(samples))
     sums, numbers = np.zeros(tiles[size].shape[1:]), np.zeros(tiles[size].shape[1:])
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
@@ -448,8 +447,8 @@ def _evidence(
         residuals=np.sqrt([_typical(some, model) for some in samples.values()]),
         expected=np.sqrt(model.statistics(sizes**2).expected) / sizes,
         inverse_depth=np.array([np.median(chosen.q[some]) for some in bins]),
-        sigma=np.sqrt([np.median(seen[some]) for some in bins]),
-        sigma_fit=np.sqrt([np.median(expected[some]) for some in bins]),
+        sigma=np.sqrt([np.median((chosen.rss / chosen.count)[some]) for some in bins]),
+        sigma_fit=np.sqrt([np.median((expected / chosen.count)[some]) for some in bins]),
         p_values=chdtrc(freedom, ratio * freedom),
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
         flatness=flatness,
