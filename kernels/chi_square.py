@@ -83,7 +83,9 @@ def tails(work, count):
         w = (mantissa[i] - 1.0) / (mantissa[i] + 1.0)
         square = w * w
         # ln of the mantissa is 2·artanh w
-        series = 1.0 / 9.0 + square * (1.0 / 11.0 + square * (1.0 / 13.0 + square * (1.0 / 15.0 + square / 17.0)))
+        series = 1.0 / 9.0 + square * (
+            1.0 / 11.0 + square * (1.0 / 13.0 + square * (1.0 / 15.0 + square / 17.0))
+        )
         series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square * series)))
         x = min(max(ratio[i], 1e-18), 1e6)
         half_square = x - 1.0 - (eta[i] * LN_2 + 2.0 * w * (1.0 + series))

@@ -15,15 +15,16 @@ from ._jit import kernel
 # Tiles of a block, and the rows of its room: the moments and reference points, what all kernels need of them, and
 # from OWN what each has of its own.
 BLOCK = 64
-W_0, MEAN_Q, ALONG, ACROSS = 12, 13, 14, 15
+W_0, MEAN_Q, SHARED, INDEPENDENT = 12, 13, 14, 15
 OWN = 16
 TAILS = OWN + 5
 ROWS = TAILS + 16
-# What ``noise`` holds: variances across the ray in tanθx and tanθy, which times the squared slopes of q are noise, too;
-# half the squared spread of the variance from place to place; then, from SCALE, a scale and the variance of q along
-# the ray at √q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
-LATERAL_X, LATERAL_Y, HALF_SPREAD, SCALE = 0, 1, 2, 3
-VARIANCES = np.uintp(4)
+# What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
+# tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. Half the squared spread
+# of the variance from place to place. Then a scale and the variance of q of the other errors, at √q = 0, 1/scale,
+# 2/scale, ..., linear in between and beyond, or a single one for all q.
+LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, HALF_SPREAD, SCALE = 0, 1, 2, 3, 4, 5
+VARIANCES = np.uintp(6)
 ONE = np.uintp(1)
 
 
@@ -38,13 +39,13 @@ def load(rows, target, first, count, room):
 
 @kernel(inline=True)
 def pixel_variance(alpha, in_range_space, noise, first, count, room):
-    """Mean inverse depth of a block of tiles, and the variance of their pixels along the ray and from across it."""
+    """Mean inverse depth of a block of tiles; the variance of its pixels' errors, and of those that are independent."""
     for i in range(count):
         w = room[W_0, i] + room[3, i] / room[0, i]
         room[MEAN_Q, i] = w if in_range_space else 1.0 / w
     if noise.shape[0] == VARIANCES + ONE:
         for i in range(count):
-            room[ALONG, i] = noise[VARIANCES]
+            room[SHARED, i] = noise[VARIANCES]
     else:
         scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
         for i in range(count):
@@ -66,22 +67,25 @@ def pixel_variance(alpha, in_range_space, noise, first, count, room):
             w = room[W_0, i] + mean_w
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
             spread = (room[9, i] * share - mean_w * mean_w) / (w * w)
-            room[ALONG, i] = variance + 0.5 * power * (power / variance - 1.0) * spread
+            room[SHARED, i] = variance + 0.5 * power * (power / variance - 1.0) * spread
     slopes, x, y = alpha[first : first + count], noise[LATERAL_X], noise[LATERAL_Y]
-    if x > 0.0:
+    depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
+    if x > 0.0 or depth > 0.0:
         for i in range(count):
-            room[ACROSS, i] = x * slopes[i, 0] * slopes[i, 0] + y * slopes[i, 1] * slopes[i, 1]
+            square = room[MEAN_Q, i] * room[MEAN_Q, i]
+            lateral = x * slopes[i, 0] * slopes[i, 0] + y * slopes[i, 1] * slopes[i, 1]
+            room[INDEPENDENT, i] = lateral + depth * square * square + disparity
     else:
         for i in range(count):
-            room[ACROSS, i] = 0.0
+            room[INDEPENDENT, i] = disparity
 
 
 @kernel(inline=True)
 def residual_ratio(planes, rmse_metric, counts, half_spread, tables, first, count, room, target):
     """Sum of squared residuals over its expected value, and 1 over the degrees of freedom, into two rows of the room.
 
-    Errors across the ray are independent from pixel to pixel. With the covariance C of the others and the projection P
-    on residuals, half the variance of the sum is tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
+    With the covariance C of the errors that neighbours share, the variance a of those that are independent, and the
+    projection P on residuals, half the variance of the sum is tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
 
     Parameters
     ----------
@@ -96,11 +100,12 @@ def residual_ratio(planes, rmse_metric, counts, half_spread, tables, first, coun
     plane, error = planes[first : first + count], rmse_metric[first : first + count]
     for i in range(count):
         n = room[0, i]
-        along, across = room[ALONG, i], room[ACROSS, i]
-        independent = across * max(n - 3.0, 0.0)
-        of_along = along * room[target, i]
-        expected = max(of_along + independent, 1e-150)
-        half_variance = along * along * room[target + 1, i] + across * (2.0 * of_along + independent)
+        shared, independent = room[SHARED, i], room[INDEPENDENT, i]
+        of_shared, of_independent = shared * room[target, i], independent * max(n - 3.0, 0.0)
+        expected = max(of_shared + of_independent, 1e-150)
+        half_variance = shared * shared * room[target + 1, i] + independent * (
+            2.0 * of_shared + of_independent
+        )
         # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly.
         rmse = error[i] * room[MEAN_Q, i] / plane[i, 3]
         share = 1.0 / expected
@@ -271,14 +276,14 @@ def covariances(count, room):
         c_uu, c_uv, c_vv = room[OWN + 2, i], room[OWN + 3, i], room[OWN + 4, i]
         x, y, z, d = room[3, i], room[4, i], room[5, i], room[6, i]
         nothing = 0.0 * d  # NaN where there is no plane
-        along, across = room[ALONG, i], room[ACROSS, i] + nothing
-        scale = (along * room[1, i] + across) / (c_uu * c_vv - c_uv * c_uv)
+        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
+        scale = (shared * room[1, i] + independent) / (c_uu * c_vv - c_uv * c_uv)
         aa = scale * c_vv
         ab = -scale * c_uv
         bb = scale * c_uu
         ac = -(aa * mean_u + ab * mean_v)
         bc = -(ab * mean_u + bb * mean_v)
-        cc = (along * room[2, i] + across) / room[0, i] - (ac * mean_u + bc * mean_v)
+        cc = (shared * room[2, i] + independent) / room[0, i] - (ac * mean_u + bc * mean_v)
         room[ALPHA, i] = aa
         room[ALPHA + 1, i] = ab
         room[ALPHA + 2, i] = ac

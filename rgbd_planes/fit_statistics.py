@@ -73,7 +73,7 @@ class FitStatistics:
         """Return one matrix a tile: S + (side, side). Its entries are apart in memory: each is a row."""
         if first not in self._shown:
             rows = self._read_only[:, first : first + side * side]
-            matrix = rows.reshape(self._frames + (side, side) + self._cells)
+            matrix = rows.reshape((*self._frames, side, side, *self._cells))
             n = len(self._frames)
             self._shown[first] = matrix.transpose(*range(n), *range(n + 2, matrix.ndim), n, n + 1)
         return self._shown[first]
@@ -91,8 +91,9 @@ def _of_camera(camera: Camera) -> Float:
     """The camera's noise, as `kernels.statistics` takes it."""
     noise = camera.noise
     assert noise is not None
-    x, y = noise.lateral / camera.fx, noise.lateral / camera.fy
-    return np.concatenate([[x * x, y * y, 0.5 * noise.spread**2], noise._variances])
+    lateral = np.array([noise.lateral / camera.fx, noise.lateral / camera.fy]) ** 2
+    rounding = np.array([noise.step, noise.disparity_step]) ** 2 / 12.0
+    return np.concatenate([lateral, rounding, [0.5 * noise.spread**2], noise._variances])
 
 
 class _Tables:

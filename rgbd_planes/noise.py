@@ -116,6 +116,10 @@ class NoiseModel:
             1/m.
         """
         q = np.asarray(inverse_depth, np.float64)
+        return np.asarray(np.sqrt(self._along(q) ** 2 + self._rounding(q)))
+
+    def _along(self, q: Floats) -> Floats:
+        """Standard deviation of q before rounding."""
         if self.formula is not None:
             sigma = np.broadcast_to(np.asarray(self.formula(q), np.float64), q.shape)
         elif self.samples is not None:
@@ -123,10 +127,11 @@ class NoiseModel:
         else:
             c0, c1, c2 = (*self.coefficients, 0.0, 0.0)[:3]
             sigma = (c2 * q + c1) * q + c0 if len(self.coefficients) > 1 else np.full(q.shape, c0)
-        if self.step or self.disparity_step:
-            rounding = (self.step * q * q) ** 2 + self.disparity_step**2
-            sigma = np.sqrt(sigma * sigma + rounding / 12.0)
         return np.asarray(sigma)
+
+    def _rounding(self, q: Floats) -> Floats:
+        """Variance of q from rounding, which is independent from pixel to pixel."""
+        return np.asarray(((self.step * q * q) ** 2 + self.disparity_step**2) / 12.0)
 
     def sigma_depth(self, depth: ArrayLike) -> Floats:
         """Standard deviation of one pixel's depth in metres at depths in metres: σZ = σq·Z²."""
@@ -135,12 +140,12 @@ class NoiseModel:
 
     @functools.cached_property
     def _variances(self) -> Floats:
-        """σq² as `kernels.statistics.pixel_variance` takes it."""
-        if self.formula is None and self.samples is None and len(self.coefficients) == 1 and not self.step:
-            return np.array([1.0, float(self.sigma(1.0)) ** 2])
+        """σq² before rounding as `kernels.statistics.pixel_variance` takes it."""
+        if self.formula is None and self.samples is None and len(self.coefficients) == 1:
+            return np.array([1.0, self.coefficients[0] ** 2])
         scale = _ENTRIES / math.sqrt(_LARGEST)
         roots = np.maximum(np.arange(_ENTRIES + 1), 0.5) / scale  # no function need be defined at 0
-        return np.concatenate([[scale], self.sigma(roots**2) ** 2])
+        return np.concatenate([[scale], self._along(roots**2) ** 2])
 
     @property
     def is_independent(self) -> bool:
@@ -240,17 +245,19 @@ class ResidualStatistics:
     offset: Floats
     spread: float = 0.0
 
-    def with_independent(self, along: Floats, across: Floats, count: NDArray[Any]) -> tuple[Floats, Floats]:
+    def with_independent(
+        self, along: Floats, independent: Floats, count: NDArray[Any]
+    ) -> tuple[Floats, Floats]:
         """Expected sum of squared residuals and degrees of freedom, with an independent part of the variance.
 
-        ``along`` is this model's σq², ``across`` the independent variance; ``count`` the pixels, three or more.
+        ``along`` is this model's σq², ``independent`` the other; ``count`` the pixels, three or more.
         """
-        independent = np.maximum(count - 3.0, 1e-9)
-        expected = along * self.expected + across * independent
-        # Half the variance of a quadratic form is tr((PC)²), C = C₁ + across·I.
+        number = np.maximum(count - 3.0, 1e-9)
+        expected = along * self.expected + independent * number
+        # Half the variance of a quadratic form is tr((PC)²), C = C₁ + independent·I.
         inverse = np.maximum(1.0 / self.freedom - 0.5 * self.spread**2, 0.0)
         half = (along * self.expected) ** 2 * inverse
-        half = half + across * (2.0 * along * self.expected + across * independent)
+        half = half + independent * (2.0 * along * self.expected + independent * number)
         return expected, 1.0 / (half / expected**2 + 0.5 * self.spread**2)
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.merging import merge
-from rgbd_planes.noise import NoiseModel, table
+from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
@@ -150,7 +150,8 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         large = _flat_windows(tiles[2 * WINDOW], tiles[8])
         if np.count_nonzero(large) >= _ENOUGH_LARGE:
             reaching = _all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
-    model = _fit_depth(samples[_REFERENCE])
+    exact = np.asarray(opened[0]).dtype.kind == "f"
+    model = _fit_depth(samples[_REFERENCE], NoiseModel() if exact else quantised(NoiseModel(), camera))
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[_REFERENCE], model)
@@ -212,7 +213,7 @@ class _Samples:
         pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
         slope_square = np.sum((of_window[:, :2] * pitch) ** 2, axis=1)
         # Independent errors of variance 1 make it 1 on average, but for what the window shares.
-        n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = np.moveaxis(planes._moments, 1, 0)[:, *place]
+        n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = np.moveaxis(planes._moments, 1, 0)[(slice(None), *place)]
         tilt_x, tilt_y = (alpha - of_window)[:, :2].T
         tilt_square = 0.5 * (
             (s_uu - s_u * s_u / n) * tilt_x**2
@@ -220,17 +221,23 @@ class _Samples:
             + (s_vv - s_v * s_v / n) * tilt_y**2
         )
         return cls(
-            q[chosen], slope_square, tilt_square, windows.tile[0], rss[chosen], planes.valid_count[chosen], place
+            q[chosen],
+            slope_square,
+            tilt_square,
+            windows.tile[0],
+            rss[chosen],
+            planes.valid_count[chosen],
+            place,
         )
 
-    def across(self, model: NoiseModel) -> Float:
-        """Variance of q from the lateral error."""
-        return np.asarray(model.lateral**2 * self.slope_square)
+    def independent(self, model: NoiseModel) -> Float:
+        """Variance of q from the lateral error and from rounding."""
+        return np.asarray(model.lateral**2 * self.slope_square + model._rounding(self.q))
 
     def expected(self, model: NoiseModel) -> tuple[Float, Float]:
         """The sum of squared residuals that the model expects, and its degrees of freedom."""
         made = model.statistics(self.count)
-        return made.with_independent(model.sigma(self.q) ** 2, self.across(model), self.count)
+        return made.with_independent(model._along(self.q) ** 2, self.independent(model), self.count)
 
 
 def _depth(planes: TilePlanes) -> Float:
@@ -283,8 +290,10 @@ def _mode(values: Float) -> float:
     return float(np.mean(values))
 
 
-def _fit_depth(samples: _Samples) -> NoiseModel:
+def _fit_depth(samples: _Samples, rounding: NoiseModel) -> NoiseModel:
     """σq against depth, in bins, and the lateral error with which residuals are nearest to the model.
+
+    That of ``rounding`` is known.
 
     Each bin's σq is that which makes half of its residuals larger than the model's; of three neighbours the middle
     one is taken. Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
@@ -295,13 +304,13 @@ def _fit_depth(samples: _Samples) -> NoiseModel:
     seen = np.maximum(seen, 1e-3 * np.median(seen))
     best = np.inf, 0.0, np.zeros(len(q))
     for lateral in LATERALS:
-        across = lateral**2 * samples.slope_square
+        known = samples.independent(replace(rounding, lateral=lateral))
         variance = np.array(
-            [max(np.median((seen - across)[some]), 0.01 * np.median(seen[some])) for some in bins]
+            [max(np.median((seen - known)[some]), 0.01 * np.median(seen[some])) for some in bins]
         )
         ends = np.concatenate([variance[:1], variance, variance[-1:]])
         variance = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
-        error = np.log(seen / (np.interp(samples.q, q, variance) + across))
+        error = np.log(seen / (np.interp(samples.q, q, variance) + known))
         distance = float(np.mean(np.abs(error - np.median(error))))
         if distance < 0.999 * best[0]:
             best = distance, lateral, variance
@@ -314,24 +323,24 @@ def _fit_depth(samples: _Samples) -> NoiseModel:
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),
         np.concatenate([sigma[0] * farther**power, sigma, sigma[-1] * nearer**power]),
     )
-    return replace(along, lateral=lateral)
+    return replace(along, lateral=lateral, step=rounding.step, disparity_step=rounding.disparity_step)
 
 
-def _typical(samples: _Samples, model: NoiseModel) -> float:
-    """Expected mean square residual in units of σq², lateral error apart, from the median of the tiles."""
+def _typical(samples: _Samples, model: NoiseModel) -> tuple[float, float]:
+    """Mean square residual in units of σq², from the median of the tiles: without independent parts, and all."""
     v = 2.0 / (9.0 * np.maximum(samples.expected(model)[1], 1.0))
     median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
-    return _along(samples, model, samples.rss / samples.count / median_over_mean)
+    return _middle(samples, model, samples.rss / samples.count / median_over_mean)
 
 
-def _typical_tilt(samples: _Samples, model: NoiseModel) -> float:
+def _typical_tilt(samples: _Samples, model: NoiseModel) -> tuple[float, float]:
     """Variance of slopes, as a multiple of that of independent errors of variance σq², in the same way."""
-    return _along(samples, model, samples.tilt_square / np.log(2.0))
+    return _middle(samples, model, samples.tilt_square / np.log(2.0))
 
 
-def _along(samples: _Samples, model: NoiseModel, seen: Float) -> float:
-    """Median of what is seen in units of σq², the part of the lateral error taken off."""
-    return max(float(np.median((seen - samples.across(model)) / model.sigma(samples.q) ** 2)), 0.01)
+def _middle(samples: _Samples, model: NoiseModel, seen: Float) -> tuple[float, float]:
+    square = model._along(samples.q) ** 2
+    return float(np.median((seen - samples.independent(model)) / square)), float(np.median(seen / square))
 
 
 def _alone(part: tuple[float, float]) -> NoiseModel:
@@ -353,30 +362,29 @@ def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int)
 def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
     """How the variance is shared out over correlation lengths, from how residuals and slopes change with size.
 
-    By least squares of relative errors, no share below 0.
+    By least squares of errors relative to what is seen, no share below 0.
     """
     from scipy.optimize import nnls
 
     sizes = np.array(list(samples))
     window = samples[_REFERENCE].window
     small = sizes[sizes <= window // 2]
-    values = np.array(
-        [_typical(some, model) for some in samples.values()]
-        + [_typical_tilt(samples[size], model) for size in small]
-    )
+    typical = [_typical(some, model) for some in samples.values()]
+    values, seen = np.array([*typical, *(_typical_tilt(samples[size], model) for size in small)]).T
     best = None
     for floor_length in FLOOR_LENGTHS:
         if 2 * floor_length > sizes.max() and best is not None:
             continue
         parts = [(0.0, 0.0), *((1.0, length) for length in (*LENGTHS, floor_length))]
         terms = [np.append(_per_pixel(part, sizes), _tilts(part, small, window)) for part in parts]
-        relative = np.stack(terms, axis=1) / values[:, None]
-        shares = np.asarray(nnls(relative, np.ones(len(values)), maxiter=1000)[0])
-        error = float(np.sum((relative @ shares - 1.0) ** 2))
+        relative = np.stack(terms, axis=1) / seen[:, None]
+        shares = np.asarray(nnls(relative, values / seen, maxiter=1000)[0])
+        error = float(np.sum((relative @ shares - values / seen) ** 2))
         if best is None or error < 0.999 * best[0]:
             best = error, floor_length, shares
     assert best is not None
     _, floor_length, shares = best
+    shares[0] += 1e-9  # where all is lateral error and rounding
     random = float(shares[:-1].sum())
     if random < 0.02 * shares.sum():  # all of it smooth: keep the model one of random errors
         shares[0] += 0.02 * shares.sum()
@@ -399,7 +407,8 @@ def _fit_reach(samples: dict[int, _Samples], model: NoiseModel) -> NoiseModel:
 def _fit_scale(samples: _Samples, model: NoiseModel) -> NoiseModel:
     """Make half of the residuals of tiles larger than the model's."""
     pixels = np.median(samples.count)
-    scale = np.sqrt(_typical(samples, model) / float(model.statistics(pixels).expected / pixels))
+    typical = max(_typical(samples, model)[0], 0.01)
+    scale = np.sqrt(typical * pixels / float(model.statistics(pixels).expected))
     return replace(model, samples=tuple((q, scale * s) for q, s in model.samples or ()))
 
 
@@ -444,7 +453,7 @@ def _evidence(
     return NoiseEvidence(
         windows=windows,
         sizes=sizes,
-        residuals=np.sqrt([_typical(some, model) for some in samples.values()]),
+        residuals=np.sqrt([max(_typical(some, model)[0], 0.0) for some in samples.values()]),
         expected=np.sqrt(model.statistics(sizes**2).expected) / sizes,
         inverse_depth=np.array([np.median(chosen.q[some]) for some in bins]),
         sigma=np.sqrt([np.median((chosen.rss / chosen.count)[some]) for some in bins]),

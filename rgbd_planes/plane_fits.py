@@ -117,11 +117,11 @@ class PlaneFits:
     @property
     def _statistics(self) -> "FitStatistics":
         """What the camera's noise says of these planes, computed when first asked for."""
-        made: FitStatistics | None = self.__dict__.get("_made")
-        if made is None:
+        if "_made" not in self.__dict__:
             from rgbd_planes.fit_statistics import FitStatistics
 
-            made = self.__dict__["_made"] = FitStatistics(self)
+            self.__dict__["_made"] = FitStatistics(self)
+        made: FitStatistics = self.__dict__["_made"]
         if not made.is_current:
             made.compute()
         return made
