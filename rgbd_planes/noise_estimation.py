@@ -205,15 +205,16 @@ class _Samples:
         q = 1.0 / _depth(planes)
         rss = planes.valid_count * planes.rmse**2
         # Slopes of small tiles are noise themselves, and larger where the residual is: those of windows are taken.
-        place = np.nonzero(chosen)
+        place = frame, row, column = np.nonzero(chosen)
         alpha = planes.alpha[place]
         of_window = alpha
         if size < windows.tile[0]:
-            of_window = windows.alpha[place[0], *(index * size // windows.tile[0] for index in place[1:])]
+            side = windows.tile[0]
+            of_window = windows.alpha[frame, row * size // side, column * size // side]
         pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
         slope_square = np.sum((of_window[:, :2] * pitch) ** 2, axis=1)
         # Independent errors of variance 1 make it 1 on average, but for what the window shares.
-        n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = np.moveaxis(planes._moments, 1, 0)[(slice(None), *place)]
+        n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = planes._moments[frame, :, row, column].T
         tilt_x, tilt_y = (alpha - of_window)[:, :2].T
         tilt_square = 0.5 * (
             (s_uu - s_u * s_u / n) * tilt_x**2

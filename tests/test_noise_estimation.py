@@ -39,7 +39,9 @@ def frames(model, rng, views=VIEWS):
         )
         for share, length in model.correlation:
             error += np.sqrt(share) * smooth(rng, length)
+        slope = np.hypot(*np.gradient(1.0 / depth))
         q = 1.0 / depth + error * model.sigma(1.0 / depth)
+        q += model.lateral * np.minimum(slope, 0.02) * rng.standard_normal(depth.shape)
         raw = np.rint(CAMERA.depth_scale / q)
         raw[rng.random(raw.shape) < 0.02] = 0
         yield raw.astype(np.uint16)
@@ -52,14 +54,16 @@ def frames(model, rng, views=VIEWS):
         rp.noise.axial(0.002, 0.001),
         rp.noise.NoiseModel((2e-3,), correlation=((0.6, 2.0),)),
         rp.noise.NoiseModel((2e-3,), correlation=((0.3, 1.0),), floor=0.7, floor_length=24.0),
+        rp.noise.NoiseModel((1e-3,), correlation=((0.5, 2.0),), lateral=0.8),
     ],
-    ids=["constant", "time of flight", "correlated", "with a floor"],
+    ids=["constant", "time of flight", "correlated", "with a floor", "lateral"],
 )
 def test_finds_the_noise_again(truth, rng):
     model = rp.estimate_noise(list(frames(truth, rng)), CAMERA)
     q = 1.0 / np.linspace(1.5, 3.2, 8)
     total = np.hypot(1.0, model.floor) * model.sigma(q)
     np.testing.assert_allclose(total, np.hypot(1.0, truth.floor) * truth.sigma(q), rtol=0.15)
+    assert model.lateral == pytest.approx(truth.lateral, abs=0.3 if truth.lateral else 0.35)
     # What it does to tiles of every size: their residuals and the errors of their planes.
     sizes = np.array([6, 8, 16, 32, 64]) ** 2
     made, wanted = model.statistics(sizes), truth.statistics(sizes)

@@ -5,9 +5,10 @@ from dataclasses import replace
 import monte_carlo
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 import rgbd_planes as rp
+from rgbd_planes.kernels import chi_square
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5, floor_length=20.0)
@@ -109,6 +110,65 @@ def test_correlated_noise_is_worked_out_exactly(side):
     np.testing.assert_allclose(made.offset, alpha[2, 2] / independent[2, 2], rtol=1e-9)
     spread = replace(CORRELATED, spread=0.4).statistics(side * side)
     np.testing.assert_allclose(spread.freedom, 2.0 * expected**2 / (variance + (0.4 * expected) ** 2))
+
+
+def test_independent_errors_beside_correlated_ones():
+    """Expected sum and degrees of freedom of both together, against the covariance matrix of all pixels."""
+    side = 9
+    y, x = np.mgrid[:side, :side].reshape(2, -1)
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    rays = np.stack([x, y, np.ones(side * side)], axis=1)
+    residual = np.eye(side * side) - rays @ np.linalg.pinv(rays)
+    both = 1.7 * np.exp(-0.5 * squared / 3.0**2) + 0.4 * np.eye(side * side)
+    expected = np.trace(residual @ both)
+    freedom = expected**2 / np.trace(residual @ both @ residual @ both)
+    for spread in (0.0, 0.3):
+        model = rp.noise.NoiseModel(correlation=((1.0, 3.0),), spread=spread)
+        made = model.statistics(np.array([side * side])).with_independent(1.7, 0.4, np.array([side * side]))
+        np.testing.assert_allclose(made[0], expected, rtol=1e-9)
+        np.testing.assert_allclose(made[1], 1.0 / (1.0 / freedom + 0.5 * spread**2), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "error"), [(1.0, 2.0, 4e-4), (2.0, 4.0, 5e-5), (4.0, 10.0, 7e-6), (10.0, 1e6, 3e-6)]
+)
+def test_tail_of_chi_square(low, high, error, rng):
+    """As accurate as documented for any degrees of freedom, wherever p is above 1e-12."""
+    freedom = np.exp(rng.uniform(np.log(low), np.log(high), 20000))
+    p = np.where(rng.random(freedom.shape) < 0.5, 10.0 ** rng.uniform(-12.0, 0.0, freedom.shape), rng.random())
+    ratio = special.chdtri(freedom, p) / freedom
+    work = np.empty((chi_square.WORK, len(freedom)))
+    work[0], work[1] = ratio, 1.0 / freedom
+    chi_square.tails(work, len(freedom))
+    np.testing.assert_allclose(work[0], special.chdtrc(freedom, ratio * freedom), rtol=error)
+
+
+def test_ends_of_the_tail():
+    """No residual, one that is beyond all bounds, and none that is a number."""
+    work = np.empty((chi_square.WORK, 4))
+    work[0], work[1] = [0.0, 1e12, np.nan, 1e3], 1.0 / 100.0
+    chi_square.tails(work, 4)
+    np.testing.assert_allclose(work[0], [1.0, 0.0, np.nan, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), CORRELATED, rp.noise.time_of_flight(0.001, 0.002)])
+def test_lateral_error(noise, rng):
+    """Errors of half a pixel across the ray, on a steep plane: uniform p-values, and covariances that hold."""
+    tile, runs = 16, 3000
+    camera = monte_carlo.tile_camera(tile, replace(noise, correlation=(), floor=0.0, lateral=0.5))
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 60.0)
+    slope = np.hypot(alpha[0] / camera.fx, alpha[1] / camera.fy)
+    along = noise.sigma(alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    assert slope > along.mean()
+    error = rng.standard_normal((runs, tile, tile)) * np.hypot(along, 0.5 * slope)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    stack = monte_carlo.fit(camera, frames)
+    assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)
+    assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.006)
+    assert stats.kstest(stack.p_value.ravel(), "uniform").pvalue > 1e-4
+    without = monte_carlo.fit(replace(camera, noise=noise), frames)
+    if not noise.floor:
+        assert np.mean(without.p_value < 0.01) > 0.2
 
 
 def test_correlated_noise_between_whole_sides():
