@@ -103,13 +103,13 @@ def test_frames_without_anything_flat(rng):
     noise = rng.random((2, *CAMERA.shape)) + 0.5
     depth = ndimage.gaussian_filter(noise, (0, 12, 12)) * 20.0 - 17.0
     with pytest.raises(
-        ValueError, match=r"at least 16 flat windows of 48 x 48 pixels, found \d+ in 2 frames"
+        ValueError, match=r"at least 16 flat windows of 24 x 24 pixels, found \d+ in 2 frames"
     ):
-        rp.estimate_noise(depth[:, :96, :96], replace(CAMERA, width=96, height=96))
+        rp.estimate_noise(depth[:, :64, :64], replace(CAMERA, width=64, height=64))
     with pytest.raises(ValueError, match="at least one frame, got none"):
         rp.estimate_noise([], CAMERA)
-    with pytest.raises(ValueError, match="at least 48 x 48 pixels, got 32 x 40"):
-        rp.estimate_noise([np.ones((32, 40))], replace(CAMERA, width=40, height=32))
+    with pytest.raises(ValueError, match="at least 24 x 24 pixels, got 20 x 22"):
+        rp.estimate_noise([np.ones((20, 22))], replace(CAMERA, width=22, height=20))
 
 
 def test_one_frame_and_a_stack_are_taken(rng):
