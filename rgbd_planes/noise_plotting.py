@@ -66,7 +66,8 @@ def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
     axes.set_xscale("log", base=2)
     axes.set_xticks(evidence.sizes, [str(size) for size in evidence.sizes])
     axes.set_ylim(0.0, 1.25 * max(evidence.residuals.max(), evidence.expected.max()))
-    _finish(axes, "How far errors reach", "side of the tile, pixels", "rms residual / σq")
+    title = "How far errors reach (rounding and lateral error apart)"
+    _finish(axes, title, "side of the tile, pixels", "rms residual / σq")
 
 
 def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:

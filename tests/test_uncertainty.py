@@ -135,7 +135,9 @@ def test_independent_errors_beside_correlated_ones():
 def test_tail_of_chi_square(low, high, error, rng):
     """As accurate as documented for any degrees of freedom, wherever p is above 1e-12."""
     freedom = np.exp(rng.uniform(np.log(low), np.log(high), 20000))
-    p = np.where(rng.random(freedom.shape) < 0.5, 10.0 ** rng.uniform(-12.0, 0.0, freedom.shape), rng.random())
+    p = np.where(
+        rng.random(freedom.shape) < 0.5, 10.0 ** rng.uniform(-12.0, 0.0, freedom.shape), rng.random()
+    )
     ratio = special.chdtri(freedom, p) / freedom
     work = np.empty((chi_square.WORK, len(freedom)))
     work[0], work[1] = ratio, 1.0 / freedom
