@@ -170,6 +170,19 @@ class Segmentation:
         np.divide(1.0, q, out=depth, where=q > 0.0)
         return depth
 
+    def tile_labels(self, tile: tuple[int, int]) -> NDArray[np.int32]:
+        """(R, C) int32: the plane that all measured pixels of each tile of a grid lie on, 0 where they do not.
+
+        ``tile`` is (height, width) in pixels; the tiles are those of `fit_tiles`.
+        """
+        edges = [np.arange(0, length, step) for length, step in zip(self.labels.shape, tile, strict=True)]
+        missing = self.reason == Reason.MISSING
+        lowest, highest = np.where(missing, len(self) + 1, self.labels), self.labels
+        for axis, edge in enumerate(edges):
+            lowest = np.minimum.reduceat(lowest, edge, axis=axis)
+            highest = np.maximum.reduceat(highest, edge, axis=axis)
+        return np.where(lowest == highest, highest, 0).astype(np.int32)
+
     def labels_from_minus_one(self) -> NDArray[np.int32]:
         """(H, W) int32: labels 0..N-1, -1 for none, as deplex and clustering libraries have them."""
         return self.labels - np.int32(1)

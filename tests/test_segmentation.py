@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import gaussian_filter
 
-from rgbd_planes import Camera, scenes, segment
+from rgbd_planes import Camera, fit_tiles, scenes, segment
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Reason
 
@@ -339,6 +339,17 @@ def test_planes_of_sparse_pixels():
     assert found.sizes[0] == np.count_nonzero(found.labels)
     assert (found.labels[measured] == 1).mean() > 0.99
     assert ((found.reason == Reason.MISSING) == ~measured).all()
+
+
+def test_tile_labels(room):
+    found = segment(room[1], CAMERA)
+    tiles = found.tile_labels((16, 24))
+    assert tiles.shape == fit_tiles(room[1], CAMERA, tile=(16, 24)).status.shape
+    for row, column in np.ndindex(tiles.shape):
+        tile = np.s_[16 * row : 16 * row + 16, 24 * column : 24 * column + 24]
+        own = np.unique(found.labels[tile][found.reason[tile] != Reason.MISSING])
+        assert tiles[row, column] == (own[0] if len(own) == 1 else 0)
+    assert (tiles > 0).mean() > 0.3
 
 
 def test_labels_for_others(room):
