@@ -23,7 +23,7 @@ class Grid(NamedTuple):
     tile: tuple[int, int]
 
 
-@lru_cache(maxsize=4)  # of full parts and the last one: what is in each row again need not be made again
+@lru_cache(maxsize=2)  # of full parts and the last one: what is in each row again need not be made again
 def _grid_places(grid: Grid, frames: int) -> NDArray[np.int32]:
     """(6, N) int32: row, column, top, left, height and width of each tile, frame after frame."""
     place = np.indices(grid.shape, np.int32).reshape(2, -1)

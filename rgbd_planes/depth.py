@@ -167,6 +167,9 @@ def _warn_of_units(
     raw: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
 ) -> None:
     """Warn of a frame that is most likely not in the units that it is said to be in."""
+    farthest = _PLAINLY_NOT_METRES * depth_scale
+    if dtype == np.uint16 and 2.0 * farthest > 65535:
+        return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
     if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and depth_range is None:
         _warn(
             f"a frame of 8 bits with a depth_scale of {depth_scale:g} per metre ends at {255 / depth_scale:.2g} m: "
@@ -174,9 +177,6 @@ def _warn_of_units(
         )
     if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
         return
-    farthest = _PLAINLY_NOT_METRES * depth_scale
-    if dtype.kind == "u" and dtype.itemsize <= 2 and 2.0 * farthest > 65535:
-        return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
     # About a thousand pixels say it as well as all of them; a step without a common divisor with the width
     # meets every column, whatever pattern the holes have.
     step = max(1, raw.size // 1024)
