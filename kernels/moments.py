@@ -35,6 +35,8 @@ FIELD_MASK = np.uint64((1 << 22) - 1)
 # What a missing pixel in row k of a band adds. The last is for no row: nothing.
 ROW_CODES = np.array([*(1 + (k << 22) + (k * k << 44) for k in range(BAND_ROWS)), 0], np.uint64)
 NO_CODE = np.uint64(0)
+# Entries of the moments that the camera alone determines, in the order of `full_tile_moments`.
+CAMERA_TERMS = np.array([0, 1, 2, 4, 5, 7])
 
 
 @kernel()
@@ -285,22 +287,13 @@ def fold_range_columns(sums, u, tiles, span, moments):
 @kernel(inline=True)
 def add_camera_terms(centre, full, count, reference, moments):
     """Give tiles their central rays, and the camera terms of all their pixels less the missing ones."""
-    for i in range(count):
-        reference[0, i] = centre[0, i]
-    for i in range(count):
-        reference[1, i] = centre[1, i]
-    for i in range(count):
-        moments[0, i] = full[0, i] - moments[0, i]
-    for i in range(count):
-        moments[1, i] = full[1, i] - moments[1, i]
-    for i in range(count):
-        moments[2, i] = full[2, i] - moments[2, i]
-    for i in range(count):
-        moments[4, i] = full[3, i] - moments[4, i]
-    for i in range(count):
-        moments[5, i] = full[4, i] - moments[5, i]
-    for i in range(count):
-        moments[7, i] = full[5, i] - moments[7, i]
+    for axis in range(2):
+        for i in range(count):
+            reference[axis, i] = centre[axis, i]
+    for term in range(6):
+        sums = moments[CAMERA_TERMS[term]]
+        for i in range(count):
+            sums[i] = full[term, i] - sums[i]
 
 
 @kernel(inline=True)
