@@ -274,8 +274,10 @@ def test_memory_does_not_grow_with_the_sequence(tmp_path, monkeypatch):
 
 # After three parts nothing more is done until the process is told to stop.
 SLOW = """
-import sys, time
+import signal, sys, time
 from rgbd_planes import batch_parts, cli
+# Where the tests run in the background of a shell, SIGINT is ignored, and so it would be here.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 fit_part = batch_parts.fit_part
 parts = []
 def slowly(sequence, first, settings, where, stopped):
