@@ -41,11 +41,14 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
         for the solves, whose order of operations is their accuracy.
     inline : bool
         Make the function part of every kernel that calls it, so that the compiler sees the sizes of the
-        arrays that it gets.
+        arrays that it gets. Its source goes there, which compiles it once instead of twice; that of a reduction
+        only after it was compiled, since leave to reorder is given to whole functions.
     """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": inline}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     if reduction:
         options["fastmath"] = {"contract", "reassoc"}
+    if inline:
+        options |= {"forceinline": True} if reduction else {"inline": "always"}
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
