@@ -88,6 +88,8 @@ class _OpenRecording:
                 f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
             )
         (self._stream,) = named or grey
+        assert self._stream.time_base is not None  # Matroska always has one
+        self._unit = self._stream.time_base
 
     def close(self) -> None:
         self._container.close()
@@ -106,12 +108,11 @@ class _OpenRecording:
 
     def times(self) -> list[tuple[float, int]]:
         """(seconds, units of the track) of each frame, in order."""
-        base = self._stream.time_base
         try:
             times = [p.pts for p in self._container.demux(self._stream) if p.pts is not None and p.size]
         except self._error as error:
             raise ValueError(f"{self.path}: damaged ({error.strerror})") from None
-        return [(float(time * base), time) for time in times]
+        return [(float(time * self._unit), time) for time in times]
 
     def read(self, time: int) -> NDArray[Any]:
         """The frame of a time."""
@@ -124,7 +125,7 @@ class _OpenRecording:
                     break
         except self._error as error:
             raise ValueError(f"{self.path}: damaged frame ({error.strerror})") from None
-        raise ValueError(f"{self.path}: the frame of {float(time * self._stream.time_base):.6f} s is gone")
+        raise ValueError(f"{self.path}: the frame of {float(time * self._unit):.6f} s is gone")
 
 
 _open = threading.local()
