@@ -5,10 +5,9 @@ Everything between the frame and the planes stays in the nearest caches.
 
 import numpy as np
 
-from . import moments as tile_moments
-from . import solve
+from . import camera_terms, range_moments, solve, standard_moments
 from ._jit import kernel
-from .moments import TILES, tiles_in_strip
+from .strips import TILES, strip_room, tiles_in_strip
 
 
 @kernel()
@@ -45,7 +44,7 @@ def fit_range_tiles(
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.zeros((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
-    strip_room = tile_moments.strip_room(raw)
+    sums_room = strip_room(raw)
     flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
     flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
     flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
@@ -60,22 +59,22 @@ def fit_range_tiles(
         for tile_start in range(0, tile_columns, tiles_at_once):
             tile_stop = min(tile_start + tiles_at_once, tile_columns)
             if tan_x.ndim == 1:
-                tile_moments.range_strip_separable(
+                range_moments.range_strip_separable(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    row_start, row_stop, tile_start, tile_stop, strip_room,
+                    row_start, row_stop, tile_start, tile_stop, sums_room,
                     block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
-                tile_moments.range_strip(
+                range_moments.range_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[:, tile_row, tile_start:tile_stop], row_start, row_stop, tile_start, tile_stop,
-                    strip_room, block_reference[2, filled:], block_moments[:, filled:],
+                    sums_room, block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
-                tile_moments.add_camera_terms(
+                camera_terms.add_camera_terms(
                     flat_centre[:, first:last],
                     flat_full[:, first:last],
                     filled,
@@ -117,7 +116,7 @@ def fit_standard_tiles(
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.zeros((25 + solve.WORK, TILES))
     block_moments, block_sums, block_reference, work = room[:10], room[10:22], room[22:25], room[25:]
-    strip_room = tile_moments.strip_room(raw)
+    sums_room = strip_room(raw)
     flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
     flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
     flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
@@ -132,30 +131,30 @@ def fit_standard_tiles(
         for tile_start in range(0, tile_columns, tiles_at_once):
             tile_stop = min(tile_start + tiles_at_once, tile_columns)
             if tan_x.ndim == 1:
-                tile_moments.standard_strip_separable(
+                standard_moments.standard_strip_separable(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    row_start, row_stop, tile_start, tile_stop, strip_room,
+                    row_start, row_stop, tile_start, tile_stop, sums_room,
                     block_reference[2, filled:], block_sums[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
-                tile_moments.standard_strip(
+                standard_moments.standard_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[:, tile_row, tile_start:tile_stop], row_start, row_stop, tile_start, tile_stop,
-                    strip_room, block_reference[:, filled:], block_moments[:, filled:],
+                    sums_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 if tan_x.ndim == 1:
-                    tile_moments.add_camera_terms(
+                    camera_terms.add_camera_terms(
                         flat_centre[:, first:last],
                         flat_full[:, first:last],
                         filled,
                         block_reference,
                         block_moments,
                     )
-                    tile_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
+                    standard_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
                 solve.copy(block_moments, filled, flat_moments[:, first:last])
                 solve.copy(block_reference, filled, flat_reference[:, first:last])
                 solve.standard_planes(

@@ -1,6 +1,6 @@
 """From moments to planes: the five methods' solves, for a strip of tiles at a time.
 
-A strip is up to `moments.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
+A strip is up to `strips.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
 which ``count`` columns are filled. The loops run over the tiles and vectorise. A status says why a tile has no
 plane; its numbers are then NaN.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 from . import eigen3, eigen4, secular
 from ._jit import kernel
-from .moments import TILES
+from .strips import TILES
 
 # Values of rgbd_planes.TileStatus.
 OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3

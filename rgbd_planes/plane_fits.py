@@ -65,8 +65,8 @@ class PlaneFits:
     rmse_metric: Float
     valid_count: npt.NDArray[np.int32]
     status: npt.NDArray[np.uint8]
-    # The ten sums of `kernels.moments` and the point that they are relative to: (..., 10) + S', (..., 3) + S'
-    # with S' = (R, C) or (K,).
+    # The ten sums of `kernels.range_moments` or `standard_moments` and the point that they are relative to:
+    # (..., 10) + S' and (..., 3) + S' with S' = (R, C) or (K,).
     _moments: Float
     _reference: Float
 

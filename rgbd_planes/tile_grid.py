@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
-from rgbd_planes.kernels import moments
+from rgbd_planes.kernels.camera_terms import full_tile_moments
 
 
 def check_tile(tile: int | tuple[int, int], camera: Camera) -> tuple[int, int]:
@@ -60,7 +60,7 @@ def camera_terms(
             np.multiply(of_row[:, None], of_column, out=term)
     else:
         with announced("full_tile_moments"):
-            moments.full_tile_moments(camera.tan_x, camera.tan_y, *tile, centre, full)
+            full_tile_moments(camera.tan_x, camera.tan_y, *tile, centre, full)
     centre.flags.writeable = full.flags.writeable = False
     return centre, full
 

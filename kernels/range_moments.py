@@ -1,0 +1,287 @@
+"""Moments of the tiles of a grid in range space, in one pass over the frame: the ``direct`` implementation.
+
+A pixel is a triple (u, v, q): (tanθx, tanθy, 1/Z). A tile's moments are the ten sums [n, Σu, Σv, Σq, Σuu, Σuv, Σuq,
+Σvv, Σvq, Σqq] over its valid pixels, of coordinates taken relative to a reference point of the tile, so that nothing
+cancels later. Only those with q come from the frame; the others are in `camera_terms`.
+
+For a camera without lens distortion tanθx depends on the column alone and tanθy on the row alone: columns are
+multiplied by tanθx once, when they are folded into tiles. Four rows are read at a time, two at the end: the
+accumulators' loads and stores would otherwise cost more than the arithmetic, and one division gives the inverse of
+two depths, 1/a = b/(ab) and 1/b = a/(ab).
+"""
+
+import numpy as np
+
+from ._jit import kernel
+from .camera_terms import BAND_ROWS, NO_CODE, ROW_CODES, add_missing
+from .strips import (
+    COLUMNS,
+    columns_in_strip,
+    find_references,
+    fold_columns,
+    last_of_rows,
+    spread_to_columns,
+    step_of_columns,
+)
+
+
+@kernel(inline=True)
+def inverse_depths(a, b, scale, offset):
+    """Inverse depths of two raw values, for one division."""
+    if offset is None:
+        inverse = scale / (a * b)
+        return b * inverse, a * inverse
+    return scale * a + offset, scale * b + offset
+
+
+@kernel(inline=True)
+def range_pair(
+    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_q
+):  # fmt: skip
+    """Σq, Σqv, Σqq and the codes of the missing ones of two pixels of a column."""
+    valid_a = (a >= lowest) & (a <= highest)
+    valid_b = (b >= lowest_b) & (b <= highest_b)
+    # Any number that is not 0 will do for a missing pixel.
+    qa, qb = inverse_depths(
+        np.float64(a if valid_a else lowest), np.float64(b if valid_b else lowest), scale, offset
+    )
+    qa = qa - reference_q if valid_a else 0.0
+    qb = qb - reference_q if valid_b else 0.0
+    missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
+    return qa + qb, qa * va + qb * vb, qa * qa + qb * qb, missing
+
+
+@kernel(reduction=True, inline=True)
+def add_two_range_rows(
+    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
+    reference_q, sums, codes,
+):  # fmt: skip
+    """Add two image rows, see `add_range_rows`; the second may be missing."""
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    last, low, high = last_of_rows(raw, row + 1, row_stop, lowest, highest)
+    a, b = raw[row, left : left + count], raw[last, left : left + count]
+    va, vb = v[row], v[last]
+    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1 if row + 1 < row_stop else BAND_ROWS]
+    for i in range(count):
+        q, qv, qq, missing = range_pair(
+            a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
+            reference_q[i],
+        )  # fmt: skip
+        sum_q[i] += q
+        sum_qv[i] += qv
+        sum_qq[i] += qq
+        codes[i] += missing
+
+
+@kernel(reduction=True, inline=True)
+def add_four_range_rows(
+    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
+    reference_q, sums, codes,
+):  # fmt: skip
+    """Add four image rows, see `add_range_rows`; the fourth may be missing."""
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    last, low, high = last_of_rows(raw, row + 3, row_stop, lowest, highest)
+    a, b = raw[row, left : left + count], raw[row + 1, left : left + count]
+    c, d = raw[row + 2, left : left + count], raw[last, left : left + count]
+    va, vb, vc, vd = v[row], v[row + 1], v[row + 2], v[last]
+    code_a, code_b, code_c = ROW_CODES[k], ROW_CODES[k + 1], ROW_CODES[k + 2]
+    code_d = ROW_CODES[k + 3 if row + 3 < row_stop else BAND_ROWS]
+    for i in range(count):
+        q, qv, qq, missing = range_pair(
+            a[i], b[i], lowest, highest, lowest, highest, scale, offset, va, vb, code_a, code_b,
+            reference_q[i],
+        )  # fmt: skip
+        q_, qv_, qq_, missing_ = range_pair(
+            c[i], d[i], lowest, highest, low, high, scale, offset, vc, vd, code_c, code_d,
+            reference_q[i],
+        )  # fmt: skip
+        sum_q[i] += q + q_
+        sum_qv[i] += qv + qv_
+        sum_qq[i] += qq + qq_
+        codes[i] += missing + missing_
+
+
+@kernel(inline=True)
+def add_range_rows(
+    raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
+    reference_q, sums, codes,
+):  # fmt: skip
+    """Add a band of at most `BAND_ROWS` image rows to the sums of their columns.
+
+    Parameters
+    ----------
+    left, count
+        The first column and the number of columns.
+    reference_q : (COLUMNS,) float64
+        Inverse depth of the reference of each column's tile.
+    sums : (3, COLUMNS) float64, added to
+        Σq, Σqv, Σqq of the valid pixels.
+    codes : (COLUMNS,) uint64, added to
+        The band's missing pixels.
+    """
+    row = row_start
+    while row < row_stop:
+        if row + 2 < row_stop:
+            add_four_range_rows(
+                raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+                reference_q, sums, codes,
+            )  # fmt: skip
+            row += 4
+        else:
+            add_two_range_rows(
+                raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+                reference_q, sums, codes,
+            )  # fmt: skip
+            row += 2
+
+
+@kernel(reduction=True, inline=True)
+def fold_range_columns(sums, u, tiles, span, moments):
+    """Add columns, ``span`` a tile, to the sums of their tiles."""
+    sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
+    for tile in range(tiles):
+        s_q = s_qu = s_qv = s_qq = 0.0
+        for column in range(span):
+            i = tile * span + column
+            s_q += sum_q[i]
+            s_qu += sum_q[i] * u[i]
+            s_qv += sum_qv[i]
+            s_qq += sum_qq[i]
+        moments[3, tile] += s_q
+        moments[6, tile] += s_qu
+        moments[8, tile] += s_qv
+        moments[9, tile] += s_qq
+
+
+@kernel(inline=True)
+def range_strip_separable(
+    raw, lowest, highest, scale, offset, u, v, tile_width,
+    row_start, row_stop, tile_start, tile_stop, room, references, moments,
+):  # fmt: skip
+    """Range-space sums of a strip of tiles, for a camera without lens distortion.
+
+    Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). The
+    other entries are summed over the missing pixels: A_valid = A_full - Σ_missing m mᵀ, see `add_camera_terms`.
+
+    Parameters
+    ----------
+    raw : (H, W) array
+        The frame; a pixel is valid if ``lowest <= raw <= highest``.
+    scale, offset
+        q = scale / raw, or scale * raw + offset unless ``offset`` is None.
+    u, v : (C * tile_width,) and (H,) float64
+        tanθx of each column and tanθy of each row, relative to its tile's centre.
+    row_start, row_stop
+        Image rows of the tiles.
+    room
+        See `strip_room`.
+    references : (N,) float64, written
+        Inverse depth of the reference of each of the strip's tiles.
+    moments : (10, N) float64, added to
+    """
+    sums, columns, references_raw, codes, counts = room
+    tiles = tile_stop - tile_start
+    find_references(
+        raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
+        references_raw, references,
+    )  # fmt: skip
+    # More than one turn only where a tile is wider than a strip.
+    start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
+    step_u = step_of_columns(u, start, last, tile_width)
+    for left in range(start, last, COLUMNS):
+        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+        spread_to_columns(references, tiles, span, columns[0])
+        for entry in range(3):
+            for i in range(max(count, tiles * span)):
+                sums[entry, i] = 0.0
+        for band in range(row_start, row_stop, BAND_ROWS):
+            band_stop = min(band + BAND_ROWS, row_stop)
+            for i in range(max(count, tiles * span)):
+                codes[i] = NO_CODE
+            add_range_rows(
+                raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
+                columns[0], sums, codes,
+            )  # fmt: skip
+            add_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
+        fold_range_columns(sums, u[left:], tiles, span, moments)
+
+
+@kernel(reduction=True, inline=True)
+def add_range_rows_of_rays(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
+):
+    """Add image rows to the sums of their columns, for rays that differ from pixel to pixel.
+
+    ``columns`` (3, COLUMNS) holds each column's reference point; ``sums`` (10, COLUMNS) are in the order of the
+    moments, those without q over the missing pixels.
+    """
+    lost, lost_u, lost_v, sum_q, lost_uu = sums[0], sums[1], sums[2], sums[3], sums[4]
+    lost_uv, sum_qu, lost_vv, sum_qv, sum_qq = sums[5], sums[6], sums[7], sums[8], sums[9]
+    u0, v0, q0 = columns[0], columns[1], columns[2]
+    for row in range(row_start, row_stop, 2):
+        is_pair = row + 1 < row_stop
+        other = row + 1 if is_pair else row
+        a = raw[row, left : left + count]
+        b = raw[other, left : left + count]
+        tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
+        tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
+        for i in range(count):
+            valid_a = (a[i] >= lowest) & (a[i] <= highest)
+            valid_b = (b[i] >= lowest) & (b[i] <= highest)
+            if offset is None:
+                za = np.float64(a[i] if valid_a else lowest)
+                zb = np.float64(b[i] if valid_b else lowest)
+                inverse = scale / (za * zb)
+                qa = zb * inverse
+                qb = za * inverse
+            else:
+                qa = scale * a[i] + offset
+                qb = scale * b[i] + offset
+            qa = qa - q0[i] if valid_a else 0.0
+            qb = qb - q0[i] if valid_b & is_pair else 0.0
+            ua, ub = tan_xa[i] - u0[i], tan_xb[i] - u0[i]
+            va, vb = tan_ya[i] - v0[i], tan_yb[i] - v0[i]
+            sum_q[i] += qa + qb
+            sum_qu[i] += qa * ua + qb * ub
+            sum_qv[i] += qa * va + qb * vb
+            sum_qq[i] += qa * qa + qb * qb
+            lost_a = 0.0 if valid_a else 1.0
+            lost_b = 0.0 if valid_b | (not is_pair) else 1.0
+            lost[i] += lost_a + lost_b
+            lost_ua, lost_ub = lost_a * ua, lost_b * ub
+            lost_va, lost_vb = lost_a * va, lost_b * vb
+            lost_u[i] += lost_ua + lost_ub
+            lost_v[i] += lost_va + lost_vb
+            lost_uu[i] += lost_ua * ua + lost_ub * ub
+            lost_uv[i] += lost_ua * va + lost_ub * vb
+            lost_vv[i] += lost_va * va + lost_vb * vb
+
+
+@kernel(inline=True)
+def range_strip(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre,
+    row_start, row_stop, tile_start, tile_stop, room, references, moments,
+):  # fmt: skip
+    """Range-space sums as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W).
+
+    ``centre`` (2, N) are the central rays of the tiles.
+    """
+    sums, columns, references_raw = room[:3]
+    tiles = tile_stop - tile_start
+    find_references(
+        raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
+        references_raw, references,
+    )  # fmt: skip
+    last = min(tile_stop * tile_width, raw.shape[1])
+    for left in range(tile_start * tile_width, last, COLUMNS):
+        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+        for axis in range(2):
+            spread_to_columns(centre[axis], tiles, span, columns[axis])
+        spread_to_columns(references, tiles, span, columns[2])
+        for entry in range(10):
+            for i in range(max(count, tiles * span)):
+                sums[entry, i] = 0.0
+        add_range_rows_of_rays(
+            raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
+        )
+        fold_columns(sums, tiles, span, moments)

@@ -1,0 +1,131 @@
+"""Strips: runs of neighbouring tiles of one tile row, which are summed together.
+
+The rows of a strip are added to one accumulator per image column, and columns are folded into tiles after the last
+row. So the inner loop runs along the image row and vectorises without tails at tile borders.
+"""
+
+import numpy as np
+
+from ._jit import kernel
+
+# Columns of a strip: their accumulators stay in the first-level cache. A multiple of 8, for whole vectors, but not
+# of 512, or all accumulators of a column would compete for the same few lines of that cache.
+COLUMNS = 648
+# Tiles of a block: no fewer than a strip can have.
+TILES = 328
+
+
+@kernel()
+def tiles_in_strip(tile_width):
+    """How many tiles make a strip: eight or a multiple where possible, for whole vectors of tiles and columns."""
+    tiles = max(1, COLUMNS // tile_width)
+    return tiles if tiles < 8 else tiles // 8 * 8
+
+
+@kernel(inline=True)
+def columns_in_strip(left, last, tile_width, width):
+    """Columns of each tile from ``left`` on, and how many of the image to read for those up to ``last``."""
+    right = min(left + COLUMNS, last)
+    # Whole vectors: the sums of a few columns more are not looked at.
+    return tile_width if tile_width <= COLUMNS else right - left, min(
+        (right - left + 7) // 8 * 8, width - left
+    )
+
+
+@kernel(inline=True)
+def step_of_columns(u, start, last, tile_width):
+    """How much tanθx differs between neighbouring columns, from those of one tile."""
+    size = min(tile_width, last - start)
+    return (u[start + size - 1] - u[start]) / max(size - 1, 1)
+
+
+@kernel(inline=True)
+def strip_room(raw):
+    """Room for sums of columns, references of columns and tiles, counts of missing pixels."""
+    return (
+        np.empty((10, COLUMNS)),
+        np.zeros((3, COLUMNS + 8)),
+        np.empty(TILES, raw.dtype),
+        np.empty(COLUMNS, np.uint64),
+        np.empty((3, TILES), np.uint64),
+    )
+
+
+@kernel()
+def first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest):
+    """Return a valid raw value of the tile, its centre's if that is valid, or 1 if there is none."""
+    value = raw[(row_start + row_stop) // 2, (column_start + column_stop) // 2]
+    if lowest <= value <= highest:
+        return value
+    for row in range(row_start, row_stop):
+        for column in range(column_start, column_stop):
+            value = raw[row, column]
+            if lowest <= value <= highest:
+                return value
+    return raw.dtype.type(1)
+
+
+@kernel(inline=True)
+def find_references(
+    raw, lowest, highest, scale, offset, in_range, row_start, row_stop, tile_start, tile_stop, tile_width,
+    references_raw, references,
+):  # fmt: skip
+    """Take a valid pixel of each tile for its reference.
+
+    Parameters
+    ----------
+    in_range : bool
+        Whether inverse depths are wanted, or depths.
+    references_raw, references : (TILES,), written
+        Raw value and (inverse) depth.
+    """
+    for tile in range(tile_start, tile_stop):
+        start = tile * tile_width
+        stop = min(start + tile_width, raw.shape[1])
+        references_raw[tile - tile_start] = first_valid(
+            raw, row_start, row_stop, start, stop, lowest, highest
+        )
+    for i in range(tile_stop - tile_start):
+        value = np.float64(references_raw[i])
+        if offset is None:
+            references[i] = scale / value if in_range else value / scale
+        else:
+            inverse = scale * value + offset
+            references[i] = inverse if in_range else 1.0 / inverse
+
+
+@kernel(inline=True)
+def last_of_rows(raw, row, row_stop, lowest, highest):
+    """An image row's number and its least and largest valid value; from ``row_stop`` on no value is valid."""
+    if row < row_stop:
+        return row, lowest, highest
+    return row_stop - 1, raw.dtype.type(1), raw.dtype.type(0)
+
+
+@kernel(inline=True)
+def spread_to_columns(values, count, tile_width, columns):
+    """Give every column of ``count`` tiles the value of its tile."""
+    for tile in range(count):
+        value = values[tile]
+        # Eight at a time: what goes beyond the tile is overwritten by the next.
+        for i in range(tile * tile_width, (tile + 1) * tile_width, 8):
+            part = columns[i : i + 8]
+            for k in range(8):
+                part[k] = value
+
+
+@kernel(reduction=True, inline=True)
+def fold(columns, tiles, span, sums):
+    """Add up the columns of each tile."""
+    for tile in range(tiles):
+        total = 0.0
+        for column in range(span):
+            total += columns[tile * span + column]
+        sums[tile] += total
+
+
+@kernel(inline=True)
+def fold_columns(sums, tiles, span, moments):
+    """Add columns, ``span`` a tile, to the ten sums of their tiles."""
+    for entry in range(10):
+        fold(sums[entry], tiles, span, moments[entry])
