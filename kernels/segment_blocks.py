@@ -104,6 +104,26 @@ def inverse_of(value, lowest, highest, scale, offset, is_disparity):
     return np.float32(scale) / np.float32(value if valid else lowest) if valid else np.float32(0.0)
 
 
+@kernel(inline=True)
+def solve_squares(sums, count, pitch_x, pitch_y, rss, slope):
+    """Sums of squared residuals, and squared slopes, of the planes of squares with moments ``sums`` (10, CHUNK)."""
+    for c in range(count):
+        error, a, b, _ = solve(
+            sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c],
+            sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
+        )  # fmt: skip
+        rss[c] = error
+        slope[c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
+
+
+@kernel(inline=True)
+def fold(along, sums, count):
+    """Sums over blocks of sums over columns of pixels."""
+    for c in range(count):
+        x = c * BLOCK
+        sums[c] = (along[x] + along[x + 1]) + (along[x + 2] + along[x + 3])
+
+
 @kernel(reduction=True)
 def block_moments(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, camera, pitch_x, pitch_y,
@@ -111,8 +131,8 @@ def block_moments(
 ):  # fmt: skip
     """Read the frame once: the inverse depth of every pixel, and moments and plane of every block.
 
-    The sums that hold q are added up down the image columns first, which runs along the rows and
-    vectorises; those that don't are the camera's, unless pixels are missing.
+    The sums are added up down the image columns first, which runs along the rows and vectorises; those that
+    don't hold q are the camera's, unless pixels are missing.
 
     Parameters
     ----------
@@ -127,10 +147,11 @@ def block_moments(
         Change of tanθx and tanθy from pixel to pixel.
     inverse_depth : (H, W) float32, written
         0 where there is no measurement.
-    moments : (R * C, 10) float64, written
-    rss : (R * C,) float64, written
+    moments : (10, T) float64, written
+        One block after another, row after row; there may be more columns than blocks.
+    rss : (T,) float64, written
         Sum of squared residuals of each block's plane, or -1.
-    slope : (R * C,) float64, written
+    slope : (T,) float64, written
         Squared slope of each block's plane: change of q from pixel to pixel.
 
     Returns
@@ -141,67 +162,69 @@ def block_moments(
     height, width = raw.shape
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     # Of a size that is known beforehand: so the compiler sees that their rows are apart, and uses vectors.
-    along = np.zeros((5, CHUNK * BLOCK))  # n, Σq, Σuq, Σvq, Σqq down the columns of the image
-    sums = np.zeros((10, CHUNK))
-    v = np.empty(CHUNK * BLOCK)
+    q, u, v = (
+        np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
+    )  # fmt: skip
+    along = np.empty((5, CHUNK * BLOCK))
+    sums = np.empty((10, CHUNK))
     largest = np.zeros(CHUNK * BLOCK, np.float32)
     for row in range(camera.shape[1]):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
         for start in range(0, camera.shape[2], CHUNK):
-            stop = min(start + CHUNK, camera.shape[2])
-            left, right = start * BLOCK, min(stop * BLOCK, width)
-            along[:, right - left :] = 0.0
+            count = min(CHUNK, camera.shape[2] - start)
+            left, right = start * BLOCK, min((start + count) * BLOCK, width)
+            if bottom - top < BLOCK or right - left < count * BLOCK:
+                q[:] = 0.0
             for y in range(top, bottom):
-                values, q = raw[y, left:right], inverse_depth[y, left:right]
-                u = tan_x[y * step_y, left:right]
+                k = y - top
+                values, inverse = raw[y, left:right], inverse_depth[y, left:right]
+                row_u, row_v = tan_x[y * step_y, left:right], tan_y[y, left * step_x : right]
+                for x in range(right - left):
+                    inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
+                    largest[x] = inverse[x] if inverse[x] > largest[x] else largest[x]
+                for x in range(right - left):
+                    q[k, x] = inverse[x]
+                for x in range(right - left):
+                    u[k, x] = row_u[x]
                 if step_x:
-                    v[: right - left] = tan_y[y, left:right]
+                    for x in range(right - left):
+                        v[k, x] = row_v[x]
                 else:
-                    v[: right - left] = tan_y[y, 0]
-                keep = 0.0 if y == top else 1.0
-                for x in range(right - left):
-                    q[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
-                    largest[x] = q[x] if q[x] > largest[x] else largest[x]
-                for x in range(right - left):
-                    p = np.float64(q[x])
-                    along[0, x] = along[0, x] * keep + (1.0 if p > 0.0 else 0.0)
-                    along[1, x] = along[1, x] * keep + p
-                    along[2, x] = along[2, x] * keep + u[x] * p
-                    along[3, x] = along[3, x] * keep + v[x] * p
-                    along[4, x] = along[4, x] * keep + p * p
+                    v[k] = row_v[0]
+            for x in range(count * BLOCK):
+                n = s_q = s_uq = s_vq = s_qq = 0.0
+                for k in range(BLOCK):
+                    n += 1.0 if q[k, x] > 0.0 else 0.0
+                    s_q += q[k, x]
+                    s_uq += u[k, x] * q[k, x]
+                    s_vq += v[k, x] * q[k, x]
+                    s_qq += q[k, x] * q[k, x]
+                along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, s_q, s_uq, s_vq, s_qq
             for k in range(5):
-                for c in range(stop - start):
-                    x = c * BLOCK
-                    sums[FRAME[k], c] = (along[k, x] + along[k, x + 1]) + (along[k, x + 2] + along[k, x + 3])
-                    sums[CAMERA[k], c] = camera[k + 1, row, start + c]
-            for c in range(stop - start):
-                if sums[0, c] == camera[0, row, start + c]:
-                    continue
-                for k in range(5):
-                    sums[CAMERA[k], c] = 0.0
-                if sums[0, c] == 0.0:
-                    continue
-                for y in range(top, bottom):
-                    for x in range(left + c * BLOCK, min(left + c * BLOCK + BLOCK, right)):
-                        valid = 1.0 if inverse_depth[y, x] > 0.0 else 0.0
-                        u_x, v_x = tan_x[y * step_y, x], tan_y[y, x * step_x]
-                        sums[1, c] += valid * u_x
-                        sums[2, c] += valid * v_x
-                        sums[4, c] += valid * u_x * u_x
-                        sums[5, c] += valid * u_x * v_x
-                        sums[7, c] += valid * v_x * v_x
-            first = row * camera.shape[2] + start
-            error, steep = rss[first : first + stop - start], slope[first : first + stop - start]
-            for c in range(stop - start):
-                e, a, b, _ = solve(
-                    sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c],
-                    sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
-                )  # fmt: skip
-                error[c] = e
-                steep[c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
-            for c in range(stop - start):
-                for k in range(10):
-                    moments[first + c, k] = sums[k, c]
+                fold(along[k], sums[FRAME[k]], count)
+            first, last = count, 0  # blocks between which pixels are missing
+            for c in range(count):
+                if sums[0, c] != camera[0, row, start + c]:
+                    first, last = min(first, c), c + 1
+            for x in range(first * BLOCK, last * BLOCK):
+                s_u = s_v = s_uu = s_uv = s_vv = 0.0
+                for k in range(BLOCK):
+                    u_x, v_x = u[k, x] if q[k, x] > 0.0 else 0.0, v[k, x] if q[k, x] > 0.0 else 0.0
+                    s_u += u_x
+                    s_v += v_x
+                    s_uu += u_x * u_x
+                    s_uv += u_x * v_x
+                    s_vv += v_x * v_x
+                along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = s_u, s_v, s_uu, s_uv, s_vv
+            for k in range(5):
+                fold(along[k], sums[CAMERA[k]], last)
+                for c in range(count):
+                    if c < first or c >= last:
+                        sums[CAMERA[k], c] = camera[k + 1, row, start + c]
+            i = row * camera.shape[2] + start
+            solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
+            for k in range(10):
+                moments[k, i : i + count] = sums[k, :count]
     return largest.max()
 
 
@@ -247,27 +270,27 @@ def variance(m, alpha, sigma, lateral_x, lateral_y):
     )
 
 
-@kernel()
+@kernel(reduction=True)
 def sum_by_fours(moments, offsets, shapes, pitch_x, pitch_y, rss, slope):
     """Moments and planes of squares of 2x2, 4x4, ... blocks: one level of the pyramid after another.
 
-    Level l of ``shapes`` (L, 2) is at rows ``offsets[l]`` and on of ``moments`` (T, 10), ``rss`` and ``slope``
-    (T,); level 0 is given, see `block_moments`.
+    Level l of ``shapes`` (L, 2) begins at ``offsets[l]`` of ``moments`` (10, T), ``rss`` and ``slope`` (T,), and
+    each is twice as high and wide as the next; level 0 is given, see `block_moments`.
     """
+    sums = np.empty((10, CHUNK))
     for level in range(1, shapes.shape[0]):
-        finer_rows, finer_columns = shapes[level - 1, 0], shapes[level - 1, 1]
+        columns = shapes[level, 1]
         for row in range(shapes[level, 0]):
-            for column in range(shapes[level, 1]):
-                i = offsets[level] + row * shapes[level, 1] + column
-                m = moments[i]
-                m[:] = 0.0
-                for r in range(2 * row, min(2 * row + 2, finer_rows)):
-                    for c in range(2 * column, min(2 * column + 2, finer_columns)):
-                        child = moments[offsets[level - 1] + r * finer_columns + c]
-                        for k in range(10):
-                            m[k] += child[k]
-                rss[i], a, b, _ = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
-                slope[i] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
+            for start in range(0, columns, CHUNK):
+                count = min(CHUNK, columns - start)
+                child = offsets[level - 1] + 4 * row * columns + 2 * start
+                i = offsets[level] + row * columns + start
+                for k in range(10):
+                    upper, lower = moments[k, child:], moments[k, child + 2 * columns :]
+                    for c in range(count):
+                        sums[k, c] = (upper[2 * c] + upper[2 * c + 1]) + (lower[2 * c] + lower[2 * c + 1])
+                    moments[k, i : i + count] = sums[k, :count]
+                solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
 
 
 @kernel()
@@ -277,10 +300,10 @@ def square_residuals(moments, rss, slope, least, mean_square, slope_square):
     Returns how many are written.
     """
     count = 0
-    for i in range(len(moments)):
-        if moments[i, 0] < least or rss[i] < 0.0:
+    for i in range(len(rss)):
+        if moments[0, i] < least or rss[i] < 0.0:
             continue
-        mean_square[count] = rss[i] / (moments[i, 0] - 3.0)
+        mean_square[count] = rss[i] / (moments[0, i] - 3.0)
         slope_square[count] = slope[i]
         count += 1
     return count
@@ -300,14 +323,14 @@ def together(moments, offsets, shapes, rss, coarse, fine, least, most, ratio):
     for row in range(shapes[coarse, 0]):
         for column in range(shapes[coarse, 1]):
             i = offsets[coarse] + row * shapes[coarse, 1] + column
-            m = moments[i]
+            m = moments[:, i]
             if m[0] < least or rss[i] <= 0.0 or rss[i] > most * (m[0] - 3.0) or not fit(m, alpha):
                 continue
             total = 0.0
             parts = -3.0  # the plane takes as many
-            for r in range(row * side, min(row * side + side, shapes[fine, 0])):
-                for c in range(column * side, min(column * side + side, shapes[fine, 1])):
-                    k = moments[offsets[fine] + r * shapes[fine, 1] + c]
+            for r in range(row * side, row * side + side):
+                for c in range(column * side, column * side + side):
+                    k = moments[:, offsets[fine] + r * shapes[fine, 1] + c]
                     if k[0] > 0.0:
                         e = k[3] - (alpha[0] * k[1] + alpha[1] * k[2] + alpha[2] * k[0])
                         total += e * e / k[0]
@@ -340,8 +363,8 @@ def join_blocks(
         0 not planar, 1 planar, 2 too few pixels to say.
     """
     for i in range(shapes[0, 0] * shapes[0, 1]):
-        n = moments[i, 0]
-        allowed = roughness * roughness * sensor_variance(moments[i, 3] / max(n, 1.0), sigma) + (
+        n = moments[0, i]
+        allowed = roughness * roughness * sensor_variance(moments[3, i] / max(n, 1.0), sigma) + (
             steepness * steepness * lateral * slope[i]
         )
         planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
@@ -355,8 +378,8 @@ def join_blocks(
                 planar = 0
                 total = 0.0
                 smallest = math.inf
-                for r in range(2 * row, min(2 * row + 2, shapes[level - 1, 0])):
-                    for c in range(2 * column, min(2 * column + 2, finer)):
+                for r in range(2 * row, 2 * row + 2):
+                    for c in range(2 * column, 2 * column + 2):
                         child = offsets[level - 1] + r * finer + c
                         if state[child] == 0:
                             planar = -9
@@ -364,14 +387,14 @@ def join_blocks(
                             continue
                         planar += 1
                         total += rss[child]
-                        mean_q = moments[child, 3] / moments[child, 0]
+                        mean_q = moments[3, child] / moments[0, child]
                         smallest = min(smallest, sensor_variance(mean_q, sigma) + lateral * slope[child])
                 if planar <= 0:
                     state[parent] = 2 if planar == 0 else 0
                     continue
                 rise = rss[parent] - total
                 agree = rss[parent] >= 0.0 and rise <= smallest * (
-                    floor * floor * moments[parent, 0] + spread
+                    floor * floor * moments[0, parent] + spread
                 )
                 state[parent] = 1 if agree else 0
 
@@ -390,7 +413,7 @@ def leaves(offsets, shapes, state, moments, region, owner, region_moments):
     for row in range(shapes[0, 0]):
         for column in range(shapes[0, 1]):
             region[row, column] = -1
-            owner[row, column] = EMPTY if moments[row * shapes[0, 1] + column, 0] == 0.0 else MIXED
+            owner[row, column] = EMPTY if moments[0, row * shapes[0, 1] + column] == 0.0 else MIXED
             if state[row * shapes[0, 1] + column] != 1:
                 continue
             for level in range(levels - 1, -1, -1):
@@ -398,7 +421,7 @@ def leaves(offsets, shapes, state, moments, region, owner, region_moments):
                 if state[i] == 1:
                     if number[i] < 0:
                         number[i] = count
-                        region_moments[count] = moments[i]
+                        region_moments[count] = moments[:, i]
                         count += 1
                     region[row, column] = number[i]
                     break

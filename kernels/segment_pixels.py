@@ -219,7 +219,7 @@ def settle_squares(
             a = region[top, left]
             if a < 0:
                 continue
-            m = pyramid[offsets[level] + row * shapes[level, 1] + column]
+            m = pyramid[:, offsets[level] + row * shapes[level, 1] + column]
             least = m[0] - others  # pixels that each block has, at least
             if least <= SPARSE:
                 continue
@@ -394,7 +394,7 @@ def own_pixels(
             if around[row, column] == SETTLED:
                 continue
             a = before[row, column]
-            m = pyramid[row * columns + column]
+            m = pyramid[:, row * columns + column]
             pixels = m[0]
             left = column * BLOCK
             right = min(left + BLOCK, width)

@@ -62,7 +62,7 @@ def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region,
         What became of the regions there, below 0 for nothing.
     region : (R, C) int64
         Region of each block, below 0 for none.
-    moments : (T, 10) float64
+    moments : (10, T) float64
         Of all measured pixels of each block, row after row.
     means : (R, C, 4) float64, written where there is a region
     """
@@ -76,7 +76,7 @@ def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region,
             n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
             if owner[row, column] >= 0:
                 i = row * region.shape[1] + column
-                n, s_u, s_v, s_q = moments[i, 0], moments[i, 1], moments[i, 2], moments[i, 3]
+                n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
             elif owner[row, column] <= MIXED:
                 i = MIXED - owner[row, column]
                 for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):

@@ -346,10 +346,9 @@ class _Grid:
 @functools.lru_cache(maxsize=8)
 def _grid(camera: Camera) -> _Grid:
     height, width = camera.shape
-    shapes = [(-(-height // BLOCK), -(-width // BLOCK))]
-    while len(shapes) < LEVELS:
-        rows, columns = shapes[-1]
-        shapes.append((-(-rows // 2), -(-columns // 2)))
+    largest = BLOCK << (LEVELS - 1)
+    rows, columns = -(-height // largest), -(-width // largest)
+    shapes = [(rows << level, columns << level) for level in reversed(range(LEVELS))]
     rows, columns = shapes[0]
     sums = np.empty((6, rows, columns))
     segment_blocks.camera_sums(camera.tan_x, camera.tan_y, sums)
@@ -380,7 +379,7 @@ class _Room:
         self.inverse_depth = np.empty(camera.shape, np.float32)
         self.owner = np.empty(tuple(grid.shapes[0]), np.int32)
         self.pixel_owner = np.empty((blocks, BLOCK**2), np.int32)
-        self.pyramid = np.empty((grid.offsets[-1], 10))
+        self.pyramid = np.empty((10, grid.offsets[-1]))
         self.rss, self.slope = np.empty(grid.offsets[-1]), np.empty(grid.offsets[-1])
         self.moments = np.empty((blocks, 10))
         self.squares = np.empty(blocks)

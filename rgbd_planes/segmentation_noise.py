@@ -81,7 +81,7 @@ def estimate(
     for level in range(1, 4):
         own = slice(offsets[level], offsets[level + 1])
         count = segment_blocks.square_residuals(
-            moments[own], rss[own], slope[own], _FULL * (BLOCK << level) ** 2, mean_square, slope_square
+            moments[:, own], rss[own], slope[own], _FULL * (BLOCK << level) ** 2, mean_square, slope_square
         )
         if count < _FEWEST_SQUARES:
             growth[level - 1 :] = growth[max(level - 2, 0)]
