@@ -20,7 +20,7 @@ EMPTY, MIXED = -1, -2
 FRAME = (0, 3, 6, 8, 9)
 CAMERA = (1, 2, 4, 5, 7)
 # Blocks of a row that are worked on together.
-CHUNK = 164
+CHUNK = 84
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
 
@@ -117,6 +117,13 @@ def solve_squares(sums, count, pitch_x, pitch_y, rss, slope):
 
 
 @kernel(inline=True)
+def copy(values, to):
+    """Copy as many values as there is room for."""
+    for i in range(len(to)):
+        to[i] = values[i]
+
+
+@kernel(inline=True)
 def fold(along, sums, count):
     """Sums over blocks of sums over columns of pixels."""
     for c in range(count):
@@ -190,7 +197,9 @@ def block_moments(
                     for x in range(right - left):
                         v[k, x] = row_v[x]
                 else:
-                    v[k] = row_v[0]
+                    v_y = row_v[0]
+                    for x in range(right - left):
+                        v[k, x] = v_y
             for x in range(count * BLOCK):
                 n = s_q = s_uq = s_vq = s_qq = 0.0
                 for k in range(BLOCK):
@@ -199,32 +208,36 @@ def block_moments(
                     s_uq += u[k, x] * q[k, x]
                     s_vq += v[k, x] * q[k, x]
                     s_qq += q[k, x] * q[k, x]
-                along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, s_q, s_uq, s_vq, s_qq
+                along[0, x], along[1, x] = n, s_q
+                along[2, x], along[3, x], along[4, x] = s_uq, s_vq, s_qq
             for k in range(5):
                 fold(along[k], sums[FRAME[k]], count)
-            first, last = count, 0  # blocks between which pixels are missing
+            all_pixels = camera[0, row, start : start + count]
+            missing = False
             for c in range(count):
-                if sums[0, c] != camera[0, row, start + c]:
-                    first, last = min(first, c), c + 1
-            for x in range(first * BLOCK, last * BLOCK):
-                s_u = s_v = s_uu = s_uv = s_vv = 0.0
-                for k in range(BLOCK):
-                    u_x, v_x = u[k, x] if q[k, x] > 0.0 else 0.0, v[k, x] if q[k, x] > 0.0 else 0.0
-                    s_u += u_x
-                    s_v += v_x
-                    s_uu += u_x * u_x
-                    s_uv += u_x * v_x
-                    s_vv += v_x * v_x
-                along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = s_u, s_v, s_uu, s_uv, s_vv
+                missing |= sums[0, c] != all_pixels[c]
+            if missing:
+                for x in range(count * BLOCK):
+                    s_u = s_v = s_uu = s_uv = s_vv = 0.0
+                    for k in range(BLOCK):
+                        valid = 1.0 if q[k, x] > 0.0 else 0.0
+                        s_u += valid * u[k, x]
+                        s_v += valid * v[k, x]
+                        s_uu += valid * u[k, x] * u[k, x]
+                        s_uv += valid * u[k, x] * v[k, x]
+                        s_vv += valid * v[k, x] * v[k, x]
+                    along[0, x], along[1, x] = s_u, s_v
+                    along[2, x], along[3, x], along[4, x] = s_uu, s_uv, s_vv
             for k in range(5):
-                fold(along[k], sums[CAMERA[k]], last)
+                if missing:
+                    fold(along[k], sums[CAMERA[k]], count)
+                known = camera[k + 1, row, start : start + count]
                 for c in range(count):
-                    if c < first or c >= last:
-                        sums[CAMERA[k], c] = camera[k + 1, row, start + c]
+                    sums[CAMERA[k], c] = known[c] if sums[0, c] == all_pixels[c] else sums[CAMERA[k], c]
             i = row * camera.shape[2] + start
             solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
             for k in range(10):
-                moments[k, i : i + count] = sums[k, :count]
+                copy(sums[k], moments[k, i : i + count])
     return largest.max()
 
 
@@ -289,7 +302,7 @@ def sum_by_fours(moments, offsets, shapes, pitch_x, pitch_y, rss, slope):
                     upper, lower = moments[k, child:], moments[k, child + 2 * columns :]
                     for c in range(count):
                         sums[k, c] = (upper[2 * c] + upper[2 * c + 1]) + (lower[2 * c] + lower[2 * c + 1])
-                    moments[k, i : i + count] = sums[k, :count]
+                    copy(sums[k], moments[k, i : i + count])
                 solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
 
 

@@ -10,10 +10,12 @@ and small regions join the large one that they fit best.
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import fit, joint_residual, residual, variance, waviness
+from .segment_blocks import fit, residual, solve, variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
 MUCH_LARGER = 4.0
+# Pairs that are looked at together, which the processor's vectors do.
+TOGETHER = 64
 
 
 @kernel(inline=True)
@@ -103,23 +105,50 @@ def neighbours(region, centre_u, centre_v, pairs, contact, table):
     return count
 
 
-@kernel(inline=True)
-def disagreement(m_a, m_b, rss, alpha_a, alpha_b, contact, noise, waves, floor, jump, spread):
-    """How far two regions are from being one plane: they are at 1 or less.
+@kernel()
+def disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floor, jump, spread, cost):
+    """How far the two regions of each of ``count`` pairs are from being one plane: they are at 1 or less.
 
     Two things speak against it: the rise Δ of the sum of squared residuals, per pixel of the smaller region,
     and a jump from one plane to the other where the regions touch. A sensor's bias bends a plane, which
     makes Δ and no jump; two parallel planes make a jump before they make much Δ.
     """
-    smaller = min(m_a[0], m_b[0])
-    step = (alpha_a[2] - alpha_b[2]) + (
-        (alpha_a[0] - alpha_b[0]) * contact[1] + (alpha_a[1] - alpha_b[1]) * contact[2]
-    ) / contact[0]
-    jumped = step * step / (noise * (jump * jump * waves + 8.0 * spread / smaller))
-    if jumped > 1.0:  # enough to know
-        return jumped
-    rise = max(joint_residual(m_a, m_b) - rss, 0.0)
-    return max(jumped, rise / (noise * (floor * floor * waves * smaller + spread)))
+    m = np.empty((17, TOGETHER))  # joint moments; smaller, touch, step, rss, noise, waves; what comes out
+    for start in range(0, count, TOGETHER):
+        number = min(TOGETHER, count - start)
+        for i in range(number):
+            a, b = pairs[start + i, 0], pairs[start + i, 1]
+            m_a, m_b, alpha_a, alpha_b, at = moments[a], moments[b], alpha[a], alpha[b], contact[start + i]
+            for k in range(10):
+                m[k, i] = m_a[k] + m_b[k]
+            m[10, i] = min(m_a[0], m_b[0])
+            m[11, i] = at[0]
+            m[12, i] = (
+                (alpha_a[2] - alpha_b[2]) * at[0]
+                + (alpha_a[0] - alpha_b[0]) * at[1]
+                + (alpha_a[1] - alpha_b[1]) * at[2]
+            )
+            m[13, i] = rss[a] + rss[b]
+            m[14, i] = min(noise[a], noise[b])
+            m[15, i] = min(waves[a], waves[b])
+        for i in range(number):
+            smaller, step, calm = m[10, i], m[12, i] / m[11, i], m[15, i]
+            jumped = step * step / (jump * jump * calm + 8.0 * spread / smaller)
+            together, _, _, _ = solve(
+                m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
+            )
+            rise = max(together - m[13, i], 0.0) / (floor * floor * calm * smaller + spread)
+            m[16, i] = max(jumped, rise) / m[14, i]
+        for i in range(number):
+            cost[start + i] = m[16, i]
+
+
+@kernel(inline=True)
+def describe(m, sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves):
+    """Plane, residual and noise of region ``a``, whose moments are ``m``."""
+    rss[a] = residual(m)
+    noise[a] = variance(m, alpha[a], sigma, lateral_x, lateral_y) if fit(m, alpha[a]) else 0.0
+    waves[a] = waviness(m[0], growth) ** 2
 
 
 @kernel()
@@ -145,38 +174,38 @@ def merge(
         The region that each one went into.
     """
     regions = moments.shape[0]
-    cost = np.full(count, -1.0)
+    cost = np.empty(count)
     rss = np.empty(regions)
     noise = np.empty(regions)
     waves = np.empty(regions)
     alpha = np.empty((regions, 3))
-    changed = np.ones(regions, np.bool_)
+    changed = np.empty(regions, np.bool_)
     best = np.empty(regions, np.int64)
+    least = np.empty(regions)
+    agreeing = np.empty(count, np.int64)
     for a in range(regions):
         parent[a] = a
-        rss[a] = residual(moments[a])
-        noise[a] = 0.0
-        waves[a] = waviness(moments[a, 0], growth) ** 2
-        if fit(moments[a], alpha[a]):
-            noise[a] = variance(moments[a], alpha[a], sigma, lateral_x, lateral_y)
+        describe(moments[a], sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves)
     while count > 0:
-        best[:] = -1
+        disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floor, jump, spread, cost)
+        agreed = 0
         for i in range(count):
-            a, b = pairs[i, 0], pairs[i, 1]
-            if changed[a] or changed[b] or cost[i] < 0.0:
-                cost[i] = disagreement(
-                    moments[a], moments[b], rss[a] + rss[b], alpha[a], alpha[b], contact[i],
-                    min(noise[a], noise[b]), min(waves[a], waves[b]), floor, jump, spread,
-                )  # fmt: skip
-            if not cost[i] <= 1.0:
-                continue
-            for c in (a, b):
-                j = best[c]
-                if j < 0 or cost[i] < cost[j] or (cost[i] == cost[j] and scrambled(i) < scrambled(j)):
-                    best[c] = i
+            agreeing[agreed] = i
+            agreed += 1 if cost[i] <= 1.0 else 0
+        best[:] = -1
+        least[:] = np.inf
+        for k in range(agreed):
+            i = agreeing[k]
+            for side in range(2):
+                c = pairs[i, side]
+                j = max(best[c], 0)
+                better = (cost[i] < least[c]) | ((cost[i] == least[c]) & (scrambled(i) < scrambled(j)))
+                best[c] = i if better else best[c]
+                least[c] = cost[i] if better else least[c]
         changed[:] = False
         joined = 0
-        for i in range(count):
+        for k in range(agreed):
+            i = agreeing[k]
             a, b = pairs[i, 0], pairs[i, 1]
             if moments[a, 0] < moments[b, 0]:
                 a, b = b, a
@@ -185,18 +214,15 @@ def merge(
             if not chosen or changed[b] or parent[a] != a:
                 continue
             parent[b] = a
-            for k in range(10):
-                moments[a, k] += moments[b, k]
+            for j in range(10):
+                moments[a, j] += moments[b, j]
             changed[a] = True
             joined += 1
         if joined == 0:
             break
         for a in range(regions):
             if changed[a]:
-                rss[a] = residual(moments[a])
-                waves[a] = waviness(moments[a, 0], growth) ** 2
-                fit(moments[a], alpha[a])
-                noise[a] = variance(moments[a], alpha[a], sigma, lateral_x, lateral_y)
+                describe(moments[a], sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves)
         kept = 0
         for i in range(count):
             a, b = parent[pairs[i, 0]], parent[pairs[i, 1]]
@@ -214,7 +240,6 @@ def merge(
             pairs[kept, 0] = a
             pairs[kept, 1] = b
             contact[kept] = contact[i]
-            cost[kept] = cost[i]
             kept += 1
         count = kept
     for a in range(regions):
