@@ -5,6 +5,7 @@ Kernels are serial and release the GIL; they work on a range of tiles or rows, a
 not its launch cost, not its behaviour after a fork, not its thread safety.
 """
 
+import contextlib
 import functools
 import hashlib
 from collections.abc import Callable
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -29,6 +32,20 @@ def _sources_digest() -> str:
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk, from which a kernel loads in a sixth of the time.
+
+    Before it loads anything, Numba's own puts together all that a compilation may need, among it SciPy's linear
+    algebra. A compiled kernel needs only the functions that allocate arrays; a compilation fetches the rest itself.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel for these types, or None."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
 
 def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Function], Function]:
@@ -52,9 +69,9 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
-        try:
-            return cast(Function, numba.njit(cache=True, **options)(function))
-        except RuntimeError:  # no place for a cache: a read-only home and installation
-            return cast(Function, numba.njit(**options)(function))
+        dispatcher = numba.njit(**options)(function)
+        with contextlib.suppress(RuntimeError):  # no place for a cache: a read-only home and installation
+            dispatcher._cache = _Cache(function)
+        return cast(Function, dispatcher)
 
     return compile_lazily

@@ -105,7 +105,8 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a measurement there, unless
     `invalid_values` names it.
     """
-    if isinstance(depth, np.ma.MaskedArray):
+    # Without their module, which takes time to import, there are no masked arrays.
+    if "numpy.ma" in sys.modules and isinstance(depth, np.ma.MaskedArray):
         raise TypeError("expected a plain array, got a masked array: fill it first, depth.filled(0)")
     array = np.asarray(depth)
     _check_shape(array, camera)

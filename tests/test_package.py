@@ -42,6 +42,24 @@ def test_public_names_are_there():
         _ = rp.nonsense
 
 
+def test_first_fit_from_the_cache_leaves_compilation_alone():
+    """What only a compilation needs takes half a second to import; whoever needs it then, gets it."""
+    code = (
+        "import sys, numpy as np, rgbd_planes as rp\n"
+        "camera = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5)\n"
+        "tiles = rp.fit_tiles(np.full((48, 64), 2.0), camera)\n"
+        "print(np.round(tiles.planes[0, 0] + 0.0, 9).tolist(), 'numba.np.linalg' in sys.modules)\n"
+        "import numba\n"
+        "@numba.njit\n"
+        "def norms(planes): return [np.linalg.norm(plane) for plane in planes.reshape(-1, 4)]\n"
+        "print(norms(tiles.planes)[0] ** 2)\n"
+    )
+    run(code)
+    plane, norm = run(code).splitlines()
+    assert plane == "[0.0, 0.0, -1.0, 2.0] False"
+    assert float(norm) == pytest.approx(5.0)
+
+
 def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
     monkeypatch.setattr(compilation, "_announced", threading.Event())
