@@ -62,7 +62,7 @@ def run(code: str, **environment: str) -> dict[str, float]:
     return dict(json.loads(done.stdout))
 
 
-def measure(rounds: int = 25, compiling: bool = True) -> dict[str, Any]:
+def measure(rounds: int = 15, compiling: bool = True) -> dict[str, Any]:
     """Return seconds of each step in each round, and of the first fit of an installation."""
     codes = {"numba": NUMBA} | {name: CALL.format(call=call) for name, call in CALLS.items()}
     for code in codes.values():
@@ -103,7 +103,7 @@ def table(result: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.first_call", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--rounds", type=int, default=15)
     print(table(measure(**vars(parser.parse_args()))))
 
 

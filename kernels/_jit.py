@@ -38,7 +38,8 @@ class _Cache(FunctionCache):
     """Numba's cache on disk, from which a kernel loads in a sixth of the time.
 
     Before it loads anything, Numba's own puts together all that a compilation may need, among it SciPy's linear
-    algebra. A compiled kernel needs only the functions that allocate arrays; a compilation fetches the rest itself.
+    algebra. A compiled kernel needs only the functions that allocate arrays, and the modules of what it calls: a
+    NumPy function like sum or max would bring SciPy again. A compilation fetches the rest itself.
     """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

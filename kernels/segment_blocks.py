@@ -238,7 +238,10 @@ def block_moments(
             solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])
-    return largest.max()
+    nearest = largest[0]
+    for x in range(1, len(largest)):
+        nearest = max(nearest, largest[x])
+    return nearest
 
 
 @kernel(inline=True)

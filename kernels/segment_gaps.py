@@ -12,6 +12,7 @@ from .segment_blocks import joint_residual, residual
 
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
+FARTHEST = np.iinfo(np.int64).max  # a row or column after all others
 OPEN = 0.1  # share of the rows or columns that may see through
 
 
@@ -59,7 +60,7 @@ def part_boxes(run_row, run_start, run_stop, runs, part, number, box):
     Runs and parts are those of `segment_parts.find_runs`; ``number`` (P,) int32 is the label of each part, 0 for
     none. ``box`` (N + 1, 4) int64 is written, row a for label a.
     """
-    box[:, 0] = box[:, 2] = np.iinfo(np.int64).max
+    box[:, 0] = box[:, 2] = FARTHEST
     box[:, 1] = box[:, 3] = 0
     for i in range(runs):
         b = box[number[part[i]]]

@@ -19,6 +19,8 @@ OTHERS, OWN_OR_NONE, ALIKE, SETTLED = 0, 1, 2, 3
 SIDE = BLOCK + 2  # of a block with the pixels around it
 # Owner of a pixel: measured but nobody's; not measured.
 UNOWNED, MISSING = -1, -2
+# No region, above all that there are.
+NO_REGION = np.int32(np.iinfo(np.int32).max)
 # A block with more measured pixels than this is a solid one.
 SPARSE = BLOCK * BLOCK // 2
 
@@ -181,7 +183,6 @@ def look_around(region, owner, around):
     for row in range(rows):
         for c in range(columns):
             around[row, c] = SETTLED if owner[row, c] == EMPTY else OTHERS
-    none = np.int32(np.iinfo(np.int32).max)
     least, most, lowest = (
         np.empty(columns, np.int32),
         np.empty(columns, np.int32),
@@ -192,7 +193,9 @@ def look_around(region, owner, around):
             a, b, d = region[row - 1, c], region[row, c], region[row + 1, c]
             most[c] = max(a, b, d)
             least[c] = min(a, b, d)
-            lowest[c] = min(a if a >= 0 else none, b if b >= 0 else none, d if d >= 0 else none)
+            lowest[c] = min(
+                a if a >= 0 else NO_REGION, b if b >= 0 else NO_REGION, d if d >= 0 else NO_REGION
+            )
         for c in range(1, columns - 1):
             a = region[row, c]
             high = max(most[c - 1], most[c], most[c + 1])
