@@ -85,19 +85,19 @@ def table(result: dict[str, Any]) -> str:
     """The result as Markdown."""
     base = np.add(result["numba"]["numpy"], result["numba"]["numba"])
     lines = [
-        "| | `import rgbd_planes` | first call | slowest of all | NumPy, import and call, of NumPy and Numba alone |",
+        "| | `import rgbd_planes` | first call | the slowest | with NumPy's import, of NumPy's and Numba's |",
         "|---|---:|---:|---:|---:|",
     ]
     for name in CALLS:
         of = {step: np.array(seconds) for step, seconds in result[name].items()}
         total = (of["numpy"] + of["import"] + of["first call"]) / base
         lines.append(
-            f"| `{name}` | {np.median(of['import']):.3f} s | {np.median(of['first call']):.2f} s "
+            f"| `{name}` | {np.median(of['import']) * 1e3:.1f} ms | {np.median(of['first call']):.2f} s "
             f"| {of['first call'].max():.2f} s | {np.median(total):.1f} |"
         )
     lines += ["", f"{len(base)} processes each; NumPy and Numba alone take {np.median(base):.2f} s to import."]
     if "compiling" in result:
-        lines += [f"The first fit of an installation, which compiles, took {result['compiling']:.1f} s."]
+        lines += [f"The first fit of an installation, which compiles, takes {result['compiling']:.1f} s."]
     return "\n".join(lines)
 
 

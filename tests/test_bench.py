@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from bench import batch_throughput, measured, methods, operations, readme, report, sequence
+from bench import batch_throughput, first_call, measured, methods, operations, readme, report, sequence
 from bench.__main__ import main
 from rgbd_planes.kernels import summed_area
 
@@ -146,3 +146,11 @@ def test_a_batch_is_measured():
     assert result["work"]["memory"]["write"] + result["work"]["memory"]["fit"] > 0.5
     assert 30_000 < result["bytes_per_frame"] < 50_000
     assert "64 frames" in batch_throughput.table(result)
+
+
+def test_a_first_call_is_measured():
+    result = first_call.measure(rounds=1, compiling=False)
+    assert set(result) == {"numba", *first_call.CALLS}
+    for name in first_call.CALLS:
+        assert 0.0 < result[name]["import"][0] < result[name]["first call"][0]
+    assert "1 processes each" in first_call.table(result)
