@@ -95,7 +95,10 @@ def table(result: dict[str, Any]) -> str:
             f"| `{name}` | {np.median(of['import']) * 1e3:.1f} ms | {np.median(of['first call']):.2f} s "
             f"| {of['first call'].max():.2f} s | {np.median(total):.1f} |"
         )
-    lines += ["", f"{len(base)} processes each; NumPy and Numba alone take {np.median(base):.2f} s to import."]
+    lines += [
+        "",
+        f"{len(base)} processes each; NumPy and Numba alone take {np.median(base):.2f} s to import.",
+    ]
     if "compiling" in result:
         lines += [f"The first fit of an installation, which compiles, takes {result['compiling']:.1f} s."]
     return "\n".join(lines)
