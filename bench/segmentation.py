@@ -294,8 +294,8 @@ STAGES = {
     "rounds: merge, own pixels": (segment_regions, ("find_regions",)),
     "curved": (segment_shape, ("owned_means", "find_curved")),
     "parts": (segment_parts, ("find_runs", "measure_parts")),
-    "labels": (segment_parts, ("write_labels",)),
-    "gaps": (segment_gaps, ("find_coplanar", "part_boxes", "join_across")),
+    "gaps": (segment_gaps, ("find_coplanar", "label_boxes", "join_across")),
+    "labels": (segment_parts, ("label_runs", "write_labels")),
 }
 
 

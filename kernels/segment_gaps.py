@@ -54,72 +54,98 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
 
 
 @kernel()
-def part_boxes(run_row, run_start, run_stop, runs, part, number, box):
+def label_boxes(row_runs, run_start, run_stop, run_label, box):
     """First row, row after the last, first column, column after the last of each label.
 
-    Runs and parts are those of `segment_parts.find_runs`; ``number`` (P,) int32 is the label of each part, 0 for
-    none. ``box`` (N + 1, 4) int64 is written, row a for label a.
+    The runs are those of `segment_parts.find_runs`. ``box`` (N + 1, 4) int64 is written, row a for label a.
     """
     box[:, 0] = box[:, 2] = FARTHEST
     box[:, 1] = box[:, 3] = 0
-    for i in range(runs):
-        b = box[number[part[i]]]
-        b[0], b[1] = min(b[0], run_row[i]), max(b[1], run_row[i] + 1)
-        b[2], b[3] = min(b[2], run_start[i]), max(b[3], run_stop[i])
+    for y in range(len(row_runs) - 1):
+        for i in range(row_runs[y], row_runs[y + 1]):
+            b = box[run_label[i]]
+            b[0], b[1] = min(b[0], y), y + 1
+            b[2], b[3] = min(b[2], run_start[i]), max(b[3], run_stop[i])
+
+
+@kernel(inline=True)
+def sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x):
+    """Whether something farther away than a plane is seen at a pixel."""
+    u, v = tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
+    return 0.0 < inverse_depth[y, x] < alpha[0] * u + alpha[1] * v + alpha[2] - reach
 
 
 @kernel()
-def is_thin(labels, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, across):
-    """Whether the gap between labels a and b, looked at along rows or along columns, is longer than wide.
+def gaps_across(
+    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, gaps
+):  # fmt: skip
+    """Gaps between labels a and b along the rows.
 
-    Parameters
-    ----------
-    labels : (H, W) int32
-    alpha : (3,) float64
-        The plane of both.
-    reach : float
-        What is farther than the plane by this, in 1/m, one sees through the gap.
-    box : (N + 1, 4) int64
-        Of `part_boxes`.
-    across : bool
-        Along the rows.
+    ``gaps`` (G,) int64 is written: how many gaps of 0, 1, 2, ... pixels one does not see through. Returns how many
+    one sees through, and does not.
     """
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    i, j = (0, 2) if across else (2, 0)  # where lines, and places along them, stand in a box
-    first, stop = max(box[a, i], box[b, i]), min(box[a, i + 1], box[b, i + 1])
-    start, end = min(box[a, j], box[b, j]), max(box[a, j + 1], box[b, j + 1])
-    widest = stop - first  # no gap counts as thin that is wider than there are lines
-    if widest < LEAST:
-        return False
-    gaps = np.zeros(widest + 1, np.int64)
     closed = opened = 0
-    for line in range(first, stop):
-        last_a = last_b = -1
-        for s in range(start, end):
-            label = labels[line, s] if across else labels[s, line]
-            if label != a and label != b:
+    gaps[:] = 0
+    for y in range(max(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1])):
+        last = -1  # run of a or of b
+        for i in range(row_runs[y], row_runs[y + 1]):
+            if run_label[i] != a and run_label[i] != b:
                 continue
-            last = last_b if label == a else last_a
-            if last > (last_a if label == a else last_b):
+            if last >= 0 and run_label[last] != run_label[i]:
                 through = False
-                for t in range(last + 1, s):
-                    y, x = (line, t) if across else (t, line)
-                    plane = alpha[0] * tan_x[y * step_y, x] + alpha[1] * tan_y[y, x * step_x] + alpha[2]
-                    through |= 0.0 < inverse_depth[y, x] < plane - reach
-                if through:
-                    opened += 1
-                else:
-                    closed += 1
-                    if s - last - 1 <= widest:
-                        gaps[s - last - 1] += 1
-            if label == a:
-                last_a = s
-            else:
-                last_b = s
+                for x in range(run_stop[last], run_start[i]):
+                    through |= sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x)
+                opened += through
+                closed += not through
+                width = run_start[i] - run_stop[last]
+                if not through and width < len(gaps):
+                    gaps[width] += 1
+            last = i
+    return opened, closed
+
+
+@kernel()
+def gaps_down(
+    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, gaps
+):  # fmt: skip
+    """The same along the columns."""
+    closed = opened = 0
+    gaps[:] = 0
+    first, stop = max(box[a, 2], box[b, 2]), min(box[a, 3], box[b, 3])
+    last = np.full((2, stop - first), -1, np.int64)  # row where each column last met a, and b
+    for y in range(min(box[a, 0], box[b, 0]), max(box[a, 1], box[b, 1])):
+        for i in range(row_runs[y], row_runs[y + 1]):
+            if run_label[i] != a and run_label[i] != b:
+                continue
+            own, other = (last[0], last[1]) if run_label[i] == a else (last[1], last[0])
+            start, end = max(run_start[i], first) - first, min(run_stop[i], stop) - first
+            met = False
+            for k in range(start, end):
+                met |= other[k] > own[k]
+            if met:
+                for k in range(start, end):
+                    if other[k] <= own[k]:
+                        continue
+                    through = False
+                    for r in range(other[k] + 1, y):
+                        through |= sees_through(inverse_depth, tan_x, tan_y, alpha, reach, r, k + first)
+                    opened += through
+                    closed += not through
+                    height = y - other[k] - 1
+                    if not through and height < len(gaps):
+                        gaps[height] += 1
+            for k in range(start, end):
+                own[k] = y
+    return opened, closed
+
+
+@kernel()
+def is_thin(gaps, opened, closed):
+    """Whether a gap, of which `gaps_across` or `gaps_down` tells, is longer than wide and none to see through."""
     if opened > OPEN * (opened + closed):
         return False
     crossed = 0
-    for gap in range(widest + 1):
+    for gap in range(len(gaps)):
         crossed += gaps[gap]
         if crossed >= LEAST and crossed >= gap:
             return True
@@ -127,14 +153,46 @@ def is_thin(labels, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, across
 
 
 @kernel()
-def join_across(labels, inverse_depth, tan_x, tan_y, alpha, deviation, pairs, count, box, parent):
-    """Unite the pairs of planes whose gaps are thin; ``parent`` (N,) int64 becomes the first each goes with."""
+def join_across(
+    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, alpha, deviation, pairs, count,
+    box, parent,
+):  # fmt: skip
+    """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
+
+    Parameters
+    ----------
+    row_runs, run_start, run_stop : see `segment_parts.find_runs`
+    run_label : (K,) int32
+        Label of each run: row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
+    pairs, count : see `find_coplanar`
+    box : see `label_boxes`
+    """
     for k in range(count):
         a, b = pairs[k]
-        reach = BEYOND * deviation[a]
-        if is_thin(labels, inverse_depth, tan_x, tan_y, a + 1, b + 1, alpha[a], reach, box, True) or is_thin(
-            labels, inverse_depth, tan_x, tan_y, a + 1, b + 1, alpha[a], reach, box, False
-        ):
+        reach = (
+            BEYOND * deviation[a]
+        )  # what is farther than the plane by this, in 1/m, one sees through the gap
+        thin = False
+        for side in range(2):
+            # No gap counts as thin that is wider than there are rows, or columns.
+            widest = min(box[a + 1, 2 * side + 1], box[b + 1, 2 * side + 1]) - max(
+                box[a + 1, 2 * side], box[b + 1, 2 * side]
+            )
+            if thin or widest < LEAST:
+                continue
+            gaps = np.empty(widest + 1, np.int64)
+            if side == 0:
+                opened, closed = gaps_across(
+                    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
+                    alpha[a], reach, box, gaps,
+                )  # fmt: skip
+            else:
+                opened, closed = gaps_down(
+                    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
+                    alpha[a], reach, box, gaps,
+                )  # fmt: skip
+            thin = is_thin(gaps, opened, closed)
+        if thin:
             while parent[a] != a:
                 a = parent[a]
             while parent[b] != b:

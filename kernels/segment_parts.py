@@ -33,9 +33,7 @@ def unite(parent, i, j):
 
 
 @kernel(inline=True)
-def put_run(
-    y, start, stop, a, starts, first, runs, run_row, run_start, run_stop, run_label, vertical, parent
-):
+def put_run(start, stop, a, starts, first, runs, run_start, run_stop, run_label, vertical, parent):
     """Add pixels to the last run of a row, whose runs begin with ``first``, or as a new one; how many there are."""
     i = runs - 1
     if i >= first and run_label[i] == a and run_stop[i] == start:
@@ -43,7 +41,6 @@ def put_run(
         vertical[i] += starts
         return runs
     vertical[runs] = starts
-    run_row[runs] = y
     run_start[runs] = start
     run_stop[runs] = stop
     run_label[runs] = a
@@ -69,7 +66,7 @@ def find_runs(
     number,
     width,
     height,
-    run_row,
+    row_runs,
     run_start,
     run_stop,
     run_label,
@@ -89,8 +86,10 @@ def find_runs(
         Label of each region, below 0 for none.
     width, height : int
         Of the image.
-    run_row, run_start, run_stop, run_label : (K,) int32, written
-        Row, first column, last column + 1 and label of each run.
+    row_runs : (H + 1,) int32, written
+        First run of each row.
+    run_start, run_stop, run_label : (K,) int32, written
+        First column, last column + 1 and label of each run.
     vertical : (K,) int32, written
         How many of a run's pixels have no pixel of the same label above, missing pixels between them aside.
     parent : (K,) int32, written
@@ -124,6 +123,7 @@ def find_runs(
         top = row * BLOCK
         for y in range(top, min(top + BLOCK, height)):
             two_first, row_first, this_first = row_first, this_first, runs
+            row_runs[y] = runs
             for i in range(count):
                 left = starts[i] * BLOCK
                 right = min((starts[i + 1] if i + 1 < count else columns) * BLOCK, width)
@@ -136,8 +136,8 @@ def find_runs(
                             above_label[x] = a
                             above_row[x] = y + BLOCK - 1
                     runs = put_run(
-                        y, left, right, a, new, this_first, runs,
-                        run_row, run_start, run_stop, run_label, vertical, parent,
+                        left, right, a, new, this_first, runs,
+                        run_start, run_stop, run_label, vertical, parent,
                     )  # fmt: skip
                 elif a <= MIXED:
                     block = MIXED - a
@@ -160,8 +160,8 @@ def find_runs(
                             x += 1
                         if a >= 0:
                             runs = put_run(
-                                y, start, x, a, new, this_first, runs,
-                                run_row, run_start, run_stop, run_label, vertical, parent,
+                                start, x, a, new, this_first, runs,
+                                run_start, run_stop, run_label, vertical, parent,
                             )  # fmt: skip
             for lines in range(1, 3):
                 j, stop = (row_first, this_first) if lines == 1 else (two_first, row_first)
@@ -175,12 +175,13 @@ def find_runs(
                             if lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0:
                                 unite(parent, i, k)
                         k += 1
+    row_runs[height] = runs
     return runs, loose_count
 
 
 @kernel()
 def measure_parts(
-    run_row, run_start, run_stop, run_label, vertical, parent, runs, part, inverse_depth, tan_x, tan_y,
+    row_runs, run_start, run_stop, run_label, vertical, parent, part, inverse_depth, tan_x, tan_y,
     alpha, deviation, cut, region_moments, region_squares, moments, squares, size, across, down, owner,
 ):  # fmt: skip
     """Number the parts in the order of their first pixels, and share out what the regions own.
@@ -206,49 +207,47 @@ def measure_parts(
     """
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     count = 0
-    for i in range(runs):
-        root = root_of(parent, i)
-        if root == i:
-            part[i] = count
-            size[count] = 0.0
-            across[count] = 0
-            down[count] = 0
-            squares[count] = 0.0
-            moments[count, :] = 0.0
-            owner[count] = run_label[i]
-            count += 1
-        else:
-            part[i] = part[root]
-        k = part[i]
-        size[k] += run_stop[i] - run_start[i]  # holes and all, until the moments say
-        down[k] += vertical[i]
-        # A run that goes on after a short gap is one run.
-        goes_on = (
-            i > 0
-            and run_row[i - 1] == run_row[i]
-            and run_label[i - 1] == run_label[i]
-            and run_start[i] - run_stop[i - 1] <= GAP
-        )
-        across[k] += 0 if goes_on else 1
+    for y in range(len(row_runs) - 1):
+        for i in range(row_runs[y], row_runs[y + 1]):
+            root = root_of(parent, i)
+            if root == i:
+                part[i] = count
+                size[count] = 0.0
+                across[count] = 0
+                down[count] = 0
+                squares[count] = 0.0
+                moments[count, :] = 0.0
+                owner[count] = run_label[i]
+                count += 1
+            else:
+                part[i] = part[root]
+            k = part[i]
+            size[k] += run_stop[i] - run_start[i]  # holes and all, until the moments say
+            down[k] += vertical[i]
+            # A run that goes on after a short gap is one run.
+            goes_on = (
+                i > row_runs[y] and run_label[i - 1] == run_label[i] and run_start[i] - run_stop[i - 1] <= GAP
+            )
+            across[k] += 0 if goes_on else 1
     largest = np.full(len(region_moments), -1, np.int64)
     for k in range(count):
         a = owner[k]
         if largest[a] < 0 or size[k] > size[largest[a]]:
             largest[a] = k
-    for i in range(runs):
-        k = part[i]
-        a = owner[k]
-        if largest[a] == k:
-            continue
-        y = run_row[i]
-        for x in range(run_start[i], run_stop[i]):
-            q = inverse_depth[y, x]
-            if q == 0.0:
+    for y in range(len(row_runs) - 1):
+        for i in range(row_runs[y], row_runs[y + 1]):
+            k = part[i]
+            a = owner[k]
+            if largest[a] == k:
                 continue
-            u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
-            e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
-            squares[k] += min(e * e, cut * cut)
-            add(moments[k], u, v, q)
+            for x in range(run_start[i], run_stop[i]):
+                q = inverse_depth[y, x]
+                if q == 0.0:
+                    continue
+                u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
+                e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
+                squares[k] += min(e * e, cut * cut)
+                add(moments[k], u, v, q)
     for k in range(count):
         a = owner[k]
         if largest[a] != k:
@@ -265,18 +264,25 @@ def measure_parts(
 
 
 @kernel()
+def label_runs(part, number, row_runs, run_label):
+    """Give each run the label that ``number`` (P,) int32 says its part has."""
+    for i in range(row_runs[-1]):
+        run_label[i] = number[part[i]]
+
+
+@kernel()
 def write_labels(
-    run_row, run_start, run_stop, runs, part, number, why, missing, unclaimed, inverse_depth,
+    row_runs, run_start, run_stop, run_label, part, why, missing, unclaimed, inverse_depth,
     loose, loose_count, needed, label, reason, sizes,
 ):  # fmt: skip
     """Write the final labels and the reasons, and let stray pixels go with their neighbours.
 
     Parameters
     ----------
-    number : (P,) int32
-        Final label of each part, 0 for none.
+    run_label : (K,) int32
+        Final label of each run, 0 for none.
     why : (P,) uint8
-        Reason of each part; ``missing`` and ``unclaimed`` are those of the other pixels.
+        Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are those of the other pixels.
     loose, loose_count
         Of `find_runs`. One goes with a label that ``needed`` or more of its eight neighbours have.
     label, reason : (H, W) int32 and uint8, written
@@ -284,22 +290,23 @@ def write_labels(
         Pixels of each label; loose ones are added.
     """
     height, width = label.shape
-    i = 0
     for y in range(height):
+        label[y] = 0
+        q, reason_row = inverse_depth[y], reason[y]
         for x in range(width):
-            label[y, x] = 0
-            reason[y, x] = unclaimed if inverse_depth[y, x] > 0.0 else missing
-        while i < runs and run_row[i] == y:
-            a, b = number[part[i]], why[part[i]]
-            if a > 0:
-                for x in range(run_start[i], run_stop[i]):
-                    label[y, x] = a if inverse_depth[y, x] > 0.0 else 0
-            else:
-                for x in range(run_start[i], run_stop[i]):
-                    reason[y, x] = b if inverse_depth[y, x] > 0.0 else missing
-            i += 1
-        for x in range(width):
-            reason[y, x] = reason[y, x] if label[y, x] == 0 else 0
+            reason_row[x] = unclaimed if q[x] > 0.0 else missing
+        for i in range(row_runs[y], row_runs[y + 1]):
+            a, b = run_label[i], why[part[i]]
+            start, stop = run_start[i], run_stop[i]
+            q, label_run, reason_run = (
+                inverse_depth[y, start:stop],
+                label[y, start:stop],
+                reason[y, start:stop],
+            )
+            for x in range(stop - start):
+                label_run[x] = a if q[x] > 0.0 else 0
+            for x in range(stop - start):
+                reason_run[x] = b if q[x] > 0.0 else missing
     found = np.empty(loose_count, np.int32)
     for _ in range(2):
         for i in range(loose_count):

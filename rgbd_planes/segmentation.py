@@ -386,7 +386,7 @@ class _Room:
         self.pairs = np.empty((4 * blocks + 1, 3), np.int32)
         self.contact = np.empty((4 * blocks, 3))
         self.table = np.zeros(1 << (4 * blocks).bit_length(), np.int32)
-        self.runs = np.empty((8, pixels), np.int32)
+        self.runs = np.empty((7, pixels), np.int32)
 
 
 class _Rooms(threading.local):
@@ -423,24 +423,16 @@ def _result(
     table = np.arange(len(noise.sigma) - 1) * noise.sigma[0]
     deviation = np.sqrt((np.interp(mean_q, table, noise.sigma[1:]) ** 2 + slope) * waves)
 
-    row, start, stop, of, vertical, parent, part, loose = room.runs
+    start, stop, of, vertical, parent, part, loose = room.runs
+    rows = np.empty(camera.height + 1, np.int32)
     runs, loose_count = segment_parts.find_runs(
-        room.owner,
-        room.pixel_owner,
-        number_of,
-        *camera.shape[::-1],
-        row,
-        start,
-        stop,
-        of,
-        vertical,
-        parent,
-        loose,
-    )
+        room.owner, room.pixel_owner, number_of, *camera.shape[::-1],
+        rows, start, stop, of, vertical, parent, loose,
+    )  # fmt: skip
     moments, squares = np.empty((runs, 10)), np.empty(runs)
     (size, across, down), of_part = np.empty((3, runs)), np.empty(runs, np.int64)
     count = segment_parts.measure_parts(
-        row, start, stop, of, vertical, parent, runs, part, room.inverse_depth, grid.tan_x, grid.tan_y,
+        rows, start, stop, of, vertical, parent, part, room.inverse_depth, grid.tan_x, grid.tan_y,
         alpha, deviation, CUT, region_moments, region_squares, moments, squares, size, across, down, of_part,
     )  # fmt: skip
     size = size[:count]
@@ -452,28 +444,28 @@ def _result(
     kept = np.flatnonzero(why == Reason.PLANE)
     number = np.zeros(count, np.int32)
     number[kept] = np.arange(1, len(kept) + 1)
-
-    sizes = np.append(0, size[kept]).astype(np.int32)
-    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
-    segment_parts.write_labels(
-        row, start, stop, runs, part, number, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
-        room.inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
-    )  # fmt: skip
+    segment_parts.label_runs(part, number, rows, of)
 
     chosen, deviation = moments[kept], deviation[of_part[kept]]
     alpha, rss = np.empty((len(kept), 3)), np.empty(len(kept))
     segment_parts.final_planes(chosen, alpha, rss)
-    whole = _join_across_gaps(labels, chosen, alpha, deviation, number, runs, room, grid, rules)
+    whole = _join_across_gaps(chosen, alpha, deviation, rows, room, grid, rules)
     first = np.flatnonzero(whole == np.arange(len(whole)))
     if len(first) < len(whole):
-        new = np.append(0, np.searchsorted(first, whole) + 1).astype(np.int32)
-        labels = new[labels]
-        sizes = np.bincount(new, weights=sizes).astype(np.int32)
+        number[kept] = np.searchsorted(first, whole) + 1
+        segment_parts.label_runs(part, number, rows, of)
         joined = np.flatnonzero(whole != np.arange(len(whole)))
         np.add.at(chosen, whole[joined], chosen[joined])
         chosen, deviation = chosen[first], deviation[first]
         alpha, rss = alpha[first], rss[first]
         segment_parts.final_planes(chosen, alpha, rss)
+
+    sizes = np.append(0, chosen[:, 0]).astype(np.int32)
+    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
+    segment_parts.write_labels(
+        rows, start, stop, of, part, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
+        room.inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
+    )  # fmt: skip
     d = 1.0 / np.linalg.norm(alpha, axis=1)
     return Segmentation(
         camera=camera,
@@ -489,12 +481,10 @@ def _result(
 
 
 def _join_across_gaps(
-    labels: NDArray[np.int32],
     moments: Floats,
     alpha: Floats,
     deviation: Floats,
-    number: NDArray[np.int32],
-    runs: int,
+    rows: NDArray[np.int32],
     room: _Room,
     grid: _Grid,
     rules: Rules,
@@ -506,13 +496,12 @@ def _join_across_gaps(
         moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
     )
     if count:
-        row, start, stop, _, _, _, part, _ = room.runs
+        runs = rows, *room.runs[:3]
         box = np.empty((len(moments) + 1, 4), np.int64)
-        segment_gaps.part_boxes(row, start, stop, runs, part, number, box)
+        segment_gaps.label_boxes(*runs, box)
         segment_gaps.join_across(
-            labels, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count,
-            box, parent,
-        )  # fmt: skip
+            *runs, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count, box, parent
+        )
     return parent
 
 
