@@ -14,7 +14,7 @@ from ._jit import kernel
 
 # Pixels along a block's side.
 BLOCK = 4
-# Owner of a block: EMPTY where no pixel is measured; MIXED - i where row i of a table has the owner of each.
+# Owner of a block: EMPTY where no pixel is measured; MIXED where each pixel has an owner of its own.
 EMPTY, MIXED = -1, -2
 # Which moments hold q, with their number, and which are the camera's.
 FRAME = (0, 3, 6, 8, 9)

@@ -94,7 +94,9 @@ def gaps_across(
             if last >= 0 and run_label[last] != run_label[i]:
                 through = False
                 for x in range(run_stop[last], run_start[i]):
-                    through |= sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x)
+                    if sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x):
+                        through = True
+                        break
                 opened += through
                 closed += not through
                 width = run_start[i] - run_stop[last]
@@ -128,7 +130,9 @@ def gaps_down(
                         continue
                     through = False
                     for r in range(other[k] + 1, y):
-                        through |= sees_through(inverse_depth, tan_x, tan_y, alpha, reach, r, k + first)
+                        if sees_through(inverse_depth, tan_x, tan_y, alpha, reach, r, k + first):
+                            through = True
+                            break
                     opened += through
                     closed += not through
                     height = y - other[k] - 1

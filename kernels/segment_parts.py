@@ -53,9 +53,10 @@ def put_run(start, stop, a, starts, first, runs, run_start, run_stop, run_label,
 @kernel(inline=True)
 def label_of(owner, pixel_owner, number, y, x):
     """Label of a pixel; below 0 is none."""
-    a = owner[y // BLOCK, x // BLOCK]
-    if a <= MIXED:
-        a = pixel_owner[MIXED - a, y % BLOCK * BLOCK + x % BLOCK]
+    row, column = y // BLOCK, x // BLOCK
+    a = owner[row, column]
+    if a == MIXED:
+        a = pixel_owner[row * owner.shape[1] + column, y % BLOCK * BLOCK + x % BLOCK]
     return number[a] if a >= 0 else -1
 
 
@@ -116,7 +117,7 @@ def find_runs(
             a = owner[row, column]
             if a >= 0:
                 a = number[a]
-            if a <= MIXED or count == 0 or kind[count - 1] != a:
+            if a == MIXED or count == 0 or kind[count - 1] != a:
                 starts[count] = column
                 kind[count] = a
                 count += 1
@@ -139,8 +140,8 @@ def find_runs(
                         left, right, a, new, this_first, runs,
                         run_start, run_stop, run_label, vertical, parent,
                     )  # fmt: skip
-                elif a <= MIXED:
-                    block = MIXED - a
+                elif a == MIXED:
+                    block = row * columns + starts[i]
                     k = (y - top) * BLOCK - left
                     x = left
                     while x < right:
@@ -247,7 +248,7 @@ def measure_parts(
                 u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
                 e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
                 squares[k] += min(e * e, cut * cut)
-                add(moments[k], u, v, q)
+                add(moments[k], u, v, q, 1.0)
     for k in range(count):
         a = owner[k]
         if largest[a] != k:

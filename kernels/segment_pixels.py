@@ -23,6 +23,8 @@ UNOWNED, MISSING = -1, -2
 NO_REGION = np.int32(np.iinfo(np.int32).max)
 # A block with more measured pixels than this is a solid one.
 SPARSE = BLOCK * BLOCK // 2
+# Deviations by which planes may move without anything that they own being looked at again.
+STILL = 0.1
 
 
 @kernel()
@@ -82,6 +84,21 @@ def misfit(m, alpha):
         + b * (b * m[7] + 2.0 * c * m[2])
         + c * c * m[0]
     )  # fmt: skip
+
+
+@kernel(inline=True)
+def add(m, u, v, q, sign):
+    """Add a pixel to moments, or subtract it."""
+    m[0] += sign
+    m[1] += sign * u
+    m[2] += sign * v
+    m[3] += sign * q
+    m[4] += sign * u * u
+    m[5] += sign * u * v
+    m[6] += sign * u * q
+    m[7] += sign * v * v
+    m[8] += sign * v * q
+    m[9] += sign * q * q
 
 
 @kernel(inline=True)
@@ -244,6 +261,71 @@ def settle_squares(
                         owner[r, c] = a
 
 
+@kernel()
+def settle_unchanged(
+    before, last_before, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments, around
+):  # fmt: skip
+    """Let blocks be around which no region has changed since the last round, and no plane has moved.
+
+    ``around`` becomes SETTLED for them; the rest is as in `own_pixels`.
+    """
+    rows, columns = before.shape
+    moved = np.empty((len(alpha), 3))
+    for a in range(len(alpha)):
+        deviation = math.sqrt(
+            (sensor_variance(moments[a, 3] / moments[a, 0], sigma) + slope_variance[a]) * spread[a]
+        )
+        for k in range(3):
+            moved[a, k] = (alpha[a, k] - last_alpha[a, k]) / (STILL * deviation)
+    changed = np.zeros((rows + 2, columns + 2), np.bool_)  # with a rim
+    for row in range(rows):
+        for c in range(columns):
+            a = max(before[row, c], 0)
+            d = moved[a, 0] * centre_u[row, c] + moved[a, 1] * centre_v[row, c] + moved[a, 2]
+            same = before[row, c] == last_before[row, c]
+            changed[row + 1, c + 1] = ~(same & ((before[row, c] < 0) | (abs(d) <= 1.0)))
+    nearby = np.empty(columns + 2, np.bool_)
+    for row in range(rows):
+        above, here, below = changed[row], changed[row + 1], changed[row + 2]
+        for c in range(columns + 2):
+            nearby[c] = above[c] | here[c] | below[c]
+        for c in range(columns):
+            if not (nearby[c] | nearby[c + 1] | nearby[c + 2]):
+                around[row, c] = SETTLED
+
+
+@kernel()
+def take_out(
+    inverse_depth, tan_x, tan_y, pyramid, alpha, slope_variance, spread, sigma, cut, around, owner, pixel_owner,
+    moments, squares,
+):  # fmt: skip
+    """Subtract what the blocks that are not SETTLED gave to the regions, whose planes then were ``alpha``."""
+    height, width = inverse_depth.shape
+    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    rows, columns = around.shape
+    for row in range(rows):
+        for column in range(columns):
+            if around[row, column] == SETTLED:
+                continue
+            m = pyramid[:, row * columns + column]
+            sensor = sensor_variance(m[3] / m[0], sigma)
+            a = owner[row, column]
+            if a >= 0:
+                for k in range(10):
+                    moments[a, k] -= m[k]
+                squares[a] -= max(misfit(m, alpha[a]), 0.0) / ((sensor + slope_variance[a]) * spread[a])
+                continue
+            for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+                for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+                    a = pixel_owner[row * columns + column, y % BLOCK * BLOCK + x % BLOCK]
+                    if a < 0:
+                        continue
+                    u, v, q = tan_x[y * step_y, x], tan_y[y, x * step_x], inverse_depth[y, x]
+                    add(moments[a], u, v, q, -1.0)
+                    e = q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])
+                    squares[a] -= min(e * e / ((sensor + slope_variance[a]) * spread[a]), cut * cut)
+
+
 @kernel(inline=True)
 def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, top, left, bottom, right, distance):
     """Whether no other contender comes near to region a's plane in a block, or only beyond where they meet.
@@ -320,7 +402,8 @@ def add_owned(i, winner, u, v, q, square, cut, moments):
 @kernel()
 def own_pixels(
     inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, spread, sigma,
-    reach, close, settled, cut, pyramid, offsets, shapes, is_last, owner, pixel_owner, moments, squares,
+    reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, last_alpha,
+    owner, pixel_owner, moments, squares,
 ):  # fmt: skip
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
@@ -346,16 +429,21 @@ def own_pixels(
         Squared residuals count in ``squares`` as so many variances at most.
     pyramid, offsets, shapes
         Moments of the squares of 1, 2, 4, ... blocks: see `segment_blocks.sum_by_fours`.
-    is_last : bool
-        Whether to write ``owner`` and ``pixel_owner``.
+    is_first : bool
+        Whether the regions are others than in the round before.
+    before : (R, C) int32
+        ``region`` before the last round; on return, before this one.
+    last_alpha : (N, 3) float64
+        ``alpha`` in the last round.
     owner : (R, C) int32
-        EMPTY or not; on return, if ``is_last``, region that owns all measured pixels of a block, which are
-        most; or EMPTY, or MIXED - i.
-    pixel_owner : (R * C, BLOCK²) int32, written
-        Row i holds the region of each pixel of one block, or UNOWNED or MISSING.
-    moments : (N, 10) float64, written
-    squares : (N,) float64, written
-        Sum of each region's squared residuals, in variances.
+        EMPTY or not; on return region that owns all measured pixels of a block, which are most; or EMPTY, or
+        MIXED.
+    pixel_owner : (R * C, BLOCK²) int32
+        On return, of each MIXED block, the region of each pixel, or UNOWNED or MISSING.
+    moments : (N, 10) float64
+        After the last round, and on return.
+    squares : (N,) float64
+        Sum of each region's squared residuals, in variances: after the last round, and on return.
     """
     height, width = inverse_depth.shape
     rows, columns = region.shape
@@ -379,17 +467,35 @@ def own_pixels(
         np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32),
     )  # fmt: skip
     n = np.zeros(BLOCK * BLOCK, np.float32)
-    before = region.copy()
     around = np.empty((rows, columns), np.int8)
-    look_around(before, owner, around)
-    moments[:] = 0.0
-    squares[:] = 0.0
+    look_around(region, owner, around)
+    if is_first:
+        moments[:] = 0.0
+        squares[:] = 0.0
+    else:
+        settle_unchanged(
+            region,
+            before,
+            alpha,
+            last_alpha,
+            slope_variance,
+            spread,
+            sigma,
+            centre_u,
+            centre_v,
+            moments,
+            around,
+        )
+        take_out(
+            inverse_depth, tan_x, tan_y, pyramid, last_alpha, slope_variance, spread, sigma, cut, around, owner,
+            pixel_owner, moments, squares,
+        )  # fmt: skip
+    before[:] = region
     for level in (2, 1):
         settle_squares(
             pyramid, offsets, shapes, level, region, around, alpha, slope_variance, spread, sigma, settled,
             owner, moments, squares,
         )  # fmt: skip
-    mixed = 0
     for row in range(rows):
         top = row * BLOCK
         bottom = min(top + BLOCK, height)
@@ -421,15 +527,14 @@ def own_pixels(
                         moments[a, k] += m[k]
                     squares[a] += max(error, 0.0) / total
                     region[row, column] = a
-                    if is_last:
-                        owner[row, column] = a
-                        if pixels <= SPARSE:
-                            owner[row, column] = MIXED - mixed
-                            for y in range(top, bottom):
-                                for x in range(left, right):
-                                    k = (y - top) * BLOCK + x - left
-                                    pixel_owner[mixed, k] = a if inverse_depth[y, x] > 0.0 else MISSING
-                            mixed += 1
+                    owner[row, column] = a
+                    if pixels <= SPARSE:
+                        owner[row, column] = MIXED
+                        for y in range(top, bottom):
+                            for x in range(left, right):
+                                k = (y - top) * BLOCK + x - left
+                                own = a if inverse_depth[y, x] > 0.0 else MISSING
+                                pixel_owner[row * columns + column, k] = own
                     continue
 
             gather(inverse_depth, tan_x, tan_y, top, left, q, u, v)
@@ -476,13 +581,10 @@ def own_pixels(
                     squares[a] += add_owned(
                         i, winner, middle_u, middle_v, middle_q, middle_square, cut_square, moments[a]
                     )  # fmt: skip
-            if is_last:
-                for p in range(BLOCK * BLOCK):
-                    a = UNOWNED if middle_q[p] > 0.0 else MISSING
-                    pixel_owner[mixed, p] = candidate[winner[p]] if winner[p] >= 0 else a
-            if is_last:
-                owner[row, column] = MIXED - mixed
-                mixed += 1
+            owner[row, column] = MIXED
+            for p in range(BLOCK * BLOCK):
+                a = UNOWNED if middle_q[p] > 0.0 else MISSING
+                pixel_owner[row * columns + column, p] = candidate[winner[p]] if winner[p] >= 0 else a
             # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
             most = 0
             for i in range(1, count):
@@ -492,18 +594,3 @@ def own_pixels(
                 if candidate[i] == before[row, column] and 4 * owned[i] >= pixels:
                     most = i
             region[row, column] = candidate[most] if count > 0 and owned[most] > 2 else -1
-
-
-@kernel(inline=True)
-def add(m, u, v, q):
-    """Add a pixel to moments."""
-    m[0] += 1.0
-    m[1] += u
-    m[2] += v
-    m[3] += q
-    m[4] += u * u
-    m[5] += u * v
-    m[6] += u * q
-    m[7] += v * v
-    m[8] += v * q
-    m[9] += q * q

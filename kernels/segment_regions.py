@@ -43,6 +43,8 @@ def find_regions(
     """
     count = leaves(offsets, shapes, state, pyramid, region, owner, moments)
     number = np.empty(0, np.int64)
+    before = np.empty_like(region)
+    alpha = np.empty((0, 3))
     for trip in range(rounds + 1):
         pair_count = neighbours(region, centre_u, centre_v, pairs, contact, table)
         first_moments = moments[:count].copy()
@@ -76,12 +78,14 @@ def find_regions(
                 if number[a] >= 0:
                     squares[number[a]] += own_squares[a]
             return number, merged
+        is_first = trip == 0 or merged < count
         count = merged
+        last_alpha = alpha
         alpha, slope_variance, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
         planes(moments[:count], sigma, lateral_x, lateral_y, growth, alpha, slope_variance, waves)
         own_pixels(
             inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, waves, sigma,
-            reach, close, settled, cut, pyramid, offsets, shapes, trip == rounds - 1, owner, pixel_owner,
-            moments[:count], squares[:count],
+            reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, last_alpha,
+            owner, pixel_owner, moments[:count], squares[:count],
         )  # fmt: skip
     return number, count

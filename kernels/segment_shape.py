@@ -74,11 +74,10 @@ def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region,
             if a < 0:
                 continue
             n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
+            i = row * region.shape[1] + column
             if owner[row, column] >= 0:
-                i = row * region.shape[1] + column
                 n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
-            elif owner[row, column] <= MIXED:
-                i = MIXED - owner[row, column]
+            elif owner[row, column] == MIXED:
                 for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
                     for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
                         b = pixel_owner[i, y % BLOCK * BLOCK + x % BLOCK]
