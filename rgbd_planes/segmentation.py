@@ -496,12 +496,13 @@ def _join_across_gaps(
         moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
     )
     if count:
-        runs = rows, *room.runs[:3]
+        start, stop, label = room.runs[:3]
         box = np.empty((len(moments) + 1, 4), np.int64)
-        segment_gaps.label_boxes(*runs, box)
+        segment_gaps.label_boxes(rows, start, stop, label, box)
         segment_gaps.join_across(
-            *runs, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count, box, parent
-        )
+            rows, start, stop, label, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count,
+            box, parent,
+        )  # fmt: skip
     return parent
 
 
