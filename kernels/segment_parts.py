@@ -12,6 +12,8 @@ from .segment_pixels import MISSING, add
 
 # Missing pixels in a row that still are holes in a surface.
 GAP = 3
+# Pixels of one label among the 3x3 around one of them that may be there by chance.
+COMPANY = 3
 
 
 @kernel(inline=True)
@@ -273,10 +275,10 @@ def label_runs(part, number, row_runs, run_label):
 
 @kernel()
 def write_labels(
-    row_runs, run_start, run_stop, run_label, part, why, missing, unclaimed, inverse_depth,
-    loose, loose_count, needed, label, reason, sizes,
+    row_runs, run_start, run_stop, run_label, part, why, stray, missing, unclaimed, inverse_depth,
+    loose, loose_count, label, reason,
 ):  # fmt: skip
-    """Write the final labels and the reasons, and let stray pixels go with their neighbours.
+    """Write the final labels and the reasons.
 
     Parameters
     ----------
@@ -284,11 +286,16 @@ def write_labels(
         Final label of each run, 0 for none.
     why : (P,) uint8
         Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are those of the other pixels.
+    stray : (P,) bool
+        Parts without a label whose pixels are loose.
     loose, loose_count
-        Of `find_runs`. One goes with a label that ``needed`` or more of its eight neighbours have.
+        Of `find_runs`; those pixels are added.
     label, reason : (H, W) int32 and uint8, written
-    sizes : (N + 1,) int32
-        Pixels of each label; loose ones are added.
+
+    Returns
+    -------
+    int
+        How many loose pixels there are.
     """
     height, width = label.shape
     for y in range(height):
@@ -308,6 +315,62 @@ def write_labels(
                 label_run[x] = a if q[x] > 0.0 else 0
             for x in range(stop - start):
                 reason_run[x] = b if q[x] > 0.0 else missing
+            if stray[part[i]]:
+                for x in range(stop - start):
+                    if q[x] > 0.0:
+                        loose[loose_count] = y * width + start + x
+                        loose_count += 1
+    return loose_count
+
+
+@kernel()
+def is_lone(label, inverse_depth, y, x):
+    """Whether hardly a pixel around one has its label, and most have not."""
+    height, width = label.shape
+    same = others = 0
+    for r in range(max(y - 1, 0), min(y + 2, height)):
+        for c in range(max(x - 1, 0), min(x + 2, width)):
+            if inverse_depth[r, c] > 0.0:
+                alike = label[r, c] == label[y, x]
+                same += alike
+                others += not alike
+    return same <= COMPANY and same <= others
+
+
+@kernel()
+def settle_strays(
+    row_runs, run_start, run_stop, inverse_depth, unclaimed, least, needed, loose, loose_count,
+    label, reason, sizes,
+):  # fmt: skip
+    """Take the label from pixels that stand alone, and let loose ones go with those around them.
+
+    Parameters
+    ----------
+    least : int
+        Pixels that a label keeps.
+    needed : int
+        A loose pixel goes with a label that so many or more of its eight neighbours have.
+    loose, loose_count
+        Of `write_labels`; those that lose their label are added.
+    label, reason : (H, W) int32 and uint8, changed
+    sizes : (N + 1,) int32, changed
+        Pixels of each label.
+    """
+    height, width = label.shape
+    labelled = loose_count
+    for y in range(height):
+        for i in range(row_runs[y], row_runs[y + 1]):
+            if run_stop[i] - run_start[i] > COMPANY:
+                continue
+            for x in range(run_start[i], run_stop[i]):
+                a = label[y, x]
+                if a > 0 and sizes[a] > least and is_lone(label, inverse_depth, y, x):
+                    loose[loose_count] = y * width + x
+                    loose_count += 1
+                    sizes[a] -= 1
+    for i in range(labelled, loose_count):
+        label[loose[i] // width, loose[i] % width] = 0
+        reason[loose[i] // width, loose[i] % width] = unclaimed
     found = np.empty(loose_count, np.int32)
     for _ in range(2):
         for i in range(loose_count):

@@ -12,6 +12,8 @@ import numpy as np
 
 from ._jit import kernel
 from .segment_blocks import BLOCK, MIXED, sensor_variance
+from .segment_facets import find_faceted, turn_of_groups
+from .segment_parts import root_of, unite
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
@@ -283,22 +285,15 @@ def continues(
 
 
 @kernel()
-def root_of(parent, i):
-    """The oldest ancestor."""
-    while parent[i] != i:
-        i = parent[i]
-    return i
-
-
-@kernel()
 def find_curved(
     region, means, region_moments, alpha, slope_variance, spread, sigma, reach, significant, sharp,
-    pairs, contact, count, curved,
+    blunt, pitch_x, pitch_y, pairs, contact, count, curved,
 ):  # fmt: skip
     """Mark the regions that are part of a curved surface.
 
     Neighbours that one quadric fits better than two planes form groups. A group is curved if its normals turn
     by more than ``sharp`` radians, root mean square: less than that, and it is the sensor that bends a plane.
+    Also curved are the groups of `segment_facets.find_faceted`.
 
     Parameters
     ----------
@@ -310,6 +305,8 @@ def find_curved(
         Deviations within which neighbours touch.
     significant : float
         Variances by which a quadric must be better.
+    blunt, pitch_x, pitch_y : float
+        See `segment_facets.find_faceted`; change of tanθx and tanθy from pixel to pixel.
     pairs, contact, count
         Of `segment_merge.neighbours`.
     curved : (N,) bool, written
@@ -321,6 +318,9 @@ def find_curved(
     bent = np.empty(regions, np.bool_)
     find_turns(
         region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned, bent
+    )  # fmt: skip
+    find_faceted(
+        region_moments, alpha, turned, sharp, blunt, pitch_x, pitch_y, pairs, contact, count, curved
     )  # fmt: skip
     parent = np.arange(regions)
     covered, bend = np.empty(1), np.empty(1)
@@ -344,29 +344,13 @@ def find_curved(
         smooth += 1
         enough = covered[0] > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
         if enough and better > max(MARGIN * bend[0], significant * spread[a]):
-            a, b = root_of(parent, a), root_of(parent, b)
-            parent[max(a, b)] = min(a, b)
-            bent[min(a, b)] = True
-    normal = np.zeros((regions, 3))
-    pixels = np.zeros(regions)
-    for a in range(regions):
-        if not alpha[a, 0] < math.inf:
-            continue
-        root = root_of(parent, a)
-        length = math.sqrt(alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2)
-        for k in range(3):
-            normal[root, k] += region_moments[a, 0] * alpha[a, k] / length
-        pixels[root] += region_moments[a, 0]
-    total = np.zeros(regions)
-    for a in range(regions):
-        total[root_of(parent, a)] += region_moments[a, 0] * turned[a]
+            unite(parent, a, b)
+            bent[root_of(parent, a)] = True
+    turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
+    turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members)
     for a in range(regions):
         root = root_of(parent, a)
-        curved[a] = False
-        if pixels[root] > 0.0 and bent[root]:
-            mean = (normal[root, 0] ** 2 + normal[root, 1] ** 2 + normal[root, 2] ** 2) / pixels[root] ** 2
-            # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
-            curved[a] = 1.0 - mean + total[root] / pixels[root] > sharp * sharp
+        curved[a] |= bent[root] and turn_square[root] > sharp * sharp
     changed = True
     while changed:
         changed = False

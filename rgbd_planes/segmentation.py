@@ -56,6 +56,7 @@ class Rules:
     settled: float = 3.0  # deviations of a block that is left in peace
     rough: float = 3.0  # deviations of a region that is several planes, or none
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
+    blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
     narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
     trips: int = 3  # from planes to pixels and back
 
@@ -92,7 +93,7 @@ class Segmentation:
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
         -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label, but for
-        strays that only go with their neighbours.
+        strays that go with their neighbours.
     alpha_covariance : (N, 3, 3) float64
         Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
         pixels as the frame's correlated noise leaves.
@@ -271,13 +272,12 @@ def segment_frame(
     """`segment` by other rules, which is for experiments."""
     grid = _grid(camera)
     room = _rooms.of(camera)
-    pitch = 1.0 / camera.fx, 1.0 / camera.fy
     squares_of = room.pyramid, grid.offsets, grid.shapes
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        grid.tan_x, grid.tan_y, grid.sums, *pitch, room.inverse_depth, room.pyramid, room.rss, room.slope,
+        grid.tan_x, grid.tan_y, grid.sums, *grid.pitch, room.inverse_depth, room.pyramid, room.rss, room.slope,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(*squares_of, *pitch, room.rss, room.slope)
+    segment_blocks.sum_by_fours(*squares_of, *grid.pitch, room.rss, room.slope)
     noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, grid.shapes, nearest, sigma)
     spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
 
@@ -325,7 +325,8 @@ def _find_curved(
     curved = np.empty(len(moments), np.bool_)
     segment_shape.find_curved(
         region, means, moments, alpha, slope, waves, noise.sigma, rules.reach, rules.region_spread,
-        np.radians(rules.sharp), room.pairs, room.contact, count, curved,
+        np.radians(rules.sharp), np.radians(rules.blunt), *grid.pitch,
+        room.pairs, room.contact, count, curved,
     )  # fmt: skip
     return curved
 
@@ -338,6 +339,7 @@ class _Grid:
     offsets: NDArray[np.int64]  # (LEVELS + 1,): where each begins
     tan_x: Floats  # (1, W) and (H, 1), or (H, W) both
     tan_y: Floats
+    pitch: tuple[float, float]  # change of tanθx and tanθy from pixel to pixel
     sums: Floats  # (6, R, C): what the moments hold of the camera alone
     centre_u: Floats  # (R, C): tanθx, tanθy in the middle of each block
     centre_v: Floats
@@ -362,6 +364,7 @@ def _grid(camera: Camera) -> _Grid:
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
         tan_x=camera.tan_x_columns[None, :] if camera.is_separable else camera.tan_x,
         tan_y=camera.tan_y_rows[:, None] if camera.is_separable else camera.tan_y,
+        pitch=(1.0 / camera.fx, 1.0 / camera.fy),
         sums=sums,
         centre_u=camera.tan_x[middle],
         centre_v=camera.tan_y[middle],
@@ -462,9 +465,15 @@ def _result(
 
     sizes = np.append(0, chosen[:, 0]).astype(np.int32)
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
-    segment_parts.write_labels(
-        rows, start, stop, of, part, why, np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED),
-        room.inverse_depth, loose, loose_count, FILLED, labels, reason, sizes,
+    missing, unclaimed = np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED)
+    stray = (why == Reason.SMALL) | (why == Reason.NARROW)
+    loose_count = segment_parts.write_labels(
+        rows, start, stop, of, part, why, stray, missing, unclaimed,
+        room.inverse_depth, loose, loose_count, labels, reason,
+    )  # fmt: skip
+    segment_parts.settle_strays(
+        rows, start, stop, room.inverse_depth, unclaimed, min_size, FILLED, loose, loose_count,
+        labels, reason, sizes,
     )  # fmt: skip
     d = 1.0 / np.linalg.norm(alpha, axis=1)
     return Segmentation(

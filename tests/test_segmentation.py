@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import convolve, gaussian_filter
 
 from rgbd_planes import Camera, fit_tiles, scenes, segment
 from rgbd_planes.metrics import compare_labels, plane_errors
@@ -162,6 +162,34 @@ def test_a_column_of_eight_sides_is_its_sides(noise):
     assert np.count_nonzero(large) == 4  # the wall and three sides
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_column_of_many_sides_is_round(noise):
+    q = column(24)
+    rng = np.random.default_rng(16)
+    found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
+    on_column = q > 0.45
+    assert (found.reason[on_column] == Reason.CURVED).mean() > 0.85
+    assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+@pytest.mark.parametrize("turned", [(-27.0, 0.0, 27.0), (27.0, 0.0, -27.0), (-13.0, 13.0, -13.0, 13.0)])
+def test_few_panels_or_a_zigzag_stay_planes(turned):
+    # As a ceiling between two slopes, or a folding screen: upright panels, by how many degrees each is turned.
+    u, q, z = CAMERA.tan_x, np.empty(CAMERA.shape), 2.0
+    edges = np.linspace(u[0, 0], u[0, -1], len(turned) + 1)
+    for left, right, angle in zip(edges[:-1], edges[1:], np.radians(turned), strict=True):
+        slope = np.tan(angle)  # the panel is x tan(angle) = z + constant
+        panel = (1.0 - u * slope) / (z * (1.0 - left * slope))
+        q = np.where(u >= left, panel, q)
+        z *= (1.0 - left * slope) / (1.0 - right * slope)
+    rng = np.random.default_rng(17)
+    found = segment(1.0 / (q + rng.normal(0.0, 1e-4, q.shape)), CAMERA)
+    assert len(found) == len(turned)
+    assert (found.labels > 0).mean() > 0.99
+    angles = np.degrees(np.arctan2(found.planes[:, 0], -found.planes[:, 2]))
+    assert np.abs(np.diff(angles)) == pytest.approx(np.abs(np.diff(turned)), abs=0.2)
+
+
 def test_holes_and_thin_gaps_do_not_cut_a_plane():
     rng = np.random.default_rng(8)
     depth = 1.0 / (0.7 + 0.1 * CAMERA.tan_x + rng.normal(0.0, 1e-3, CAMERA.shape))
@@ -215,6 +243,22 @@ def test_small_planes_and_the_reason_why_not():
     found = segment(depth, CAMERA, min_size=200)
     assert len(found) == 1
     assert np.isin(found.reason[102:110, 102:110], [Reason.SMALL, Reason.UNCLAIMED]).all()
+
+
+def test_what_a_plane_owns_is_no_powder():
+    # Between two walls nothing but noise, a quarter of whose pixels happen to lie on the right one.
+    rng = np.random.default_rng(18)
+    q, _ = two_planes(CAMERA, 0.1)
+    q = q + rng.normal(0.0, 1e-3, q.shape)
+    noise = rng.uniform(0.3, 3.0, (CAMERA.height, 20))
+    q[:, 140:160] = np.where(rng.random(noise.shape) < 0.25, q[:, 180:200], noise)
+    q[100:103, 250] = 0.8  # a speck that goes with the wall around it
+    found = segment(1.0 / q, CAMERA)
+    assert len(found) == 2
+    right = found.labels == found.labels[0, 300]
+    alike = convolve(right.astype(int), np.ones((3, 3), int), mode="constant")
+    assert np.count_nonzero(right[:, 140:160] & (alike[:, 140:160] <= 3)) < 150
+    assert right[100:103, 250].all()
 
 
 def test_noise_can_be_given():

@@ -1,0 +1,99 @@
+"""Segmentation: planes that are the facets of something round.
+
+The mesh of a cushion or the strips of a lamp's shade are planes to the last digit, but nobody would call them so.
+What tells them from the faces of a box: they meet at small angles, one after the other, bending the same way.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import BLOCK
+from .segment_parts import root_of, unite
+
+STRAIGHT, AWAY, TOWARDS = 0, 1, 2
+FACETS = 4  # planes that make something round: a ceiling between two slopes is three
+
+
+@kernel()
+def bend_of(a, b, m_a, m_b, contact, alpha, pitch_x, pitch_y, blunt):
+    """How two regions that touch are bent against each other, if by less than ``blunt`` radians.
+
+    AWAY from the camera, as facets of a ball are, or TOWARDS it; STRAIGHT if their planes do not meet where the
+    regions touch, to a block, or at a larger angle.
+    """
+    d_u, d_v, d_1 = alpha[a, 0] - alpha[b, 0], alpha[a, 1] - alpha[b, 1], alpha[a, 2] - alpha[b, 2]
+    jump = (d_u * contact[1] + d_v * contact[2]) / contact[0] + d_1
+    if not jump * jump <= BLOCK * BLOCK * ((d_u * pitch_x) ** 2 + (d_v * pitch_y) ** 2):
+        return STRAIGHT
+    along = alpha[a, 0] * alpha[b, 0] + alpha[a, 1] * alpha[b, 1] + alpha[a, 2] * alpha[b, 2]
+    square_a = alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2
+    square_b = alpha[b, 0] ** 2 + alpha[b, 1] ** 2 + alpha[b, 2] ** 2
+    if not along > math.cos(blunt) * math.sqrt(square_a * square_b):
+        return STRAIGHT
+    # From a's middle to b's the plane of a comes nearer than that of b, or falls behind.
+    nearer = d_u * (m_b[1] / m_b[0] - m_a[1] / m_a[0]) + d_v * (m_b[2] / m_b[0] - m_a[2] / m_a[0])
+    return AWAY if nearer > 0.0 else TOWARDS
+
+
+@kernel()
+def turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members):
+    """Mean squared angle of the normals of each group of regions about their mean, written at the group's root.
+
+    ``parent`` (N,) leads to the roots; ``turned`` (N,) is what the normals turn within each region. Also written:
+    ``pixels`` (N,) and ``members`` (N,) of each group.
+    """
+    regions = len(parent)
+    normal = np.zeros((regions, 3))
+    turn_square[:] = pixels[:] = 0.0
+    members[:] = 0
+    for a in range(regions):
+        if not alpha[a, 0] < math.inf:
+            continue
+        root = root_of(parent, a)
+        length = math.sqrt(alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2)
+        for k in range(3):
+            normal[root, k] += region_moments[a, 0] * alpha[a, k] / length
+        pixels[root] += region_moments[a, 0]
+        turn_square[root] += region_moments[a, 0] * turned[a]
+        members[root] += 1
+    for a in range(regions):
+        if pixels[a] > 0.0:
+            mean = (normal[a, 0] ** 2 + normal[a, 1] ** 2 + normal[a, 2] ** 2) / pixels[a] ** 2
+            # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
+            turn_square[a] = 1.0 - mean + turn_square[a] / pixels[a]
+
+
+@kernel()
+def find_faceted(
+    region_moments, alpha, turned, sharp, blunt, pitch_x, pitch_y, pairs, contact, count, curved
+):  # fmt: skip
+    """Mark the facets of what is meant to be round, as a ball that a computer drew or a shade of strips.
+
+    Planes that meet at less than ``blunt`` radians and bend the same way form groups. One is round if it has
+    FACETS or more, none of which is most of it, and turns by more than ``sharp`` radians, root mean square.
+    The other arguments are those of `find_curved`.
+    """
+    regions = len(alpha)
+    turn_square, pixels = np.empty(regions), np.empty(regions)
+    members = np.empty(regions, np.int64)
+    largest = np.empty(regions)
+    curved[:] = False
+    for way in (AWAY, TOWARDS):
+        parent = np.arange(regions)
+        for i in range(count):
+            a, b = pairs[i, 0], pairs[i, 1]
+            if way == bend_of(
+                a, b, region_moments[a], region_moments[b], contact[i], alpha, pitch_x, pitch_y, blunt
+            ):  # fmt: skip
+                unite(parent, a, b)
+        turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members)
+        largest[:] = 0.0
+        for a in range(regions):
+            root = root_of(parent, a)
+            largest[root] = max(largest[root], region_moments[a, 0])
+        for a in range(regions):
+            root = root_of(parent, a)
+            many = members[root] >= FACETS and largest[root] < 0.5 * pixels[root]
+            curved[a] |= many and turn_square[root] > sharp * sharp
