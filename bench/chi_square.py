@@ -12,7 +12,7 @@ from scipy import special
 
 from rgbd_planes.kernels.chi_square import ETA_LEAST, ETA_MOST
 
-POWERS = (10, 4)
+POWERS = (6, 3)
 LEAST_A, SHIFT = 0.5, 0.5
 ROUNDS = 40
 

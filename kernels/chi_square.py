@@ -15,25 +15,20 @@ from ._jit import kernel
 # C as powers of η, one a row, and of s = 1/(a + 1/2), for η in this range: made by ``python -m bench.chi_square``.
 ETA_LEAST, ETA_MOST = -8.9, 9.9
 CORRECTION = np.array([
-    (0.333314334749158, 0.00827458352106109, -0.000965125051555779, -0.000170605445543377, -0.00429880595538356),
-    (-0.0277249605010001, 0.00259394478719029, 0.00452465519158861, 0.000192523933189045, 0.000774858809031588),
-    (-0.000650761071600231, -0.00117892823940633, -0.00176432629991915, 0.000579152799016436, 0.000307183181949942),
-    (0.00105527543890171, 0.000401306608854798, -0.00047341495089071, 0.000399069656722134, -0.000383547667805043),
-    (-0.000241212399492736, -0.00020313988467001, 0.000895095914006442, -0.000827542964557735, 0.00029749637000235),
-    (1.82017344452775e-05, 6.18790259595932e-05, -0.000373980113704607, 0.00042357938687869, -0.000146365102074835),
-    (3.83642895181615e-06, -6.69987147144324e-06, 5.54167049968168e-05, -7.99102632949736e-05, 3.13436194570008e-05),
-    (-1.07905559984741e-06, -9.35854856569789e-09, 1.77316774020736e-07, 2.21837992518354e-06, -1.48264139274858e-06),
-    (5.47969478354682e-08, 5.16124503104908e-08, -7.58987391939237e-07, 9.73410002467069e-07, -3.4801183679212e-07),
-    (9.5549798510696e-09, -1.34320276735221e-08, 6.93516987350471e-08, -1.08956667357613e-07, 4.67955876314162e-08),
-    (-8.46288381263558e-10, 9.56395387714305e-10, -1.80298038434626e-09, 3.11695092456817e-09, -1.52965811355053e-09),
+    (0.333393098820238, 0.0070354301472177, 0.0045077685311466, -0.00938927514763931),
+    (-0.0279716613770735, 0.0046406637118724, -0.000619313189987466, 0.00502720744902483),
+    (-0.000343553823606533, -0.00309945663793632, 0.0020905546306793, -0.00103299515711966),
+    (0.000903058287462143, 0.00105839911843891, -0.00162486719197983, 0.000385754116993469),
+    (-0.000220068613464047, -0.000157697161142042, 0.000471051776015664, -0.000159490112091058),
+    (2.75431653470581e-05, 2.36895656238374e-07, -4.85293845521442e-05, 2.26939765969434e-05),
+    (-1.39698960779751e-06, 1.02078563999427e-06, 1.31815546343229e-06, -9.2518582597256e-07),
 ])  # fmt: skip
 
 # The upper tail of the normal distribution is exp(-z²/2)·t·P(t) with t = 2/(2 + z): P, lowest power first,
-# interpolates SciPy's erfcx at the Chebyshev points of [0, 1]. Its relative error is below 2e-7.
-TAIL_0, TAIL_1, TAIL_2 = 0.1994711528305864, 0.19946815321121372, 0.14970880095785122
-TAIL_3, TAIL_4, TAIL_5 = 0.04863429921021592, -0.057593120028867975, -0.09997488775586835
-TAIL_6, TAIL_7, TAIL_8 = -0.20365999696080236, 0.7432728996205819, -0.7913807918587487
-TAIL_9, TAIL_10 = 0.3871027683456883, -0.0750493065385275
+# interpolates SciPy's erfcx at the Chebyshev points of [0, 1]. Its relative error is below 2e-6.
+TAIL_0, TAIL_1, TAIL_2 = 0.1994715460615227, 0.19940475726989348, 0.15145836597894818
+TAIL_3, TAIL_4, TAIL_5 = 0.029282237616144374, 0.05416858389853427, -0.47931690750756856
+TAIL_6, TAIL_7, TAIL_8 = 0.5950355620527407, -0.3134674436265108, 0.06396343432391081
 
 LEAST_FREEDOM = 1.0
 
@@ -43,7 +38,8 @@ ONE = np.int64(0x3FF0000000000000)
 MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
 # With these bits above it, a small whole number is that number plus 2⁵².
 WHOLE, WHOLE_BITS = 2.0**52, np.int64(0x4330000000000000)
-LN_2 = math.log(2.0)
+LN_2, ROOT_2 = math.log(2.0), math.sqrt(2.0)
+OF_EXPONENT = 1023.0
 
 # Rows of room that `tails` needs, of which the first two hold its arguments and the first its result.
 WORK = 5
@@ -58,68 +54,64 @@ def split(x, exponent, count):
         exponent_bits[i] = (shifted >> 52) | WHOLE_BITS
         bits[i] = (shifted & MANTISSA) + ROOT_HALF
     for i in range(count):
-        exponent[i] -= WHOLE + 1023.0
+        exponent[i] -= WHOLE + OF_EXPONENT
 
 
 @kernel(reduction=True, inline=True)
 def tails(work, count):
     """Probabilities that chi-square over its degrees of freedom exceeds ``work[0]``, written there.
 
-    Where it is above 1e-12, its relative error is below 3e-6 for 10 degrees of freedom or more, 7e-6 for 4, 5e-5 for 2
-    and 4e-4 for 1. NaN stays NaN.
+    Where it is above 1e-12, its relative error is below 2e-5 for 5 degrees of freedom or more, 2e-4 for 2 and 2e-3 for
+    1. NaN stays NaN.
 
     Parameters
     ----------
     work : (WORK, N) float64
-        Its second row is 1 over the degrees of freedom, at least `LEAST_FREEDOM`.
+        Its second row is 1/√(degrees of freedom), of at least `LEAST_FREEDOM`.
     count : int
         Number of values.
     """
-    ratio, s, mantissa, eta, correction = work[0], work[1], work[2], work[3], work[4]
+    ratio, root, mantissa, exponent, deviate = work[0], work[1], work[2], work[3], work[4]
     for i in range(count):
         mantissa[i] = min(max(ratio[i], 1e-18), 1e6)
-    split(mantissa, eta, count)
+    split(mantissa, exponent, count)
     for i in range(count):
-        w = (mantissa[i] - 1.0) / (mantissa[i] + 1.0)
+        m, v = mantissa[i], root[i] * root[i]
+        # One division for three.
+        inverse = 1.0 / ((m + 1.0) * (1.0 + v) * root[i])
+        w = (m - 1.0) * (inverse * (1.0 + v) * root[i])
         square = w * w
-        # ln of the mantissa is 2·artanh w
-        series = 1.0 / 9.0 + square * (
-            1.0 / 11.0 + square * (1.0 / 13.0 + square * (1.0 / 15.0 + square / 17.0))
-        )
-        series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square * series)))
-        x = min(max(ratio[i], 1e-18), 1e6)
-        half_square = x - 1.0 - (eta[i] * LN_2 + 2.0 * w * (1.0 + series))
-        eta[i] = math.copysign(math.sqrt(max(2.0 * half_square, 0.0)), x - 1.0)
-        # a = 1/(2v), so that 1/(a + 1/2) = 2v/(1 + v); a itself takes the place of the mantissa.
-        mantissa[i] = 0.5 / s[i]
-        s[i] = 2.0 * s[i] / (1.0 + s[i])
-        correction[i] = 0.0
-    for j in range(CORRECTION.shape[0] - 1, -1, -1):
-        c_0, c_1, c_2, c_3, c_4 = CORRECTION[j]
-        for i in range(count):
-            of_s = c_0 + s[i] * (c_1 + s[i] * (c_2 + s[i] * (c_3 + s[i] * c_4)))
-            correction[i] = correction[i] * min(max(eta[i], ETA_LEAST), ETA_MOST) + of_s
-    for i in range(count):
-        root = math.sqrt(mantissa[i])
-        z = eta[i] * root + correction[i] / root
+        # ln of the mantissa is 2·artanh w. Where values are far from 1, so that this matters, no digit more is needed.
+        series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square / 9.0)))
+        more = min(max(ratio[i], 1e-18), 1e6) - 1.0
+        half_square = more - (exponent[i] * LN_2 + 2.0 * w * (1.0 + series))
+        eta = math.copysign(math.sqrt(max(2.0 * half_square, 0.0)), more)
+        # a = 1/(2v), so that 1/(a + 1/2) = 2v/(1 + v).
+        s = 2.0 * v * (inverse * (m + 1.0) * root[i])
+        inside = min(max(eta, ETA_LEAST), ETA_MOST)
+        correction = 0.0
+        for j in range(CORRECTION.shape[0] - 1, -1, -1):
+            of_s = CORRECTION[j, 2] + s * CORRECTION[j, 3]
+            correction = correction * inside + (CORRECTION[j, 0] + s * (CORRECTION[j, 1] + s * of_s))
+        z = eta * (inverse * (m + 1.0) * (1.0 + v)) * (1.0 / ROOT_2) + correction * root[i] * ROOT_2
         size = min(abs(z), 37.0)
-        # exp(-z²/2): the exponential series of a 1024th of the exponent, squared ten times.
-        e = -size * size * (0.5 / 1024.0)
-        e = 1.0 + e * (
-            1.0 + e * (1.0 / 2.0 + e * (1.0 / 6.0 + e * (1.0 / 24.0 + e * (1.0 / 120.0 + e * (1.0 / 720.0)))))
+        # exp(-z²/2) = 2^(r - k)
+        power = size * size * (0.5 / LN_2)
+        k = math.floor(power + 0.5)
+        deviate[i] = z
+        mantissa[i] = k - power
+        exponent[i] = (WHOLE + OF_EXPONENT) - k
+    bits = exponent.view(np.int64)
+    for i in range(count):
+        bits[i] = bits[i] << 52
+    for i in range(count):
+        r = mantissa[i] * LN_2
+        e = 1.0 + r * (
+            1.0 + r * (1.0 / 2.0 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0)))))
         )
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        x = 2.0 / (2.0 + size)
-        p = TAIL_6 + x * (TAIL_7 + x * (TAIL_8 + x * (TAIL_9 + x * TAIL_10)))
-        p = TAIL_0 + x * (TAIL_1 + x * (TAIL_2 + x * (TAIL_3 + x * (TAIL_4 + x * (TAIL_5 + x * p)))))
-        tail = x * e * p
+        z = deviate[i]
+        x = 2.0 / (2.0 + min(abs(z), 37.0))
+        p = TAIL_5 + x * (TAIL_6 + x * (TAIL_7 + x * TAIL_8))
+        p = TAIL_0 + x * (TAIL_1 + x * (TAIL_2 + x * (TAIL_3 + x * (TAIL_4 + x * p))))
+        tail = x * (e * exponent[i]) * p
         ratio[i] = (tail if z > 0.0 else 1.0 - tail) + 0.0 * ratio[i]

@@ -1,8 +1,8 @@
 """How good a plane is: the chi-square of its residual and the covariance of its coefficients.
 
 Everything follows from a tile's moments and the noise of the inverse depth. Tiles come in blocks that stay in the
-nearest cache, one quantity a row of a small room, and a block's arrays are slices, which begin at 0: so the loops
-vectorise.
+nearest cache, one quantity a row of a small room. All loops but those that read and write go over whole blocks,
+whatever they hold: so they vectorise, without anything left over.
 """
 
 import math
@@ -12,13 +12,21 @@ import numpy as np
 from . import chi_square
 from ._jit import kernel
 
-# Tiles of a block, and the rows of its room: the moments and reference points, what all kernels need of them, and
-# from OWN what each has of its own.
+# Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
+# depth; variances; what follows from the number of pixels.
 BLOCK = 64
-W_0, MEAN_Q, SHARED, INDEPENDENT = 12, 13, 14, 15
-OWN = 16
-TAILS = OWN + 5
-ROWS = TAILS + 16
+U_0, V_0, W_0 = 10, 11, 12
+N_X, N_Y, N_Z, D, ERROR = 13, 14, 15, 16, 17
+SHARE, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
+OF_COUNT = 22
+# What is written in the end, of which the covariances' rows are used for other things before.
+P, ALPHA, PLANE, ANGLE, OFFSET = 26, 27, 33, 43, 44
+RATIO, ROOT = P, P + 1
+POSITION, BELOW, ABOVE = P, P + 1, P + 2
+LIMIT = P + 2
+ROWS = 45
+# Terms of the polynomial for the largest permitted residual.
+LIMITS = 11
 # What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
 # tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. Half the squared spread
 # of the variance from place to place. Then a scale and the variance of q of the other errors, at √q = 0, 1/scale,
@@ -27,263 +35,258 @@ LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, HALF_SPREAD, SCALE = 0, 1, 2, 
 VARIANCES = np.uintp(6)
 ONE = np.uintp(1)
 
+# Rows of the results.
+P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27
+RESULTS = 28
+# Where in the room each of them is: a matrix's entries are kept row by row.
+OF_RESULTS = np.array(
+    [P]
+    + [ALPHA + k for k in (0, 1, 2, 1, 3, 4, 2, 4, 5)]
+    + [PLANE + k for k in (0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9)]
+    + [ANGLE, OFFSET]
+)
+
+
+@kernel()
+def assess(
+    moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, limits, start, stop,
+    status, rough, results,
+):  # fmt: skip
+    """Give status ``rough`` to tiles whose residual is larger than noise explains; what noise makes of the planes.
+
+    Of tiles ``start`` to ``stop`` of a frame, counted row by row.
+
+    Parameters
+    ----------
+    moments, reference : (10, R, C) and (3, R, C) float64
+    planes, rmse_metric : (R, C, 4) and (R, C) float64
+    counts : (R, C) integers
+        Which row of ``tables`` belongs to a tile.
+    tables : (K, 4) float64
+        By number of pixels. With the covariance C of errors that neighbours share, of variance 1, and the projection P
+        on residuals: tr(PC), tr((PC)²), and the factors of C on the variances of the slopes and of the mean inverse
+        depth. Without any row pixels are independent.
+    noise : (7 or more,) float64
+        See LATERAL_X.
+    limits : (LIMITS,) float64
+        The largest permitted sum of squared residuals over its expected value, by powers of 1/√(degrees of freedom);
+        empty for no test.
+    status : (R, C) uint8, written
+    results : (RESULTS, R, C) float64, written
+        P-values of the residuals, covariances of α and of (n, d), and deviations, from row P_VALUE, ALPHA_COVARIANCE,
+        PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres). NaN where there is no plane. Without any row only
+        the test is made.
+    """
+    # Made first: what is released on the way keeps the compiler from seeing the room's shape.
+    room = np.empty((ROWS, BLOCK))
+    tails = room[RATIO : RATIO + chi_square.WORK]
+    tiles = status.size
+    all_moments, all_reference = moments.reshape(10, tiles), reference.reshape(3, tiles)
+    all_planes, all_errors, all_counts = planes.ravel(), rmse_metric.reshape(1, tiles), counts.ravel()
+    all_status, all_results = status.ravel(), results.reshape(results.shape[0], tiles)
+    everything = results.shape[0] > 0
+    for first in range(start, stop, BLOCK):
+        last = min(first + BLOCK, stop)
+        if everything:
+            load(all_moments, first, last, room, 0)
+            load(all_reference, first, last, room, U_0)
+        else:
+            load(all_moments[:1], first, last, room, 0)
+            load(all_moments[3:4], first, last, room, 3)
+            load(all_moments[9:], first, last, room, 9)
+            load(all_reference[2:], first, last, room, W_0)
+        load(all_errors, first, last, room, ERROR)
+        plane = all_planes[4 * first : 4 * last]
+        for i in range(last - first):
+            room[N_X, i] = plane[4 * i]
+            room[N_Y, i] = plane[4 * i + 1]
+            room[N_Z, i] = plane[4 * i + 2]
+            room[D, i] = plane[4 * i + 3]
+        pixel_variance(in_range_space, noise, last - first, room)
+        by_count(all_counts[first:last], tables, room)
+        residual_ratio(noise[HALF_SPREAD], room)
+        if limits.shape[0] > 0:
+            for i in range(BLOCK):
+                limit = 0.0
+                for k in range(LIMITS - 1, -1, -1):
+                    limit = limit * room[ROOT, i] + limits[k]
+                room[LIMIT, i] = limit
+            mark = all_status[first:last]
+            for i in range(last - first):
+                if room[RATIO, i] > room[LIMIT, i]:
+                    mark[i] = rough
+        if everything:
+            chi_square.tails(tails, BLOCK)
+            ray_scatter(in_range_space, room)
+            covariances(room)
+            store(room, all_results, first, last)
+
 
 @kernel(inline=True)
-def load(rows, target, first, count, room):
+def load(rows, first, last, room, target):
     """Copy a block of tiles of each of ``rows`` into the room, from row ``target``."""
     for entry in range(rows.shape[0]):
-        row = rows[entry, first : first + count]
-        for i in range(count):
-            room[target + entry, i] = row[i]
+        row, to = rows[entry, first:last], room[target + entry]
+        for i in range(last - first):
+            to[i] = row[i]
 
 
 @kernel(inline=True)
-def pixel_variance(alpha, in_range_space, noise, first, count, room):
+def store(room, results, first, last):
+    """Copy the block's results to where they are kept."""
+    for entry in range(RESULTS):
+        row, to = room[OF_RESULTS[entry]], results[entry, first:last]
+        for i in range(last - first):
+            to[i] = row[i]
+
+
+@kernel(inline=True)
+def pixel_variance(in_range_space, noise, count, room):
     """Mean inverse depth of a block of tiles; the variance of its pixels' errors, and of those that are independent."""
-    for i in range(count):
-        w = room[W_0, i] + room[3, i] / room[0, i]
-        room[MEAN_Q, i] = w if in_range_space else 1.0 / w
+    for i in range(BLOCK):
+        share = 1.0 / room[0, i]
+        room[SHARE, i] = share
+        room[MEAN_Q, i] = room[W_0, i] + room[3, i] * share
+    if not in_range_space:
+        for i in range(BLOCK):
+            room[MEAN_Q, i] = 1.0 / room[MEAN_Q, i]
     if noise.shape[0] == VARIANCES + ONE:
-        for i in range(count):
+        for i in range(BLOCK):
             room[SHARED, i] = noise[VARIANCES]
     else:
         scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
-        for i in range(count):
+        for i in range(BLOCK):
             position = math.sqrt(room[MEAN_Q, i]) * scale
-            room[OWN, i] = position
-            room[OWN + 1, i] = min(max(position, 0.0), last)
+            inside = position if position > 0.0 else 0.0  # also of NaN
+            inside = inside if inside < last else last
+            room[SHARED, i] = math.floor(inside)
+            room[POSITION, i] = position
         for i in range(count):
-            k = np.uintp(room[OWN + 1, i])
-            room[OWN + 1, i] = room[OWN, i] - k
-            room[OWN + 2, i] = noise[VARIANCES + k]
-            room[OWN + 3, i] = noise[VARIANCES + k + ONE]
-        for i in range(count):
-            step = room[OWN + 3, i] - room[OWN + 2, i]
-            variance = room[OWN + 2, i] + room[OWN + 1, i] * step
+            k = VARIANCES + np.uintp(room[SHARED, i])
+            room[BELOW, i] = noise[k]
+            room[ABOVE, i] = noise[k + ONE]
+        for i in range(BLOCK):
+            variance, step = room[BELOW, i], room[ABOVE, i] - room[BELOW, i]
+            position = room[POSITION, i]
+            variance += (position - room[SHARED, i]) * step
             # Averaged over the tile as a power of q is: this is its exponent times the variance.
-            power = 0.5 * room[OWN, i] * step
-            share = 1.0 / room[0, i]
-            mean_w = room[3, i] * share
-            w = room[W_0, i] + mean_w
+            power = 0.5 * position * step
+            mean_w = room[3, i] * room[SHARE, i]
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
-            spread = (room[9, i] * share - mean_w * mean_w) / (w * w)
-            room[SHARED, i] = variance + 0.5 * power * (power / variance - 1.0) * spread
-    slopes, x, y = alpha[first : first + count], noise[LATERAL_X], noise[LATERAL_Y]
+            spread = room[9, i] * room[SHARE, i] - mean_w * mean_w
+            w = room[W_0, i] + mean_w
+            room[SHARED, i] = variance + 0.5 * power * (power - variance) / (variance * (w * w)) * spread
+    x, y = noise[LATERAL_X], noise[LATERAL_Y]
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
     if x > 0.0 or depth > 0.0:
-        for i in range(count):
+        for i in range(BLOCK):
             square = room[MEAN_Q, i] * room[MEAN_Q, i]
-            lateral = x * slopes[i, 0] * slopes[i, 0] + y * slopes[i, 1] * slopes[i, 1]
+            n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
+            lateral = (x * n_x * n_x + y * n_y * n_y) / (d * d)
             room[INDEPENDENT, i] = lateral + depth * square * square + disparity
     else:
-        for i in range(count):
+        for i in range(BLOCK):
             room[INDEPENDENT, i] = disparity
 
 
 @kernel(inline=True)
-def residual_ratio(planes, rmse_metric, counts, half_spread, tables, first, count, room, target):
-    """Sum of squared residuals over its expected value, and 1 over the degrees of freedom, into two rows of the room.
+def by_count(counts, tables, room):
+    """Four numbers of each tile that follow from its number of pixels: see `assess`."""
+    if tables.shape[0] == 0:
+        for i in range(BLOCK):
+            freedom = room[0, i] - 3.0
+            freedom = freedom if freedom > 0.0 else 0.0
+            room[OF_COUNT, i] = freedom
+            room[OF_COUNT + 1, i] = freedom
+            room[OF_COUNT + 2, i] = 1.0
+            room[OF_COUNT + 3, i] = 1.0
+    else:
+        for i in range(counts.shape[0]):
+            row = tables[np.uintp(counts[i])]
+            room[OF_COUNT, i] = row[0]
+            room[OF_COUNT + 1, i] = row[1]
+            room[OF_COUNT + 2, i] = row[2]
+            room[OF_COUNT + 3, i] = row[3]
 
-    With the covariance C of the errors that neighbours share, the variance a of those that are independent, and the
-    projection P on residuals, half the variance of the sum is tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
 
-    Parameters
-    ----------
-    tables : (4, K) float64
-        Its first rows are tr(PC) and tr((PC)²) by number of pixels, for a variance of 1.
+@kernel(inline=True)
+def residual_ratio(half_spread, room):
+    """Sum of squared residuals over its expected value, and 1/√(degrees of freedom), into two rows of the room.
+
+    With C and P as in `assess` and the variance a of errors that are independent, half the variance of the sum is
+    tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
     """
-    number = counts[first : first + count]
-    for i in range(count):
-        k = np.uintp(number[i])
-        room[target, i] = tables[0, k]
-        room[target + 1, i] = tables[1, k]
-    plane, error = planes[first : first + count], rmse_metric[first : first + count]
-    for i in range(count):
+    for i in range(BLOCK):
         n = room[0, i]
         shared, independent = room[SHARED, i], room[INDEPENDENT, i]
-        of_shared, of_independent = shared * room[target, i], independent * max(n - 3.0, 0.0)
-        expected = max(of_shared + of_independent, 1e-150)
-        half_variance = shared * shared * room[target + 1, i] + independent * (
+        freedom = n - 3.0
+        of_independent = independent * (freedom if freedom > 0.0 else 0.0)
+        of_shared = shared * room[OF_COUNT, i]
+        expected = of_shared + of_independent
+        expected = expected if expected > 1e-150 else 1e-150
+        half_variance = shared * shared * room[OF_COUNT + 1, i] + independent * (
             2.0 * of_shared + of_independent
         )
         # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly.
-        rmse = error[i] * room[MEAN_Q, i] / plane[i, 3]
+        rmse = room[ERROR, i] * room[MEAN_Q, i] / room[D, i]
         share = 1.0 / expected
-        room[target, i] = (n if n > 3.0 else 0.0) * rmse * rmse * share
+        room[RATIO, i] = (n if n > 3.0 else 0.0) * rmse * rmse * share
         inverse = half_variance * share * share + half_spread
-        room[target + 1, i] = min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM)
+        room[ROOT, i] = math.sqrt(min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM))
 
 
-@kernel()
-def mark_rough(
-    moments, reference, planes, alpha, rmse_metric, counts, in_range_space, noise, tables, limits, start, stop,
-    status, rough,
-):  # fmt: skip
-    """Give status ``rough`` to the tiles whose sum of squared residuals is larger than noise explains.
-
-    Of tiles ``start`` to ``stop`` of a frame: arrays are (10, T), (3, T), (T, 4), (T, 3), (T,), (T,).
-
-    Parameters
-    ----------
-    counts, noise, tables
-        As in `uncertainty`.
-    limits : (K,) float64
-        The largest permitted sum over its expected value, by powers of 1/√(degrees of freedom).
-    """
-    room = np.empty((ROWS, BLOCK))
-    for first in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - first)
-        load(moments[:1], 0, first, count, room)
-        load(moments[3:4], 3, first, count, room)
-        load(moments[9:], 9, first, count, room)
-        load(reference[2:], W_0, first, count, room)
-        pixel_variance(alpha, in_range_space, noise, first, count, room)
-        residual_ratio(planes, rmse_metric, counts, noise[HALF_SPREAD], tables, first, count, room, OWN)
-        for i in range(count):
-            room[OWN + 1, i] = math.sqrt(room[OWN + 1, i])
-            room[OWN + 2, i] = 0.0
-        for k in range(limits.shape[0] - 1, -1, -1):
-            limit = limits[k]
-            for i in range(count):
-                room[OWN + 2, i] = room[OWN + 2, i] * room[OWN + 1, i] + limit
-        mark = status[first : first + count]
-        for i in range(count):
-            if room[OWN, i] > room[OWN + 2, i]:
-                mark[i] = rough
-
-
-# Rows of the results.
-P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27
-RESULTS = 28
-# A covariance's entries are kept as the rows of a matrix: where in the block's room each is.
-ALPHA = TAILS
-OF_ALPHA = ALPHA + np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])
-PLANE = ALPHA + 6
-OF_PLANE = PLANE + np.array([0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9])
-
-
-@kernel()
-def uncertainty(
-    moments, reference, planes, alpha, rmse_metric, counts, tables, in_range_space, noise, results
-):  # fmt: skip
-    """P-values of the residuals, covariances of α and of (n, d), and deviations of the tiles of F frames.
-
-    All are NaN where there is no plane.
-
-    Parameters
-    ----------
-    moments, reference : (F, 10, T) and (F, 3, T) float64
-    planes, alpha, rmse_metric : (F, T, 4), (F, T, 3), (F, T) float64
-    counts : (F, T) integers
-        Which column of ``tables`` belongs to a tile.
-    tables : (4, K) float64
-        By number of pixels: the first two as in `residual_ratio`; the factors of correlated noise on the variances of
-        the slopes and of the mean inverse depth, 1 where pixels are independent.
-    noise : (5 or more,) float64
-        See LATERAL_X.
-    results : (F, RESULTS, T) float64, written
-        From row P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres).
-    """
-    room = np.empty((ROWS, BLOCK))
-    tails = room[TAILS : TAILS + chi_square.WORK]
-    for frame in range(moments.shape[0]):
-        for first in range(0, moments.shape[2], BLOCK):
-            stop = min(first + BLOCK, moments.shape[2])
-            count = stop - first
-            load(moments[frame], 0, first, count, room)
-            load(reference[frame], 10, first, count, room)
-            pixel_variance(alpha[frame], in_range_space, noise, first, count, room)
-            residual_ratio(
-                planes[frame], rmse_metric[frame], counts[frame], noise[HALF_SPREAD], tables, first, count, room,
-                TAILS,
-            )  # fmt: skip
-            chi_square.tails(tails, count)
-            store(tails[0], results[frame, P_VALUE, first:stop])
-
-            ray_scatter(in_range_space, count, room)
-            # The moments but for n are done with: their rows take what is needed next.
-            plane, number = planes[frame, first:stop], counts[frame, first:stop]
-            for i in range(count):
-                k = np.uintp(number[i])
-                room[1, i] = tables[2, k]
-                room[2, i] = tables[3, k]
-            for i in range(count):
-                room[3, i] = plane[i, 0]
-                room[4, i] = plane[i, 1]
-                room[5, i] = plane[i, 2]
-                room[6, i] = plane[i, 3]
-            covariances(count, room)
-            for entry in range(9):
-                store(room[OF_ALPHA[entry]], results[frame, ALPHA_COVARIANCE + entry, first:stop])
-            for entry in range(16):
-                store(room[OF_PLANE[entry]], results[frame, PLANE_COVARIANCE + entry, first:stop])
-            store(room[7], results[frame, ANGLE_STD, first:stop])
-            store(room[8], results[frame, OFFSET_STD, first:stop])
-
-
-@kernel(inline=True)
-def store(row, target):
-    """Copy the beginning of a row of the room to where it is kept."""
-    for i in range(target.shape[0]):
-        target[i] = row[i]
-
-
-@kernel(inline=True)
-def ray_scatter(in_range_space, count, room):
-    """Mean ray and centred scatter of the rays of a block: ū, v̄, Suu, Suv, Svv, into rows from OWN.
+@kernel(reduction=True, inline=True)
+def ray_scatter(in_range_space, room):
+    """Mean ray and centred scatter of the rays, ū, v̄, Suu, Suv, Svv, in place of the moments.
 
     From the moments of (X, Y, Z) the scatter of the rays u = X/Z is that to first order: noise along the ray drops
     out of it.
     """
-    for i in range(count):
-        share = 1.0 / room[0, i]
+    for i in range(BLOCK):
+        share = room[SHARE, i]
         s_u = room[1, i]
         s_v = room[2, i]
-        mean_u = room[10, i] + s_u * share
-        mean_v = room[11, i] + s_v * share
-        c_uu = room[4, i] - s_u * s_u * share
-        c_uv = room[5, i] - s_u * s_v * share
-        c_vv = room[7, i] - s_v * s_v * share
+        room[1, i] = room[U_0, i] + s_u * share
+        room[2, i] = room[V_0, i] + s_v * share
+        room[4, i] -= s_u * s_u * share
+        room[5, i] -= s_u * s_v * share
+        room[7, i] -= s_v * s_v * share
         if not in_range_space:
             s_w = room[3, i]
             c_uw = room[6, i] - s_u * s_w * share
             c_vw = room[8, i] - s_v * s_w * share
             c_ww = room[9, i] - s_w * s_w * share
             nearness = room[MEAN_Q, i]
-            mean_u *= nearness
-            mean_v *= nearness
+            room[1, i] *= nearness
+            room[2, i] *= nearness
+            mean_u, mean_v = room[1, i], room[2, i]
             square = nearness * nearness
-            c_uu = (c_uu - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
-            c_uv = (c_uv - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
-            c_vv = (c_vv - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
-        room[OWN, i] = mean_u
-        room[OWN + 1, i] = mean_v
-        room[OWN + 2, i] = c_uu
-        room[OWN + 3, i] = c_uv
-        room[OWN + 4, i] = c_vv
+            room[4, i] = (room[4, i] - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
+            room[5, i] = (room[5, i] - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
+            room[7, i] = (room[7, i] - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
 
 
-@kernel(inline=True)
-def covariances(count, room):
-    """Covariances of α, σq²A⁻¹ with A = MᵀM, and of (n, d), in rows from ALPHA and from PLANE; deviations in 7 and 8.
+@kernel(reduction=True, inline=True)
+def covariances(room):
+    """Covariances of α, σq²A⁻¹ with A = MᵀM, and of (n, d), in rows from ALPHA and from PLANE, and deviations.
 
-    In the coordinates u - ū, v - v̄ the normal equations of slopes (factor in row 1) and mean (in row 2) separate, and
-    each may have a variance of its own. The planes are in rows 3 to 6. Of (n, d) to first order: dn = -d·P·dα and
-    dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
+    In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a variance of
+    its own. Of (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP,
+    cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
     """
-    for i in range(count):
-        mean_u, mean_v = room[OWN, i], room[OWN + 1, i]
-        c_uu, c_uv, c_vv = room[OWN + 2, i], room[OWN + 3, i], room[OWN + 4, i]
-        x, y, z, d = room[3, i], room[4, i], room[5, i], room[6, i]
+    for i in range(BLOCK):
+        mean_u, mean_v = room[1, i], room[2, i]
+        c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
+        x, y, z, d = room[N_X, i], room[N_Y, i], room[N_Z, i], room[D, i]
         nothing = 0.0 * d  # NaN where there is no plane
         shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
-        scale = (shared * room[1, i] + independent) / (c_uu * c_vv - c_uv * c_uv)
+        scale = (shared * room[OF_COUNT + 2, i] + independent) / (c_uu * c_vv - c_uv * c_uv)
         aa = scale * c_vv
         ab = -scale * c_uv
         bb = scale * c_uu
         ac = -(aa * mean_u + ab * mean_v)
         bc = -(ab * mean_u + bb * mean_v)
-        cc = (shared * room[2, i] + independent) / room[0, i] - (ac * mean_u + bc * mean_v)
+        cc = (shared * room[OF_COUNT + 3, i] + independent) * room[SHARE, i] - (ac * mean_u + bc * mean_v)
         room[ALPHA, i] = aa
         room[ALPHA + 1, i] = ab
         room[ALPHA + 2, i] = ac
@@ -313,8 +316,8 @@ def covariances(count, room):
         room[PLANE + 7, i] = zz
         room[PLANE + 8, i] = cube * (s_z - s * z)
         room[PLANE + 9, i] = square * square * s
-        room[7, i] = math.sqrt(max(xx + yy + zz, 0.0)) * (180.0 / math.pi) + nothing
-        room[8, i] = square * math.sqrt(max(s, 0.0)) + nothing
+        room[ANGLE, i] = math.sqrt(max(xx + yy + zz, 0.0)) * (180.0 / math.pi) + nothing
+        room[OFFSET, i] = square * math.sqrt(max(s, 0.0)) + nothing
 
 
 @kernel()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.fit_statistics import RoughTest
+from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import statistics
 from rgbd_planes.plane_fits import PlaneFits, allocate
@@ -69,7 +69,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     statistics.add_moments(moments, reference, flat, arrays["_moments"], arrays["_reference"])
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
     largest = int(arrays["valid_count"].max(initial=0))
-    RoughTest(fits.camera, significance, largest).mark(fits.method, arrays, 0, count)
+    Assessment(fits.camera, fits.method, significance, largest)(arrays)
     return MergedPlanes(camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), **arrays)
 
 

@@ -81,7 +81,8 @@ class PlaneFits:
 
         Of the chi-square of the residual in inverse depth under ``camera.noise``. On surfaces that are flat
         it is uniform between 0 and 1; below the significance level a tile is ROUGH. This, the covariances
-        and the standard deviations are computed together, when one of them is first asked for.
+        and the standard deviations are computed together, when one of them is first asked for, and from then
+        on by each fit that writes into this result.
 
         Raises
         ------
@@ -122,14 +123,7 @@ class PlaneFits:
 
             self.__dict__["_made"] = FitStatistics(self)
         made: FitStatistics = self.__dict__["_made"]
-        if not made.is_current:
-            made.compute()
         return made
-
-    def _forget_statistics(self) -> None:
-        """To be called when the arrays are written into again: so will be those of the statistics."""
-        if "_made" in self.__dict__:
-            self.__dict__["_made"].is_current = False
 
     @property
     def _cell_dimensions(self) -> int:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.fit_statistics import RoughTest
+from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import (
     METHODS,
     Arrays,
@@ -93,7 +93,7 @@ class TileFitter:
         self._centre, self._full = camera_terms(camera, self.tile)
         self._needed = valid_needed(self._full[0], max_missing).ravel()
         self._compiled_for = method, implementation, camera.is_separable
-        self._rough_test = RoughTest(camera, significance, self.tile[0] * self.tile[1])
+        self._assess = Assessment(camera, method, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             self._kernel: Any = (
                 grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
@@ -120,7 +120,8 @@ class TileFitter:
         depth : (H, W) array_like
             Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
         out : TilePlanes, optional
-            An earlier result for a frame of this fitter: its arrays are written into, and it is returned.
+            An earlier result for a frame of this fitter: its arrays are written into, with those of its
+            uncertainty if it was asked for that, and it is returned.
 
         Returns
         -------
@@ -213,8 +214,10 @@ class TileFitter:
             or out.method != self.method
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
-        out._forget_statistics()
-        return {name: getattr(out, name) for name in ARRAYS}
+        arrays = {name: getattr(out, name) for name in ARRAYS}
+        if "_made" in out.__dict__:
+            arrays["_statistics"] = out._statistics.rows
+        return arrays
 
     def _result(self, arrays: Arrays) -> TilePlanes:
         return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
@@ -224,16 +227,15 @@ class TileFitter:
         fit = (
             self._direct(frame, arrays) if self.implementation == "direct" else self._windowed(frame, arrays)
         )
-        if self._rough_test.is_empty:
+        if self.camera.noise is None:
             return fit
         columns = self._grid[1]
-        flat = _flat(arrays)
 
-        def fit_and_test(start: int, stop: int) -> None:
+        def fit_and_assess(start: int, stop: int) -> None:
             fit(start, stop)
-            self._rough_test.mark(self.method, flat, start * columns, stop * columns)
+            self._assess(arrays, start * columns, stop * columns)
 
-        return fit_and_test
+        return fit_and_assess
 
     def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         # Numba compiles for a depth image or for a disparity image.

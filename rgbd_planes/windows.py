@@ -8,7 +8,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.fit_statistics import RoughTest
+from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import (
     METHODS,
     WindowMoments,
@@ -78,7 +78,8 @@ def fit_windows(
     frame = as_depth_frame(depth, camera)
 
     arrays = allocate((), (len(rectangles),))
-    rough_test = RoughTest(camera, significance, int(rectangles[:, 2:].prod(axis=1).max(initial=0)))
+    largest = int(rectangles[:, 2:].prod(axis=1).max(initial=0))
+    assess = Assessment(camera, method, significance, largest)
     needed = valid_needed(rectangles[:, 2] * rectangles[:, 3], max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
@@ -90,7 +91,7 @@ def fit_windows(
             window_moments.camera_moments(rectangles, start, stop, full)
             source(rectangles, full, start, stop, arrays["_moments"])
             solve_planes(method, arrays, needed, error, start, stop)
-            rough_test.mark(method, arrays, start, stop)
+            assess(arrays, start, stop)
 
         run_in_ranges(fit_some, len(rectangles), threads)
     return WindowPlanes(camera=camera, method=method, windows=rectangles, **arrays)
