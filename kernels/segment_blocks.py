@@ -266,7 +266,9 @@ def waviness(pixels, growth):
     """
     if pixels <= 64.0:
         return growth[0]
-    position = min(0.5 * math.log2(pixels) - 3.0, len(growth) - 1.0)
+    if pixels >= 64.0 * 4.0 ** (len(growth) - 1):
+        return growth[-1]
+    position = 0.5 * math.log2(pixels) - 3.0
     i = min(int(position), len(growth) - 2)
     share = position - i
     return growth[i] * (1.0 - share) + growth[i + 1] * share

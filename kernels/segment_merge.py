@@ -16,6 +16,9 @@ from .segment_blocks import fit, residual, solve, variance, waviness
 MUCH_LARGER = 4.0
 # Pairs that are looked at together, which the processor's vectors do.
 TOGETHER = 64
+FEW_SLOTS = 1 << 12
+# Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
+DOWN, RIGHT = (0, 1, 1, 1), (1, 0, 1, -1)
 
 
 @kernel(inline=True)
@@ -70,38 +73,53 @@ def neighbours(region, centre_u, centre_v, pairs, contact, table):
         Number of pairs.
     """
     rows, columns = region.shape
+    # With a rim of no regions: a block's neighbours, and theirs, are there without looking where the frame ends.
+    around = np.empty((rows + 2, columns + 4), np.int32)
+    around[:] = -1
+    around[:rows, 2 : columns + 2] = region
+    beside = np.empty((len(DOWN), columns), np.int32)  # another region beside each block of a row, or -1
+    any_beside = np.empty(columns, np.int32)
+    slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: what is small stays in the cache
     count = 0
     for row in range(rows):
+        any_beside[:] = -1
+        own = around[row, 2:]
+        for k in range(len(DOWN)):
+            near, far = around[row + DOWN[k], 2 + RIGHT[k] :], around[row + 2 * DOWN[k], 2 + 2 * RIGHT[k] :]
+            others = beside[k]
+            for c in range(columns):
+                b = near[c] if near[c] >= 0 else far[c]  # a gap of one block: look across it
+                others[c] = b if (own[c] >= 0) & (b != own[c]) else -1
+            for c in range(columns):
+                any_beside[c] &= others[c]
+        needed = min(2 * (count + len(DOWN) * columns), len(table))
+        if len(slots) < needed:
+            while len(slots) < needed:
+                slots = table[: 4 * len(slots)]
+            for i in range(count):
+                row_of(pairs[i, 0], pairs[i, 1], pairs, i, slots)
+        i = 0
         for column in range(columns):
-            a = region[row, column]
-            if a < 0:
+            if any_beside[column] == -1:
                 continue
-            if 0 < column < columns - 1 and row < rows - 1 and (
-                (region[row, column + 1] == a) & (region[row + 1, column - 1] == a)
-                & (region[row + 1, column] == a) & (region[row + 1, column + 1] == a)
-            ):  # fmt: skip
-                continue
-            for k in range(4):
-                down = int(k > 0)
-                right = int(k == 0) + int(k == 2) - int(k == 3)
-                r, c = row + down, column + right
-                if r >= rows or c < 0 or c >= columns:
+            for k in range(len(DOWN)):
+                b = beside[k, column]
+                if b < 0:
                     continue
-                if region[r, c] < 0:  # a gap of one block: look across it
-                    r, c = r + down, c + right
-                    if r >= rows or c < 0 or c >= columns:
-                        continue
-                b = region[r, c]
-                if b >= 0 and b != a:
-                    i = row_of(min(a, b), max(a, b), pairs, count, table)
+                a = region[row, column]
+                a, b = min(a, b), max(a, b)
+                if i >= count or pairs[i, 0] != a or pairs[i, 1] != b:  # mostly the same pair as just before
+                    i = row_of(a, b, pairs, count, slots)
                     if i == count:
-                        pairs[i, 0] = min(a, b)
-                        pairs[i, 1] = max(a, b)
+                        pairs[i, 0] = a
+                        pairs[i, 1] = b
                         contact[i, :] = 0.0
                         count += 1
-                    contact[i, 0] += 1.0
-                    contact[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
-                    contact[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
+                step = 1 if region[row + DOWN[k], column + RIGHT[k]] >= 0 else 2
+                r, c = row + step * DOWN[k], column + step * RIGHT[k]
+                contact[i, 0] += 1.0
+                contact[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
+                contact[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
     return count
 
 
@@ -183,6 +201,7 @@ def merge(
     best = np.empty(regions, np.int64)
     least = np.empty(regions)
     agreeing = np.empty(count, np.int64)
+    slots = table[:]
     for a in range(regions):
         parent[a] = a
         describe(moments[a], sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves)
@@ -223,6 +242,8 @@ def merge(
         for a in range(regions):
             if changed[a]:
                 describe(moments[a], sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves)
+        while len(slots) >= 4 * count and len(slots) > 2:
+            slots = slots[: len(slots) // 2]
         kept = 0
         for i in range(count):
             a, b = parent[pairs[i, 0]], parent[pairs[i, 1]]
@@ -232,7 +253,7 @@ def merge(
             pairs[kept, 2] = -1
             if changed[a] or changed[b]:
                 a, b = min(a, b), max(a, b)
-                row = row_of(a, b, pairs, kept, table)
+                row = row_of(a, b, pairs, kept, slots)
                 if row < kept:
                     for k in range(3):
                         contact[row, k] += contact[i, k]
