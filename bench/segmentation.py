@@ -295,7 +295,7 @@ STAGES = {
     "curved": (segment_shape, ("owned_means", "find_curved")),
     "parts": (segment_parts, ("find_runs", "measure_parts")),
     "gaps": (segment_gaps, ("find_coplanar", "label_boxes", "join_across")),
-    "labels": (segment_parts, ("label_runs", "write_labels")),
+    "labels": (segment_parts, ("label_runs", "write_labels", "settle_strays")),
 }
 
 

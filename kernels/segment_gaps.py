@@ -9,6 +9,7 @@ import numpy as np
 
 from ._jit import kernel
 from .segment_blocks import joint_residual, residual
+from .segment_planes import fit_planes
 
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
@@ -204,3 +205,28 @@ def join_across(
             parent[max(a, b)] = min(a, b)
     for a in range(len(parent)):
         parent[a] = parent[parent[a]]
+
+
+@kernel()
+def join_planes(parent, number, moments, alpha, rss, deviation):
+    """Make one plane of those that have one parent; returns how many are left.
+
+    ``parent`` (N,) int64 is of `join_across` and overwritten; ``number`` (P,) int32, a part's plane from 1 on or 0,
+    becomes that of the joined ones; ``moments`` (N, 10), ``alpha`` (N, 3), ``rss`` and ``deviation`` (N,) keep theirs
+    in their first rows.
+    """
+    count = 0
+    for a in range(len(parent)):
+        if parent[a] == a:
+            moments[count], deviation[count] = moments[a], deviation[a]
+            parent[a] = count
+            count += 1
+        else:
+            parent[a] = parent[parent[a]]
+            for k in range(10):
+                moments[parent[a], k] += moments[a, k]
+    for i in range(len(number)):
+        if number[i] > 0:
+            number[i] = parent[number[i] - 1] + 1
+    fit_planes(moments[:count], alpha[:count], rss[:count])
+    return count

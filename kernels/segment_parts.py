@@ -7,7 +7,7 @@ missing pixels and all, and neighbouring ones are one run: so pixels are looked 
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, MIXED, fit, residual
+from .segment_blocks import BLOCK, MIXED
 from .segment_pixels import MISSING, add
 
 # Missing pixels in a row that still are holes in a surface.
@@ -267,6 +267,56 @@ def measure_parts(
 
 
 @kernel()
+def judge_parts(
+    size, across, down, squares, owner, curved, narrow, rough, least, reasons, why, stray, number, kept
+):  # fmt: skip
+    """Say of each part whether it is a plane, and why not.
+
+    Parameters
+    ----------
+    size, across, down, squares, owner : (P,)
+        Of `measure_parts`.
+    curved : (N,) bool
+        Of each region.
+    narrow, rough, least : float
+        Pixels per run, deviations, and pixels that a plane has.
+    reasons : tuple of uint8
+        For a plane, and for what is small, rough, curved or narrow.
+    why : (P,) uint8, written
+    stray : (P,) bool, written
+        Whether a part is so small or narrow that its pixels may be specks in another.
+    number : (P,) int32, written
+        1, 2, ... for planes, 0 for the others.
+    kept : (P,) int64, written
+        The parts that are planes.
+
+    Returns
+    -------
+    int
+        How many planes there are.
+    """
+    plane, small, uneven, bent, thin = reasons
+    count = 0
+    for k in range(len(size)):
+        why[k] = plane
+        if size[k] < narrow * max(across[k], down[k]):
+            why[k] = thin
+        if curved[owner[k]]:
+            why[k] = bent
+        if squares[k] > rough * rough * size[k]:
+            why[k] = uneven
+        if size[k] < least:
+            why[k] = small
+        stray[k] = why[k] == small or why[k] == thin
+        number[k] = 0
+        if why[k] == plane:
+            kept[count] = k
+            count += 1
+            number[k] = count
+    return count
+
+
+@kernel()
 def label_runs(part, number, row_runs, run_label):
     """Give each run the label that ``number`` (P,) int32 says its part has."""
     for i in range(row_runs[-1]):
@@ -395,11 +445,3 @@ def settle_strays(
                     sizes[found[i]] += 1
                 label[loose[i] // width, loose[i] % width] = found[i]
                 reason[loose[i] // width, loose[i] % width] = 0
-
-
-@kernel()
-def final_planes(moments, alpha, rss):
-    """α and the sum of squared residuals of each plane from the moments of its pixels."""
-    for i in range(len(moments)):
-        fit(moments[i], alpha[i])
-        rss[i] = residual(moments[i])

@@ -19,6 +19,7 @@ from rgbd_planes.kernels import (
     segment_merge,
     segment_parts,
     segment_pixels,
+    segment_planes,
     segment_regions,
     segment_shape,
 )
@@ -78,6 +79,13 @@ class Reason(enum.IntEnum):
     """Its region is a strip of a pixel or two, as depth edges make."""
     CURVED = 6
     """Its region is part of a curved surface."""
+
+
+# Of parts and of pixels, as the kernels take them.
+_REASONS = tuple(
+    np.uint8(r) for r in (Reason.PLANE, Reason.SMALL, Reason.ROUGH, Reason.CURVED, Reason.NARROW)
+)
+_REASON_OF_PIXELS = np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -422,9 +430,8 @@ def _result(
 ) -> Segmentation:
     """Split the regions into connected parts, keep those that are planes, and describe them."""
     grid = _grid(camera)
-    mean_q = region_moments[:, 3] / np.maximum(region_moments[:, 0], 1.0)
-    table = np.arange(len(noise.sigma) - 1) * noise.sigma[0]
-    deviation = np.sqrt((np.interp(mean_q, table, noise.sigma[1:]) ** 2 + slope) * waves)
+    deviation = np.empty(len(alpha))
+    segment_planes.deviations(region_moments, noise.sigma, slope, waves, deviation)
 
     start, stop, of, vertical, parent, part, loose = room.runs
     rows = np.empty(camera.height + 1, np.int32)
@@ -438,35 +445,29 @@ def _result(
         rows, start, stop, of, vertical, parent, part, room.inverse_depth, grid.tan_x, grid.tan_y,
         alpha, deviation, CUT, region_moments, region_squares, moments, squares, size, across, down, of_part,
     )  # fmt: skip
-    size = size[:count]
-    why = np.full(count, Reason.PLANE, np.uint8)
-    why[size < rules.narrow * np.maximum(across, down)[:count]] = Reason.NARROW
-    why[curved[of_part[:count]]] = Reason.CURVED
-    why[squares[:count] > rules.rough**2 * size] = Reason.ROUGH
-    why[size < min_size] = Reason.SMALL
-    kept = np.flatnonzero(why == Reason.PLANE)
-    number = np.zeros(count, np.int32)
-    number[kept] = np.arange(1, len(kept) + 1)
+    why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
+    number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
+    measures = size[:count], across[:count], down[:count], squares[:count], of_part[:count]
+    found = segment_parts.judge_parts(
+        *measures, curved, rules.narrow, rules.rough, min_size, _REASONS, why, stray, number, kept
+    )
     segment_parts.label_runs(part, number, rows, of)
 
-    chosen, deviation = moments[kept], deviation[of_part[kept]]
-    alpha, rss = np.empty((len(kept), 3)), np.empty(len(kept))
-    segment_parts.final_planes(chosen, alpha, rss)
-    whole = _join_across_gaps(chosen, alpha, deviation, rows, room, grid, rules)
-    first = np.flatnonzero(whole == np.arange(len(whole)))
-    if len(first) < len(whole):
-        number[kept] = np.searchsorted(first, whole) + 1
+    kept = kept[:found]
+    moments, deviation = moments[kept], deviation[of_part[kept]]
+    alpha, rss = np.empty((found, 3)), np.empty(found)
+    segment_planes.fit_planes(moments, alpha, rss)
+    if _join_across_gaps(moments, alpha, rss, deviation, number, rows, room, grid, rules):
+        found = int(number.max())
         segment_parts.label_runs(part, number, rows, of)
-        joined = np.flatnonzero(whole != np.arange(len(whole)))
-        np.add.at(chosen, whole[joined], chosen[joined])
-        chosen, deviation = chosen[first], deviation[first]
-        alpha, rss = alpha[first], rss[first]
-        segment_parts.final_planes(chosen, alpha, rss)
-
-    sizes = np.append(0, chosen[:, 0]).astype(np.int32)
+    moments, alpha, rss = moments[:found], alpha[:found], rss[:found]
+    planes, covariance = np.empty((found, 4)), np.empty((found, 3, 3))
+    rmse, sizes = np.empty(found), np.empty(found + 1, np.int32)
+    segment_planes.describe_planes(
+        moments, alpha, rss, deviation, noise.together, planes, covariance, rmse, sizes
+    )
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
-    missing, unclaimed = np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED)
-    stray = (why == Reason.SMALL) | (why == Reason.NARROW)
+    missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_parts.write_labels(
         rows, start, stop, of, part, why, stray, missing, unclaimed,
         room.inverse_depth, loose, loose_count, labels, reason,
@@ -475,15 +476,14 @@ def _result(
         rows, start, stop, room.inverse_depth, unclaimed, min_size, FILLED, loose, loose_count,
         labels, reason, sizes,
     )  # fmt: skip
-    d = 1.0 / np.linalg.norm(alpha, axis=1)
     return Segmentation(
         camera=camera,
         labels=labels,
-        planes=np.column_stack([-alpha * d[:, None], d]),
+        planes=planes,
         alpha=alpha,
-        alpha_covariance=_covariance(chosen, rss, deviation, noise.together),
+        alpha_covariance=covariance,
         sizes=sizes[1:],
-        rmse=np.sqrt(rss / np.maximum(chosen[:, 0], 1.0)),
+        rmse=rmse,
         reason=reason,
         sigma=float(np.sort(noise.sigma[1:])[len(noise.sigma) // 2 - 1]),
     )
@@ -492,32 +492,27 @@ def _result(
 def _join_across_gaps(
     moments: Floats,
     alpha: Floats,
+    rss: Floats,
     deviation: Floats,
+    number: NDArray[np.int32],
     rows: NDArray[np.int32],
     room: _Room,
     grid: _Grid,
     rules: Rules,
-) -> NDArray[np.int64]:
-    """(N,) int64: the first plane that each is one with, though something thin in front separates them."""
-    parent = np.arange(len(moments))
+) -> bool:
+    """Make one of the planes that something thin in front separates; whether there are any."""
     pairs = np.empty((4 * len(moments), 2), np.int64)
     count = segment_gaps.find_coplanar(
         moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
     )
-    if count:
-        start, stop, label = room.runs[:3]
-        box = np.empty((len(moments) + 1, 4), np.int64)
-        segment_gaps.label_boxes(rows, start, stop, label, box)
-        segment_gaps.join_across(
-            rows, start, stop, label, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count,
-            box, parent,
-        )  # fmt: skip
-    return parent
-
-
-def _covariance(moments: Floats, rss: Floats, deviation: Floats, together: float) -> Floats:
-    """σ² (MᵀM)⁻¹ of each region, where ``together`` pixels have one error between them."""
-    n, u, v, _, uu, uv, _, vv, _, _ = moments.T
-    normal = np.stack([uu, uv, u, uv, vv, v, u, v, n], axis=-1).reshape(-1, 3, 3)
-    variance = together * np.maximum(rss / np.maximum(n - 3.0, 1.0), deviation**2)
-    return np.asarray(variance[:, None, None] * np.linalg.inv(normal))
+    if count == 0:
+        return False
+    start, stop, label = room.runs[:3]
+    parent = np.arange(len(moments))
+    box = np.empty((len(moments) + 1, 4), np.int64)
+    segment_gaps.label_boxes(rows, start, stop, label, box)
+    segment_gaps.join_across(
+        rows, start, stop, label, room.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count,
+        box, parent,
+    )  # fmt: skip
+    return bool(segment_gaps.join_planes(parent, number, moments, alpha, rss, deviation) < len(moments))

@@ -1,0 +1,69 @@
+"""Segmentation, what comes out: the planes of the labels, how sure they are, and how well their pixels fit."""
+
+import math
+
+from ._jit import kernel
+from .segment_blocks import fit, residual, sensor_variance
+
+
+@kernel()
+def deviations(moments, sigma, slope_variance, spread, deviation):
+    """Standard deviation of a pixel about the plane of each region; see `segment_pixels.planes`."""
+    for a in range(len(moments)):
+        mean_q = moments[a, 3] / max(moments[a, 0], 1.0)
+        deviation[a] = math.sqrt((sensor_variance(mean_q, sigma) + slope_variance[a]) * spread[a])
+
+
+@kernel()
+def fit_planes(moments, alpha, rss):
+    """α and the sum of squared residuals of each plane from the moments of its pixels."""
+    for i in range(len(moments)):
+        fit(moments[i], alpha[i])
+        rss[i] = residual(moments[i])
+
+
+@kernel()
+def covariance_of(m, variance, covariance):
+    """Write variance·(MᵀM)⁻¹, of α, (3, 3): about the pixels' middle, where the inverse falls into two parts."""
+    n, u, v = m[0], m[1] / m[0], m[2] / m[0]
+    uu, uv, vv = m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v
+    scale = variance / (uu * vv - uv * uv)
+    a, b, c = vv * scale, -uv * scale, uu * scale
+    covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
+    covariance[0, 2], covariance[1, 2] = -(a * u + b * v), -(b * u + c * v)
+    covariance[2, 2] = variance / n + u * (a * u + b * v) + v * (b * u + c * v)
+    covariance[1, 0], covariance[2, 0], covariance[2, 1] = (
+        covariance[0, 1],
+        covariance[0, 2],
+        covariance[1, 2],
+    )
+
+
+@kernel()
+def describe_planes(moments, alpha, rss, deviation, together, planes, covariance, rmse, sizes):
+    """Describe the planes.
+
+    Parameters
+    ----------
+    moments, alpha, rss, deviation : (N, 10), (N, 3), (N,), (N,) float64
+    together : float
+        Pixels that have one error between them.
+    planes : (N, 4) float64, written
+        nx, ny, nz, d.
+    covariance : (N, 3, 3) float64, written
+        Of α: from the residual or the noise, whichever is larger.
+    rmse : (N,) float64, written
+    sizes : (N + 1,) int32, written
+        Pixels; of none, 0.
+    """
+    sizes[0] = 0
+    for i in range(len(moments)):
+        n = moments[i, 0]
+        sizes[i + 1] = int(n)
+        rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
+        variance = together * max(rss[i] / max(n - 3.0, 1.0), deviation[i] ** 2)
+        covariance_of(moments[i], variance, covariance[i])
+        d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
+        for k in range(3):
+            planes[i, k] = -alpha[i, k] * d
+        planes[i, 3] = d
