@@ -48,7 +48,7 @@ def orthogonal(x, y, z):
     return x2, y2, z2, y * z2 - z * y2, z * x2 - x * z2, x * y2 - y * x2
 
 
-@kernel()
+@kernel(inline=True)
 def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
     """Smallest eigenvalue of M and (x, y, z) of its eigenvector (x, y, z, -1).
 

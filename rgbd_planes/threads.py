@@ -37,7 +37,9 @@ def choose_num_threads(num_threads: int | None, pixels: int) -> int:
     """Return the number of threads to use: as asked for, or as many as ``pixels`` of work pay for."""
     if num_threads is not None:
         return num_threads
-    return max(1, min(os.cpu_count() or 1, pixels // PIXELS_PER_THREAD))
+    paid_for = pixels // PIXELS_PER_THREAD
+    # To ask for the number of cores takes a twentieth of the time of a frame.
+    return min(os.cpu_count() or 1, paid_for) if paid_for > 1 else 1
 
 
 def submit(work: Callable[[Item], Result], item: Item, num_threads: int) -> Future[Result]:
