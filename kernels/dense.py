@@ -51,9 +51,10 @@ def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
 
 @kernel(reduction=True)
 def surface_row(
-    sums, squares, valid_sums, needed, fx, fy, x_pixel, y_pixel, tan_x, tan_y, normals, variance, variation
+    sums, squares, valid_sums, wanted, needed, fx, fy, x_pixel, y_pixel, tan_x, tan_y,
+    normals, variance, variation,
 ):  # fmt: skip
-    """Normal, residual variance and surface variation of a row of windows, whether their centre is valid or not.
+    """Normal, residual variance and surface variation of a row of windows.
 
     With C the covariance of the rays m in the window, m̄ and q̄ the means and s² the mean squared residual, the
     points X = m/q of the fitted plane spread by tr(J C Jᵀ), J = (I - m̄αᵀ/q̄)/q̄, to first order, and those
@@ -63,6 +64,8 @@ def surface_row(
     ----------
     sums, squares, valid_sums
         Σq, Σqx, Σqy; Σq²; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy but for a constant.
+    wanted : (N,) float32
+        1, or 0 for NaN.
     needed : (N,) float32
         Fewer valid pixels give NaN.
     x_pixel, y_pixel : (N,) float64
@@ -99,7 +102,8 @@ def surface_row(
         a = fx * slope_x
         b = fy * slope_y
         c = at_pixel - a * tan_x[i] - b * tan_y[i]
-        there = (n >= needed[i]) & (determinant > COLLINEAR * trace * trace) & (at_pixel > 0.0)
+        enough = (n >= needed[i]) & (wanted[i] > np.float32(0.0))
+        there = enough & (determinant > COLLINEAR * trace * trace) & (at_pixel > 0.0)
         nan = 0.0 if there else math.nan
         inverse_norm = nan - 1.0 / math.sqrt(a * a + b * b + c * c)
         normals[3 * i] = a * inverse_norm
@@ -136,7 +140,7 @@ def needed_pixels(row, left, half, height, width, max_missing, needed):
 @kernel()
 def separable(
     raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, max_missing,
-    surfaces, band_start, band_stop, normals, variance, variation,
+    surfaces, everywhere, band_start, band_stop, normals, variance, variation,
 ):  # fmt: skip
     """The planes around the pixels of some bands, for a camera without lens distortion.
 
@@ -144,7 +148,9 @@ def separable(
     ----------
     tan_x, tan_y : (W,) and (H,) float64
     surfaces : bool
-        Write the variance and the variation too, and the normals of missing pixels.
+        Write the variance and the variation too.
+    everywhere : bool
+        With ``surfaces``: the planes around missing pixels too, which otherwise get NaN.
     normals, variance, variation : (H W 3,), (H W,) and (H W,) float32, written
         The last two are left alone without ``surfaces``.
     """
@@ -168,6 +174,7 @@ def separable(
     needed = np.empty(strip, np.float32)
     at_centre = np.zeros(strip)
     tan_y_row = np.empty(strip)
+    all_wanted = np.ones(strip, np.float32)
     sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
     steps = sliding.plan_steps(window, sizes, between)
     row_start = band_start * BAND
@@ -224,15 +231,17 @@ def separable(
             ):  # between, windows have all their rows
                 needed_pixels(centre, left, half, height, width, max_missing, needed[:columns])
             first = centre * width + left
+            at_pixels = valid[row % slots, half:]
             if surfaces:
                 tan_y_row[:] = tan_y[centre]
                 surface_row(
-                    sums, squares, valid_sums, needed[:columns], fx, fy, at_centre, at_centre,
-                    tan_x[left:], tan_y_row, normals[3 * first :], variance[first:], variation[first:],
+                    sums, squares, valid_sums, all_wanted if everywhere else at_pixels, needed[:columns],
+                    fx, fy, at_centre, at_centre, tan_x[left:], tan_y_row,
+                    normals[3 * first :], variance[first:], variation[first:],
                 )  # fmt: skip
             else:
                 normals_row(
-                    sums, valid_sums, valid[row % slots, half:], needed[:columns], fx, fy,
+                    sums, valid_sums, at_pixels, needed[:columns], fx, fy,
                     tan_x[left:], tan_y[centre], normals[3 * first :],
                 )  # fmt: skip
 
@@ -240,7 +249,7 @@ def separable(
 @kernel()
 def distorted(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, window, max_missing,
-    band_start, band_stop, normals, variance, variation,
+    everywhere, band_start, band_stop, normals, variance, variation,
 ):  # fmt: skip
     """The planes around the pixels of some bands as `separable` with ``surfaces``, for any camera.
 
@@ -264,6 +273,7 @@ def distorted(
     work = np.zeros((3, channels * PITCH))
     sums = np.zeros(channels * PITCH)
     needed = np.empty(strip, np.float32)
+    all_wanted = np.ones(strip, np.float32)
     x_pixel, y_pixel = np.empty(strip), np.empty(strip)
     sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
     steps = sliding.plan_steps(window, sizes, between)
@@ -310,8 +320,9 @@ def distorted(
                 y_pixel[i] = tan_y[centre, left + i] - y_reference
             first = centre * width + left
             surface_row(
-                sums, sums[9 * PITCH :], sums[3 * PITCH :], needed[:columns], 1.0, 1.0, x_pixel, y_pixel,
-                tan_x[centre, left:], tan_y[centre, left:],
+                sums, sums[9 * PITCH :], sums[3 * PITCH :],
+                all_wanted if everywhere else valid[row % slots, half:], needed[:columns], 1.0, 1.0,
+                x_pixel, y_pixel, tan_x[centre, left:], tan_y[centre, left:],
                 normals[3 * first :], variance[first:], variation[first:],
             )  # fmt: skip
 
@@ -362,7 +373,7 @@ def choose_windows(
     normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
         Of `separable` or `distorted`.
     reach : int
-        0 to leave every window where it is.
+        At least 1.
     chosen_normals, chosen_variation : (H, W, 3) and (H, W) float32, written
     """
     height, width = raw.shape
@@ -375,26 +386,25 @@ def choose_windows(
             # Not a number, where the pixel's own window has no plane, is larger than everything.
             smallest[column] = own / ratio if own == own else math.inf
             best[column] = row * width + column
-        if reach > 0:
-            for y in range(-reach, reach + 1, reach):
-                other_row = min(max(row + y, 0), height - 1)
-                others = variance[other_row]
-                for x in range(-reach, reach + 1, reach):
-                    if inner > 0:
-                        left = reach + x
+        for y in range(-reach, reach + 1, reach):
+            other_row = min(max(row + y, 0), height - 1)
+            others = variance[other_row]
+            for x in range(-reach, reach + 1, reach):
+                if inner > 0:
+                    left = reach + x
+                    calmer(
+                        others[left : left + inner], other_row * width + left,
+                        smallest[reach : reach + inner], best[reach : reach + inner],
+                    )  # fmt: skip
+                for side in range(2):
+                    start = 0 if side == 0 else max(reach, width - reach)
+                    stop = min(reach, width) if side == 0 else width
+                    for column in range(start, stop):
+                        place = min(max(column + x, 0), width - 1)
                         calmer(
-                            others[left : left + inner], other_row * width + left,
-                            smallest[reach : reach + inner], best[reach : reach + inner],
+                            others[place : place + 1], other_row * width + place,
+                            smallest[column : column + 1], best[column : column + 1],
                         )  # fmt: skip
-                    for side in range(2):
-                        start = 0 if side == 0 else max(reach, width - reach)
-                        stop = min(reach, width) if side == 0 else width
-                        for column in range(start, stop):
-                            place = min(max(column + x, 0), width - 1)
-                            calmer(
-                                others[place : place + 1], other_row * width + place,
-                                smallest[column : column + 1], best[column : column + 1],
-                            )  # fmt: skip
         for column in range(width):
             place = best[column]
             a, b, c = normals[3 * place], normals[3 * place + 1], normals[3 * place + 2]

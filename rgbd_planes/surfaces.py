@@ -134,25 +134,26 @@ def _surfaces(
 
         def work(start: int, stop: int) -> None:
             dense.separable(
-                *values, *rays, int(window), float(max_missing), needs_surfaces, start, stop, *arrays
-            )
+                *values, *rays, int(window), float(max_missing), needs_surfaces, bool(avoid_edges),
+                start, stop, *arrays,
+            )  # fmt: skip
     else:
 
         def work(start: int, stop: int) -> None:
             dense.distorted(
-                *values, camera.tan_x, camera.tan_y, int(window), float(max_missing), start, stop, *arrays
-            )
+                *values, camera.tan_x, camera.tan_y, int(window), float(max_missing), bool(avoid_edges),
+                start, stop, *arrays,
+            )  # fmt: skip
 
     with announced(("normals", camera.is_separable, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)
-        if not needs_surfaces:
+        if not avoid_edges:
             return made, variation
         chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
-        reach = window // 2 if avoid_edges else 0
 
         def choose(start: int, stop: int) -> None:
             dense.choose_windows(
-                frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, reach, _ratio(window),
+                frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, int(window) // 2, _ratio(window),
                 arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
             )  # fmt: skip
 
