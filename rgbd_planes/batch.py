@@ -19,7 +19,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
+from rgbd_planes.batch_rows import Columns
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.sequences.frames import FrameSequence
@@ -133,6 +136,8 @@ def fit_sequence(
     cameras = {entry.camera for entry in sequence.entries}
     if len({camera.noise is None for camera in cameras}) > 1:
         raise ValueError("expected a noise model in all cameras or in none, got some with and some without")
+    timed = not bool(np.isnan(sequence.timestamps).any())
+    columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
     folder = Path(out)
     with _workers(scheduler, num_threads) as workers:
         size = _open_table(folder, sequence, settings, workers.slots)
@@ -152,7 +157,7 @@ def fit_sequence(
         report.seconds.clear()
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
-        for task, part in workers.run(sequence, settings, missing, folder):
+        for task, part in workers.run(sequence, settings, columns, missing, folder):
             report.add(part)
             if progress is not None:
                 progress(Progress(task[2] - task[1], part.problems))
@@ -192,6 +197,8 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     fitting = MOST_ROWS // settings.rows_of_frame(sequence.camera)
     shared = max(len(sequence) // (4 * slots), min(FEWEST_FRAMES, -(-len(sequence) // slots)))
     size = max(1, min(MOST_FRAMES, fitting, shared))
+    rounds = -(-len(sequence) // (size * slots))  # in which each thread has a part
+    size = -(-len(sequence) // (rounds * slots))
     with write_beside(file) as beside:
         beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")
     return size
@@ -209,7 +216,12 @@ class _Threads:
         self.slots = num_threads or cores
 
     def run(
-        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task], folder: Path
+        self,
+        sequence: FrameSequence,
+        settings: FitSettings,
+        columns: Columns,
+        tasks: list[Task],
+        folder: Path,
     ) -> Iterator[tuple[Task, Part]]:
         stopped = threading.Event()
         waiting = iter(tasks)
@@ -217,7 +229,8 @@ class _Threads:
 
         def submit(task: Task) -> None:
             frames, file = sequence[task[1] : task[2]], _file(folder, task)
-            running[executor.submit(fit_part, frames, task[1], settings, file, stopped.is_set)] = task
+            future = executor.submit(fit_part, frames, task[1], settings, columns, file, stopped.is_set)
+            running[future] = task
 
         running: dict[Any, Task] = {}
         try:
@@ -242,7 +255,12 @@ class _Cluster:
         self.slots = max(1, sum(client.ncores().values()))
 
     def run(
-        self, sequence: FrameSequence, settings: FitSettings, tasks: list[Task], folder: Path
+        self,
+        sequence: FrameSequence,
+        settings: FitSettings,
+        columns: Columns,
+        tasks: list[Task],
+        folder: Path,
     ) -> Iterator[tuple[Task, Part]]:
         from distributed import as_completed
 
@@ -252,7 +270,7 @@ class _Cluster:
         def submit(task: Task) -> Any:
             # Dask runs it again elsewhere when a worker dies. Not pure: another call is another task.
             future = self._client.submit(
-                fit_part, sequence[task[1] : task[2]], task[1], settings, pure=False, retries=2
+                fit_part, sequence[task[1] : task[2]], task[1], settings, columns, pure=False, retries=2
             )
             running[future] = task
             return future

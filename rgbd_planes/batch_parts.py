@@ -1,6 +1,7 @@
 """Some frames of a sequence, fitted, as a Parquet file: what a worker does."""
 
 import json
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rgbd_planes.batch_rows import COVARIANCES, KEY, Grid, Rows, empty_rows
+from rgbd_planes.batch_rows import COVARIANCES, KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
 from rgbd_planes.files import write_beside
 from rgbd_planes.plane_fits import TileStatus
@@ -92,6 +93,7 @@ def fit_part(
     sequence: FrameSequence,
     first: int,
     settings: FitSettings,
+    columns: Columns,
     where: Path | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Part:
@@ -104,14 +106,17 @@ def fit_part(
     first : int
         Number of the first of them in the whole sequence.
     settings : FitSettings
+    columns : Columns
     where : path, optional
         Of the file, which appears whole or not at all; without it the part has its content.
     stopped : callable
         Whether to give up, asked before each frame.
     """
+    import pyarrow
+
     problems: list[Problem] = []
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
-    rows = empty_rows(settings.segments, sequence.camera.noise is not None)
+    rows = empty_rows(columns, len(sequence) * settings.rows_of_frame(sequence.camera))
     add = _add_segments if settings.segments else _TileAdder(settings)
     for i, entry in enumerate(sequence.entries):
         if stopped():
@@ -133,14 +138,13 @@ def fit_part(
     about = json.dumps({"status": status, "problems": problems})
     content = b""
     if where is None:
-        import pyarrow
-
         stream = pyarrow.BufferOutputStream()
         rows.write(stream, first, sequence.names, sequence.timestamps, about)
         content = stream.getvalue().to_pybytes()
     else:
         with write_beside(where) as beside:
-            rows.write(beside, first, sequence.names, sequence.timestamps, about)
+            file = pyarrow.OSFile(os.fspath(beside), "wb")
+            rows.write(file, first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), seconds)
 

@@ -12,6 +12,7 @@ from rgbd_planes.plane_fits import TileStatus
 KEY = b"rgbd_planes"  # of what a file says about its rows
 STATUSES = [status.name for status in TileStatus]
 PLANE = ("nx", "ny", "nz", "d")
+WRITTEN_AT_ONCE = 1 << 20  # bytes: the system takes a few large pieces faster than many small ones
 COVARIANCES = {f"cov_{PLANE[i]}_{PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
 
 
@@ -21,6 +22,24 @@ class Grid(NamedTuple):
     shape: tuple[int, int]
     frame: tuple[int, int]
     tile: tuple[int, int]
+
+
+class Columns(NamedTuple):
+    """What decides on the columns of a table: the same for all its parts.
+
+    Attributes
+    ----------
+    segments : bool
+        The rows are segments, not tiles.
+    noise : bool
+        The sensor's noise is known.
+    timed : bool
+        So is the time of every frame.
+    """
+
+    segments: bool
+    noise: bool
+    timed: bool
 
 
 @lru_cache(maxsize=2)  # of full parts and the last one: what is in each row again need not be made again
@@ -33,15 +52,10 @@ def _grid_places(grid: Grid, frames: int) -> NDArray[np.int32]:
 
 
 class Rows:
-    """Rows of some frames, column by column.
+    """Rows of some frames, column by column."""
 
-    Parameters
-    ----------
-    segments, noise : bool
-        Whether the rows are segments, not tiles, and whether the sensor's noise is known.
-    """
-
-    def __init__(self, segments: bool, noise: bool) -> None:
+    def __init__(self, columns: Columns) -> None:
+        segments, noise, self._timed = columns
         uncertain = list(COVARIANCES) if segments else ["p_value", *COVARIANCES] if noise else []
         which = ["label"] if segments else ["row", "column"]
         self._place_names = [*which, "top", "left", "height", "width"]
@@ -53,10 +67,18 @@ class Rows:
         # Finer than any sensor, and half as much to write as what was fitted.
         self._floats = np.empty((len(self._float_names), 0), np.float32)
 
-    def clear(self) -> None:
-        """Begin again; the memory stays."""
+    def clear(self, expected: int) -> None:
+        """Begin again, with memory for so many rows at least; what there is stays."""
         self._count = 0
         self._frames.clear()
+        self._reserve(expected)
+
+    def _reserve(self, capacity: int) -> None:
+        if capacity > len(self._status):
+            for name in ("_status", "_valid_count", "_floats"):
+                old = getattr(self, name)
+                setattr(self, name, new := np.empty((*old.shape[:-1], capacity), old.dtype))
+                new[..., : self._count] = old[..., : self._count]
 
     def add(
         self,
@@ -81,11 +103,7 @@ class Rows:
         """
         start, stop = self._count, self._count + len(status)
         if stop > len(self._status):
-            capacity = max(stop, 2 * len(self._status))
-            for name in ("_status", "_valid_count", "_floats"):
-                old = getattr(self, name)
-                setattr(self, name, new := np.empty((*old.shape[:-1], capacity), old.dtype))
-                new[..., :start] = old[..., :start]
+            self._reserve(max(stop, 2 * len(self._status)))
         self._status[start:stop] = status.view(np.int8)
         self._valid_count[start:stop] = valid_count
         column = 0
@@ -111,13 +129,14 @@ class Rows:
         return np.concatenate([none, *blocks], axis=1)
 
     def write(
-        self, where: Any, first: int, names: tuple[str, ...], timestamps: NDArray[np.float64], about: str
+        self, stream: Any, first: int, names: tuple[str, ...], timestamps: NDArray[np.float64], about: str
     ) -> None:
         """Write a Parquet file.
 
         Parameters
         ----------
-        where : path or pyarrow stream
+        stream : pyarrow.NativeFile
+            Written to, and closed.
         first : int
             Number of the part's first frame in the sequence.
         names, timestamps
@@ -129,18 +148,18 @@ class Rows:
         import pyarrow.parquet as pq
 
         def dictionary(index: NDArray[Any], values: list[str]) -> Any:
-            return pa.DictionaryArray.from_arrays(pa.array(index), pa.array(values, pa.string()))
+            # Not checked, which takes as long as to write it: whatever is made here is in range.
+            return pa.DictionaryArray.from_arrays(pa.array(index), pa.array(values, pa.string()), safe=False)
 
-        frame = np.repeat(
-            np.array([number for number, _, _ in self._frames], np.int32),
-            [count for _, count, _ in self._frames],
-        )
+        numbers = np.array([number for number, _, _ in self._frames], np.int32)
+        counts = [count for _, count, _ in self._frames]
+        frame = np.repeat(numbers, counts)
         here = slice(self._count)
         columns = {
             "frame": pa.array(frame + np.int32(first)),
             "name": dictionary(frame, list(names)),
             # Parquet has a mark of its own for what is not known.
-            "timestamp": pa.array(timestamps[frame], from_pandas=True),
+            "timestamp": pa.array(np.repeat(timestamps[numbers], counts), from_pandas=not self._timed),
             **{
                 name: pa.array(values) for name, values in zip(self._place_names, self._places(), strict=True)
             },
@@ -149,34 +168,34 @@ class Rows:
             **{n: pa.array(values[here]) for n, values in zip(self._float_names, self._floats, strict=True)},
         }
         # Of what may be null Parquet writes for each value whether it is: that takes longer than the value.
-        fields = [
-            pa.field(name, values.type, nullable=name == "timestamp") for name, values in columns.items()
-        ]
+        null = set() if self._timed else {"timestamp"}
+        fields = [pa.field(name, values.type, nullable=name in null) for name, values in columns.items()]
         # All the bits of fits differ, but where a tile is, is said again and again.
         compressed = {"frame", "timestamp", *self._place_names}
-        pq.write_table(
-            pa.table(list(columns.values()), pa.schema(fields, {KEY: about})),
-            where,
-            use_dictionary=["name", "status"],
-            compression={name: "snappy" if name in compressed else "none" for name in columns},
-            write_statistics=["frame", "timestamp"],  # what one selects by
-            write_batch_size=1 << 16,
-        )
+        with pa.BufferedOutputStream(stream, WRITTEN_AT_ONCE) as buffered:
+            pq.write_table(
+                pa.table(list(columns.values()), pa.schema(fields, {KEY: about})),
+                buffered,
+                use_dictionary=["name", "status"],
+                compression={name: "snappy" if name in compressed else "none" for name in columns},
+                write_statistics=["frame", "timestamp"],  # what one selects by
+                write_batch_size=1 << 16,
+            )
 
 
 class _Kept(threading.local):
     """One `Rows` for each thread: to get its memory anew for each part costs as much as to fill it."""
 
-    key: tuple[bool, bool] | None = None
+    columns: Columns | None = None
     rows: Rows
 
 
 _kept = _Kept()
 
 
-def empty_rows(segments: bool, noise: bool) -> Rows:
-    """`Rows` that this thread may use until it asks for others."""
-    if _kept.key != (segments, noise):
-        _kept.key, _kept.rows = (segments, noise), Rows(segments, noise)
-    _kept.rows.clear()
+def empty_rows(columns: Columns, expected: int) -> Rows:
+    """`Rows` that this thread may use until it asks for others, with memory for as many as are expected."""
+    if _kept.columns != columns:
+        _kept.columns, _kept.rows = columns, Rows(columns)
+    _kept.rows.clear(expected)
     return _kept.rows

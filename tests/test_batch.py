@@ -101,6 +101,21 @@ def test_a_time_that_is_not_known_is_null(recording, tmp_path):
     assert times.null_count == len(times) > 0
 
 
+def test_some_times_may_be_known_and_others_not(recording, tmp_path):
+    plain = rp.open_sequence(recording)
+    known = [
+        e if e.location.stem > "2" else FrameEntry(e.name, np.nan, e.camera, e.location)
+        for e in plain.entries
+    ]
+    sequence = FrameSequence(known, images.read_depth)
+    rp.fit_sequence(sequence, tmp_path / "out", num_threads=1)
+    check_rows(tmp_path / "out", sequence)
+    rows = rows_of(tmp_path / "out")
+    assert 0 < np.isnan(rows["timestamp"]).sum() < len(rows["timestamp"])
+    times = parquet.read_table(tmp_path / "out")["timestamp"]
+    assert times.null_count == np.isnan(rows["timestamp"]).sum()
+
+
 def test_each_frame_may_have_its_own_camera(recording, tmp_path):
     other = rp.Camera(width=80, height=60, fx=60.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=900.0)
     sequence = rp.open_sequence(recording)
@@ -193,7 +208,7 @@ def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
     sequence, out = rp.open_sequence(recording), tmp_path / "out"
     rp.fit_sequence(sequence, out, num_threads=1)
     parts = sorted(out.glob("part-*.parquet"))
-    assert len(parts) == 5  # of 7 frames each, the last of 2
+    assert len(parts) == 5  # of 6 frames each
     contents = [part.read_bytes() for part in parts]
     kept = {part: part.stat().st_mtime_ns for part in parts[2:4]}
     parts[0].unlink()
@@ -202,7 +217,7 @@ def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
     (out / ".part-000000.123-456.parquet").write_bytes(b"half")
     # With another number of threads the parts stay what they were.
     report = rp.fit_sequence(sequence, out, num_threads=3)
-    assert report.resumed == 14
+    assert report.resumed == 12
     assert [part.read_bytes() for part in parts] == contents
     assert {part: part.stat().st_mtime_ns for part in kept} == kept
     assert sorted(path.name for path in out.iterdir()) == ["_about.json", *(part.name for part in parts)]
@@ -280,11 +295,11 @@ from rgbd_planes import batch_parts, cli
 signal.signal(signal.SIGINT, signal.default_int_handler)
 fit_part = batch_parts.fit_part
 parts = []
-def slowly(sequence, first, settings, where, stopped):
+def slowly(sequence, first, settings, columns, where, stopped):
     while len(parts) == 3 and not stopped():
         time.sleep(0.01)
     parts.append(first)
-    return fit_part(sequence, first, settings, where, stopped)
+    return fit_part(sequence, first, settings, columns, where, stopped)
 import rgbd_planes.batch
 rgbd_planes.batch.fit_part = slowly
 sys.exit(cli.main(sys.argv[1:]))
@@ -306,7 +321,7 @@ def test_a_process_that_is_stopped_is_resumed(recording, tmp_path, kind, capsys)
         assert err.endswith("rgbd-planes batch: stopped; the same command does the rest\n")
         assert "Traceback" not in err
     assert cli.main(arguments) == 0
-    assert f"{7 * done} frames had been done before." in capsys.readouterr().out
+    assert f"{6 * done} frames had been done before." in capsys.readouterr().out
     check_rows(out, rp.open_sequence(recording))
 
 
