@@ -149,7 +149,7 @@ class PlaneFits:
         ]
         if self.fitted.any():
             counts.append(f"median rmse {np.median(self.rmse_metric[self.fitted]) * 1e3:.2g} mm")
-        return f"{self.method}: {', '.join(counts)}"
+        return f"{self.method}: {', '.join(counts) or 'nothing to fit'}"
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.shape}, {self._summary()}>"

@@ -1,26 +1,29 @@
-"""The figure of a fit: depth, normals as colours, and the tiles by status.
+"""The figure of a fit: depth, normals as colours, and the tiles or windows by status.
 
 Figures are made without pyplot: nothing here touches a display, a backend or global state. Imported only
 when something is drawn, since matplotlib takes a while.
 """
 
 import io
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.windows import WindowPlanes
 
 if TYPE_CHECKING:
     from rgbd_planes.tile_planes import TilePlanes
 
 Floats = NDArray[np.float64]
+Fits: TypeAlias = "TilePlanes | WindowPlanes"
 
 STATUS_MEANINGS = {
     TileStatus.OK: "plane fitted",
@@ -42,15 +45,13 @@ class NotebookFigure(Figure):
         return buffer.getvalue()
 
 
-def plot_tiles(
-    tiles: "TilePlanes", depth_metres: Floats | None = None, figure: Figure | None = None
-) -> Figure:
-    """Draw a fitted frame: depth, normals as colours, and the tiles by status.
+def plot_fits(fits: Fits, depth_metres: Floats | None = None, figure: Figure | None = None) -> Figure:
+    """Draw a fitted frame: depth, normals as colours, and the tiles or windows by status.
 
     Parameters
     ----------
-    tiles : TilePlanes
-        Of one frame.
+    fits : TilePlanes or WindowPlanes
+        Of one frame. Of windows that overlap the smallest is on top.
     depth_metres : (H, W) float64, optional
         The measured depth in metres, NaN where missing. Without it, the depth of the fitted planes.
     figure : matplotlib Figure or SubFigure, optional
@@ -65,11 +66,9 @@ def plot_tiles(
     ValueError
         The planes are those of a batch, or the depth has not the shape of the camera's frame.
     """
-    if len(tiles.shape) != 2:
-        raise ValueError(
-            f"expected the tiles of one frame, got a batch of shape {tiles.shape}: plot tiles[i]"
-        )
-    height, width = tiles.camera.shape
+    if len(fits.shape) > 2:
+        raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}: plot tiles[i]")
+    height, width = fits.camera.shape
     if depth_metres is not None and depth_metres.shape != (height, width):
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
     if figure is None:
@@ -82,9 +81,9 @@ def plot_tiles(
     panels = figure.subplots(
         2, 3, gridspec_kw={"height_ratios": [panel_share, _LEGEND_INCHES], "hspace": 0.0, "wspace": 0.03}
     )
-    _draw_depth(panels[0, 0], panels[1, 0], tiles, depth_metres)
-    _draw_normals(panels[0, 1], panels[1, 1], tiles)
-    _draw_status(panels[0, 2], panels[1, 2], tiles)
+    _draw_depth(panels[0, 0], panels[1, 0], fits, depth_metres)
+    _draw_normals(panels[0, 1], panels[1, 1], fits)
+    _draw_status(panels[0, 2], panels[1, 2], fits)
     for panel in panels.flat:
         panel.set_xticks([])
         panel.set_yticks([])
@@ -94,9 +93,9 @@ def plot_tiles(
     return figure
 
 
-def _draw_depth(panel: Axes, legend: Axes, tiles: "TilePlanes", depth: Floats | None) -> None:
+def _draw_depth(panel: Axes, legend: Axes, fits: Fits, depth: Floats | None) -> None:
     fitted = depth is None
-    shown = _fitted_depth(tiles) if depth is None else np.where(depth > 0.0, depth, np.nan)
+    shown = _fitted_depth(fits) if depth is None else np.where(depth > 0.0, depth, np.nan)
     known = shown[np.isfinite(shown)]
     # A few stray far pixels must not take the whole scale.
     nearest, farthest = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
@@ -111,8 +110,8 @@ def _draw_depth(panel: Axes, legend: Axes, tiles: "TilePlanes", depth: Floats | 
     bar.set_xlabel(note, fontsize=9)
 
 
-def _draw_normals(panel: Axes, legend: Axes, tiles: "TilePlanes") -> None:
-    panel.imshow(_to_pixels(normal_colours(_normals_in_image(tiles)), tiles), interpolation="nearest")
+def _draw_normals(panel: Axes, legend: Axes, fits: Fits) -> None:
+    panel.imshow(_to_pixels(normal_colours(_normals_in_image(fits)), fits, MISSING), interpolation="nearest")
     panel.set_title("Normals of the planes")
     # The half ball of normals that face the camera, as the camera sees it.
     x, y = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
@@ -131,48 +130,53 @@ def _draw_normals(panel: Axes, legend: Axes, tiles: "TilePlanes") -> None:
     axes.text(1.3, 0.0, "facing right", **(style | {"ha": "left"}))
 
 
-def _draw_status(panel: Axes, legend: Axes, tiles: "TilePlanes") -> None:
-    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[tiles.status]
+def _draw_status(panel: Axes, legend: Axes, fits: Fits) -> None:
+    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
-    light = np.clip(_normals_in_image(tiles) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
-    shade = np.where(tiles.fitted, 0.6 + 0.55 * light, 1.0)[..., None]
-    panel.imshow(_to_pixels(np.minimum(colours * shade, 1.0), tiles), interpolation="nearest")
-    _draw_grid(panel, tiles)
-    height, width = tiles.tile
-    panel.set_title(f"Tiles of {height} x {width} pixels, {tiles.method}")
+    light = np.clip(_normals_in_image(fits) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    shade = np.where(fits.fitted, 0.6 + 0.55 * light, 1.0)[..., None]
+    panel.imshow(_to_pixels(np.minimum(colours * shade, 1.0), fits, MISSING), interpolation="nearest")
+    _draw_outlines(panel, fits)
+    panel.set_title(f"{fits._title}, {fits.method}")
 
     handles = [
-        Patch(color=STATUS_COLOURS[status], label=f"{np.count_nonzero(tiles.status == status)}  {meaning}")
+        Patch(color=STATUS_COLOURS[status], label=f"{np.count_nonzero(fits.status == status)}  {meaning}")
         for status, meaning in STATUS_MEANINGS.items()
-        if (tiles.status == status).any()
+        if (fits.status == status).any()
     ]
     legend.legend(handles=handles, loc="upper center", ncols=2, fontsize=9, frameon=False, borderaxespad=0.2)
 
 
-def _draw_grid(panel: Axes, tiles: "TilePlanes") -> None:
-    smallest = min(tiles.tile) * 640 / tiles.camera.width
+def _draw_outlines(panel: Axes, fits: Fits) -> None:
+    sides = fits.windows[:, 2:].min(axis=1) if isinstance(fits, WindowPlanes) else fits.tile
+    smallest = float(np.median(sides)) * 640 / fits.camera.width if len(sides) else 0.0
     if smallest < 5:  # lines would hide what they divide
         return
-    style: dict[str, Any] = {"color": "white", "linewidth": 0.5 if smallest >= 12 else 0.3, "alpha": 0.6}
-    bottom, right = tiles.camera.height - 0.5, tiles.camera.width - 0.5
-    panel.vlines(np.cumsum(tiles.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
-    panel.hlines(np.cumsum(tiles.tile_heights[:-1]) - 0.5, -0.5, right, **style)
+    style: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.5 if smallest >= 12 else 0.3, "alpha": 0.6}
+    if isinstance(fits, WindowPlanes):
+        boxes = [Rectangle((x - 0.5, y - 0.5), width, height) for y, x, height, width in fits.windows]
+        panel.add_collection(PatchCollection(boxes, facecolor="none", **style))
+        return
+    bottom, right = fits.camera.height - 0.5, fits.camera.width - 0.5
+    panel.vlines(np.cumsum(fits.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
+    panel.hlines(np.cumsum(fits.tile_heights[:-1]) - 0.5, -0.5, right, **style)
 
 
-def _normals_in_image(tiles: "TilePlanes") -> Floats:
+def _normals_in_image(fits: Fits) -> Floats:
     """The normals with x to the right of the image and y down it, also where a focal length is negative."""
-    signs = np.sign([tiles.camera.fx, tiles.camera.fy, 1.0])
-    return np.asarray(tiles.planes[..., :3] * signs)
+    signs = np.sign([fits.camera.fx, fits.camera.fy, 1.0])
+    return np.asarray(fits.planes[..., :3] * signs)
 
 
-def _to_pixels(values: NDArray[Any], tiles: "TilePlanes") -> NDArray[Any]:
-    """Each tile's value on each of its pixels."""
-    return values.repeat(tiles.tile_heights, axis=0).repeat(tiles.tile_widths, axis=1)
+def _to_pixels(values: Floats, fits: Fits, nothing: tuple[float, ...]) -> Floats:
+    """(H, W, 3): the values (S, 3) of each tile or window on each of its pixels, and `nothing` on others."""
+    cells = fits._cells(np.arange(fits.camera.height), np.arange(fits.camera.width))
+    return np.asarray(np.vstack([values.reshape(-1, 3), nothing])[cells])  # -1, no window, is the last
 
 
-def _fitted_depth(tiles: "TilePlanes") -> Floats:
-    """(H, W) depth in metres where each pixel's ray meets its tile's plane; NaN where it does not."""
-    alpha = _to_pixels(np.where(tiles.fitted[..., None], tiles.alpha, np.nan), tiles)
-    camera = tiles.camera
+def _fitted_depth(fits: Fits) -> Floats:
+    """(H, W) depth in metres where each pixel's ray meets its tile's or window's plane; NaN where it does not."""
+    alpha = _to_pixels(np.where(fits.fitted[..., None], fits.alpha, np.nan), fits, (np.nan,) * 3)
+    camera = fits.camera
     inverse_depth = alpha[..., 0] * camera.tan_x + alpha[..., 1] * camera.tan_y + alpha[..., 2]
     return 1.0 / np.where(inverse_depth > 0.0, inverse_depth, np.nan)

@@ -15,51 +15,52 @@ from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
 if TYPE_CHECKING:
     from rgbd_planes.segmentation import Segmentation
     from rgbd_planes.tile_planes import TilePlanes
+    from rgbd_planes.windows import WindowPlanes
 
 _WIDEST = 320  # pixels of a panel
 _GAP = 8
 _LISTED = 4  # planes
 
 
-def tiles_picture(tiles: "TilePlanes") -> NDArray[np.uint8]:
-    """Return the normals as colours and, to the right, the tiles by status.
+def fits_picture(fits: "TilePlanes | WindowPlanes") -> NDArray[np.uint8]:
+    """Return the normals as colours and, to the right, the tiles or windows by status.
 
     Parameters
     ----------
-    tiles : TilePlanes
-        Of one frame.
+    fits : TilePlanes or WindowPlanes
+        Of one frame. Of windows that overlap the smallest is on top.
 
     Returns
     -------
     (H', W', 3) uint8
         Each panel as large as the frame, but at most 320 pixels wide. Colours as in `TilePlanes.plot`.
     """
-    if len(tiles.shape) != 2:
-        raise ValueError(f"expected the tiles of one frame, got a batch of shape {tiles.shape}")
-    height, width = tiles.camera.shape
+    if len(fits.shape) > 2:
+        raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}")
+    height, width = fits.camera.shape
     step = max(1.0, width / _WIDEST)
-    rows = (np.arange(0.0, height, step).astype(int)) // tiles.tile[0]
-    columns = (np.arange(0.0, width, step).astype(int)) // tiles.tile[1]
-    in_image = tiles.planes[..., :3] * np.sign([tiles.camera.fx, tiles.camera.fy, 1.0])
-    normals = normal_colours(in_image)
-    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[tiles.status]
-    panels = [panel[rows[:, None], columns] for panel in (normals, colours)]
-    gap = np.ones((len(rows), _GAP, 3))
+    cells = fits._cells(np.arange(0.0, height, step).astype(int), np.arange(0.0, width, step).astype(int))
+    in_image = fits.planes[..., :3] * np.sign([fits.camera.fx, fits.camera.fy, 1.0])
+    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
+    # The last is what shows where no window is: its index is -1.
+    panels = [np.vstack([c.reshape(-1, 3), MISSING])[cells] for c in (normal_colours(in_image), colours)]
+    gap = np.ones((len(cells), _GAP, 3))
     return np.rint(255.0 * np.concatenate([panels[0], gap, panels[1]], axis=1)).astype(np.uint8)
 
 
-def tiles_html(tiles: "TilePlanes") -> str:
+def fits_html(fits: "TilePlanes | WindowPlanes") -> str:
     """Return a few lines of HTML: what was found, a picture, and what its colours mean."""
-    first = tiles if len(tiles.shape) == 2 else tiles[0]
+    batch = len(fits.shape) == 3
+    first = fits[0] if batch else fits  # type: ignore[index]
     names = " ".join(
         f'<span style="color:rgb({_css(STATUS_COLOURS[status])})">&#9632;</span>&nbsp;{status.name}'
         for status in TileStatus
         if (first.status == status).any()
     )
-    which = "" if first is tiles else " of the first frame"
+    which = " of the first frame" if batch else ""
     return (
-        f"<div><div>{html.escape(repr(tiles).strip('<>'))}</div>"
-        f'<img alt="normals and status of the tiles" src="data:image/png;base64,{_png(tiles_picture(first))}">'
+        f"<div><div>{html.escape(repr(fits).strip('<>'))}</div>"
+        f'<img alt="normals and status" src="data:image/png;base64,{_png(fits_picture(first))}">'
         f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
         f'<span style="color:rgb({_css(MISSING)})">&#9632;</span>&nbsp;none. Right: {names}.</small></div></div>'
     )

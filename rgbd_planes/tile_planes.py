@@ -42,6 +42,14 @@ class TilePlanes(PlaneFits):
         """(C,) int64: width in pixels of each column of tiles."""
         return tile_sizes(self.camera.width, self.tile[1])
 
+    def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """(H', W') int64: the tile at these rows and columns of pixels, counted row by row of tiles."""
+        return (rows // self.tile[0])[:, None] * self.shape[-1] + columns // self.tile[1]
+
+    @property
+    def _title(self) -> str:
+        return f"Tiles of {self.tile[0]} x {self.tile[1]} pixels"
+
     @property
     def _most_pixels(self) -> int:
         return self.tile[0] * self.tile[1]
@@ -73,9 +81,9 @@ class TilePlanes(PlaneFits):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""
-        from rgbd_planes.preview import tiles_html
+        from rgbd_planes.preview import fits_html
 
-        return tiles_html(self)
+        return fits_html(self)
 
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
@@ -105,7 +113,7 @@ class TilePlanes(PlaneFits):
         }
 
     def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
-        """Draw the depth, the normals as colours and the tiles by status; see `plotting.plot_tiles`.
+        """Draw the depth, the normals as colours and the tiles by status; see `plotting.plot_fits`.
 
         Parameters
         ----------
@@ -114,10 +122,10 @@ class TilePlanes(PlaneFits):
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.plotting import plot_tiles
+        from rgbd_planes.plotting import plot_fits
 
         metres = None if depth is None else as_depth_frame(depth, self.camera).metres
-        return plot_tiles(self, metres, figure)
+        return plot_fits(self, metres, figure)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an NPZ file, camera included, that `load` reads; whole or not at all."""

@@ -1,6 +1,7 @@
 """Fit planes to arbitrary rectangles of a depth frame."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,9 @@ from rgbd_planes.fitting import (
 from rgbd_planes.plane_fits import PlaneFits, allocate
 from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WindowPlanes(PlaneFits):
@@ -33,6 +37,39 @@ class WindowPlanes(PlaneFits):
     """
 
     windows: npt.NDArray[np.int64]
+
+    def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """(H', W') int64: the window at these rows and columns of pixels, the smallest of several; -1 none."""
+        cells = np.full(self.camera.shape, -1, np.int64)
+        for i in np.argsort(-self.windows[:, 2:].prod(axis=1), kind="stable"):
+            top, left, height, width = self.windows[i]
+            cells[top : top + height, left : left + width] = i
+        return cells[rows[:, None], columns]
+
+    @property
+    def _title(self) -> str:
+        return f"{len(self.windows)} windows"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import fits_html
+
+        return fits_html(self)
+
+    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
+        """Draw the depth, the normals as colours and the windows by status; see `plotting.plot_fits`.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like, optional
+            The frame that was fitted; without it the fitted planes' own depth is drawn.
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
+        from rgbd_planes.plotting import plot_fits
+
+        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
+        return plot_fits(self, metres, figure)
 
 
 def fit_windows(

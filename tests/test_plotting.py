@@ -119,7 +119,7 @@ def test_what_cannot_be_drawn():
         batch.plot()
     batch[1].plot()
     with pytest.raises(ValueError, match="shape"):
-        plotting.plot_tiles(tiles, np.ones((3, 3)))
+        plotting.plot_fits(tiles, np.ones((3, 3)))
 
 
 def test_no_global_state_of_matplotlib():
@@ -133,3 +133,26 @@ def test_no_global_state_of_matplotlib():
     )
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+
+
+def test_windows_are_drawn_where_they_are_and_the_smallest_on_top():
+    tiles, depth = fitted()
+    windows = [[20, 30, 12, 10], [2, 3, 40, 50], [0, 0, 10, 20]]
+    fits = rp.fit_windows(depth, tiles.camera, windows, max_error=0.02)
+    assert len(np.unique(fits.status)) > 1
+    figure = fits.plot(depth)
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert panels[2].get_title() == "3 windows, range_explicit"
+    normals = image_of(panels[1])
+    for pixel, index in (((25, 35), 0), ((40, 5), 1), ((5, 6), 2), ((1, 1), 2)):
+        assert np.array_equal(normals[pixel], plotting.normal_colours(fits.planes[index, :3]))
+    for panel in panels[1:]:
+        assert np.array_equal(image_of(panel)[45, 60], plotting.MISSING)
+    (outlines,) = panels[2].collections
+    corners = [path.vertices.min(axis=0).tolist() for path in outlines.get_paths()]
+    assert corners == [[29.5, 19.5], [2.5, 1.5], [-0.5, -0.5]]
+    own = image_of(fits.plot().axes[0])
+    assert np.array_equal(
+        np.isfinite(own), np.isfinite(normals[..., 0]) & (normals != plotting.MISSING).any(-1)
+    )
+    rp.fit_windows(depth, tiles.camera, []).plot(depth).canvas.draw()

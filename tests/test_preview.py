@@ -11,7 +11,7 @@ from PIL import Image
 import rgbd_planes as rp
 from rgbd_planes import scenes
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
-from rgbd_planes.preview import tiles_picture
+from rgbd_planes.preview import fits_picture
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def picture_of(text):
 
 
 def test_the_picture_has_each_tile_where_it_is(tiles):
-    picture = tiles_picture(tiles)
+    picture = fits_picture(tiles)
     assert picture.shape == (240, 320 + 8 + 320, 3)
     for row, column in np.ndindex(tiles.shape):
         # The middle of the tile, in a picture of 320 columns for 400.
@@ -44,7 +44,7 @@ def test_the_picture_has_each_tile_where_it_is(tiles):
 def test_a_result_shows_itself(tiles):
     text = tiles._repr_html_()
     assert "11 x 14 tiles of 28 x 30 pixels, range_explicit" in text
-    assert np.array_equal(picture_of(text), tiles_picture(tiles))
+    assert np.array_equal(picture_of(text), fits_picture(tiles))
     for status in rp.TileStatus:
         assert (f"&nbsp;{status.name}" in text) == (tiles.status == status).any()
     assert len(text) < 20_000
@@ -56,6 +56,23 @@ def test_a_batch_shows_its_first_frame(tiles):
     text = batch._repr_html_()
     assert "2 frames of 19 x 25 tiles" in text
     assert "of the first frame" in text
-    assert np.array_equal(picture_of(text), tiles_picture(batch[0]))
+    assert np.array_equal(picture_of(text), fits_picture(batch[0]))
     with pytest.raises(ValueError, match="got a batch"):
-        tiles_picture(batch)
+        fits_picture(batch)
+
+
+def test_windows_show_themselves(tiles):
+    depth = np.full(tiles.camera.shape, 2000, np.uint16)
+    depth[:60, :60] = 0
+    windows = rp.fit_windows(depth, tiles.camera, [[100, 100, 150, 200], [0, 0, 50, 50], [150, 150, 50, 50]])
+    text = windows._repr_html_()
+    assert "WindowPlanes (3,), range_explicit: 2 OK, 1 TOO_FEW" in text
+    picture = picture_of(text)
+    assert np.array_equal(picture, fits_picture(windows))
+    status = picture[:, 328:] / 255.0
+    for (y, x), colour in (
+        ((10, 10), STATUS_COLOURS[rp.TileStatus.TOO_FEW]),
+        ((100, 200), STATUS_COLOURS[rp.TileStatus.OK]),
+        ((220, 300), MISSING),
+    ):
+        np.testing.assert_allclose(status[y, x], colour, atol=0.003)
