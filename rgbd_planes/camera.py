@@ -312,7 +312,7 @@ class Camera:
         missing = [name for name in known[:6] if name not in values]
         if missing:
             raise ValueError(
-                f"expected the camera keys {', '.join(known[:6])}, got none of {', '.join(missing)}"
+                f"expected the camera keys {', '.join(known[:6])}, got all but {', '.join(missing)}"
             )
         made = dict(values)
         if isinstance(made.get("noise"), Mapping):

@@ -12,7 +12,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rgbd_planes import __version__
 
@@ -354,7 +354,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
-            warnings.showwarning = _show_warning
+            warnings.showwarning = _ShowOnce()
             status: int | None = arguments.run(arguments)
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
@@ -481,15 +481,17 @@ def _median_seconds(work: Callable[[], object], repeats: int = 20) -> float:
     return statistics.median(times)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    print(f"rgbd-planes: warning: {_one_line(message)}", file=sys.stderr)
+class _ShowOnce:
+    """Shows a warning, but what two steps of a command have to say only once."""
+
+    def __init__(self) -> None:
+        self._shown: set[str] = set()
+
+    def __call__(self, message: Warning | str, *where: object) -> None:
+        text = _one_line(message)
+        if text not in self._shown:
+            self._shown.add(text)
+            print(f"rgbd-planes: warning: {text}", file=sys.stderr)
 
 
 def _one_line(message: object) -> str:

@@ -40,13 +40,17 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         is not one image of one channel.
     """
     file = Path(path)
+    if not file.exists():
+        raise FileNotFoundError(f"{path}: there is no such file")
+    if file.is_dir():
+        raise ValueError(
+            f"{path}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)"
+        )
+    if not file.is_file():
+        raise ValueError(f"{path}: expected a file, got a device or a pipe")
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}")
-    if not file.exists():
-        raise FileNotFoundError(f"{path}: there is no such file")
-    if not file.is_file():
-        raise ValueError(f"{path}: expected a file, got a folder or a device")
     frame = reader(file)
     if frame.ndim != 2 or 0 in frame.shape:
         raise ValueError(f"{path}: expected one depth image (height, width), got shape {frame.shape}")

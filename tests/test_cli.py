@@ -215,7 +215,7 @@ def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, 
 @pytest.mark.filterwarnings("default")
 def test_warnings_are_one_line(folder, capsys):
     np.save("depth.npy", images.read_depth("depth.png").astype(np.float64))  # millimetres, as metres
-    assert cli.main(["fit", "depth.npy", "--camera", "camera.json"]) == 0
+    assert cli.main(["fit", "depth.npy", "--camera", "camera.json", "--figure", "twice.png"]) == 0
     err = capsys.readouterr().err
     assert err.startswith("rgbd-planes: warning: ")
     assert "millimetres" in err

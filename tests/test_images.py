@@ -87,11 +87,15 @@ def test_missing_file_and_unknown_suffix(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.png: there is no such file"):
         images.read_depth(tmp_path / "gone.png")
     for name in ("depth.jpg", "depth"):
+        (tmp_path / name).touch()
         with pytest.raises(ValueError, match=r"must be one of \.png, \.tif"):
             images.read_depth(tmp_path / name)
-    (tmp_path / "folder.png").mkdir()
-    with pytest.raises(ValueError, match="expected a file"):
-        images.read_depth(tmp_path / "folder.png")
+    for folder in (tmp_path, tmp_path / "folder.png"):
+        folder.mkdir(exist_ok=True)
+        with pytest.raises(ValueError, match="got a folder"):
+            images.read_depth(folder)
+    with pytest.raises(ValueError, match="got a device"):
+        images.read_depth("/dev/null")
 
 
 def encoded(suffix):
