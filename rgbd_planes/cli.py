@@ -354,7 +354,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
-            warnings.showwarning = _ShowOnce()
+            warnings.showwarning = _show_each_once()
             status: int | None = arguments.run(arguments)
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
@@ -481,17 +481,17 @@ def _median_seconds(work: Callable[[], object], repeats: int = 20) -> float:
     return statistics.median(times)
 
 
-class _ShowOnce:
-    """Shows a warning, but what two steps of a command have to say only once."""
+def _show_each_once() -> Callable[..., None]:
+    """Shows a warning; what two steps of a command have to say, only once."""
+    shown: set[str] = set()
 
-    def __init__(self) -> None:
-        self._shown: set[str] = set()
-
-    def __call__(self, message: Warning | str, *where: object) -> None:
+    def show(message: Warning | str, *where: object, **more: object) -> None:
         text = _one_line(message)
-        if text not in self._shown:
-            self._shown.add(text)
+        if text not in shown:
+            shown.add(text)
             print(f"rgbd-planes: warning: {text}", file=sys.stderr)
+
+    return show
 
 
 def _one_line(message: object) -> str:
