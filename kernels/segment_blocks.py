@@ -16,33 +16,10 @@ from ._jit import kernel
 BLOCK = 4
 # Owner of a block: EMPTY where no pixel is measured; MIXED where each pixel has an owner of its own.
 EMPTY, MIXED = -1, -2
-# Which moments hold q, with their number, and which are the camera's.
-FRAME = (0, 3, 6, 8, 9)
-CAMERA = (1, 2, 4, 5, 7)
 # Blocks of a row that are worked on together.
 CHUNK = 84
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
 COLLINEAR = 1e-6
-
-
-@kernel()
-def camera_sums(tan_x, tan_y, sums):
-    """What a block's moments hold of the camera alone, where every pixel is valid.
-
-    ``sums`` is (6, R, C), written: n, Σu, Σv, Σuu, Σuv, Σvv.
-    """
-    height, width = tan_x.shape
-    sums[:] = 0.0
-    for y in range(height):
-        for x in range(width):
-            u, v = tan_x[y, x], tan_y[y, x]
-            total = sums[:, y // BLOCK, x // BLOCK]
-            total[0] += 1.0
-            total[1] += u
-            total[2] += v
-            total[3] += u * u
-            total[4] += u * v
-            total[5] += v * v
 
 
 @kernel(inline=True)
@@ -131,15 +108,58 @@ def fold(along, sums, count):
         sums[c] = (along[x] + along[x + 1]) + (along[x + 2] + along[x + 3])
 
 
+@kernel(inline=True)
+def add_columns(q, u, v, count, along):
+    """Moments of the columns of pixels, ``along`` (10, CHUNK·BLOCK), of ``count`` blocks beside each other."""
+    for x in range(count * BLOCK):
+        n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
+        for k in range(BLOCK):
+            p = np.float64(q[k, x])
+            valid = 1.0 if p > 0.0 else 0.0
+            u_x, v_x = valid * u[k, x], valid * v[k, x]
+            n += valid
+            s_u += u_x
+            s_v += v_x
+            s_q += p
+            s_uu += u_x * u_x
+            s_uv += u_x * v_x
+            s_uq += u_x * p
+            s_vv += v_x * v_x
+            s_vq += v_x * p
+            s_qq += p * p
+        along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, s_u, s_v, s_q, s_uu
+        along[5, x], along[6, x], along[7, x], along[8, x], along[9, x] = s_uv, s_uq, s_vv, s_vq, s_qq
+
+
+@kernel(inline=True)
+def add_separable(q, u, row_v, count, along):
+    """The same where tanθx, ``u[0]``, is that of the column and tanθy, ``row_v`` (BLOCK,), that of the row."""
+    for x in range(count * BLOCK):
+        n = s_v = s_q = s_vv = s_vq = s_qq = 0.0
+        for k in range(BLOCK):
+            p = np.float64(q[k, x])
+            valid = 1.0 if p > 0.0 else 0.0
+            v_x = valid * row_v[k]
+            n += valid
+            s_v += v_x
+            s_q += p
+            s_vv += v_x * row_v[k]
+            s_vq += p * row_v[k]
+            s_qq += p * p
+        c = u[0, x]
+        along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, c * n, s_v, s_q, c * c * n
+        along[5, x], along[6, x], along[7, x], along[8, x], along[9, x] = c * s_v, c * s_q, s_vv, s_vq, s_qq
+
+
 @kernel(reduction=True)
 def block_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, camera, pitch_x, pitch_y,
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, pitch_x, pitch_y, rows, columns,
     inverse_depth, moments, rss, slope,
 ):  # fmt: skip
     """Read the frame once: the inverse depth of every pixel, and moments and plane of every block.
 
-    The sums are added up down the image columns first, which runs along the rows and vectorises; those that
-    don't hold q are the camera's, unless pixels are missing.
+    The sums are added up down the image columns first, which runs along the rows and vectorises. Where tanθx
+    is the same down a column, it multiplies the column's sums.
 
     Parameters
     ----------
@@ -148,14 +168,14 @@ def block_moments(
     scale, offset, is_disparity
         q = scale / raw, or scale * raw + offset if ``is_disparity``.
     tan_x, tan_y : (1, W) and (H, 1), or (H, W) and (H, W) float64
-    camera : (6, R, C) float64
-        Of `camera_sums`.
     pitch_x, pitch_y : float
         Change of tanθx and tanθy from pixel to pixel.
+    rows, columns : int
+        How many blocks there are, at least so many that they cover the frame.
     inverse_depth : (H, W) float32, written
         0 where there is no measurement.
     moments : (10, T) float64, written
-        One block after another, row after row; there may be more columns than blocks.
+        One block after another, row after row; T may be larger than their number.
     rss : (T,) float64, written
         Sum of squared residuals of each block's plane, or -1.
     slope : (T,) float64, written
@@ -167,74 +187,42 @@ def block_moments(
         The largest inverse depth.
     """
     height, width = raw.shape
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     # Of a size that is known beforehand: so the compiler sees that their rows are apart, and uses vectors.
-    q, u, v = (
-        np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
-    )  # fmt: skip
-    along = np.empty((5, CHUNK * BLOCK))
+    q = np.zeros((BLOCK, CHUNK * BLOCK), np.float32)
+    u, v = np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
+    along = np.empty((10, CHUNK * BLOCK))
     sums = np.empty((10, CHUNK))
     largest = np.zeros(CHUNK * BLOCK, np.float32)
-    for row in range(camera.shape[1]):
+    separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
+    row_v = np.empty(BLOCK)
+    for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
-        for start in range(0, camera.shape[2], CHUNK):
-            count = min(CHUNK, camera.shape[2] - start)
-            left, right = start * BLOCK, min((start + count) * BLOCK, width)
+        for start in range(0, columns, CHUNK):
+            count = min(CHUNK, columns - start)
+            left = start * BLOCK
+            right = max(left, min((start + count) * BLOCK, width))
             if bottom - top < BLOCK or right - left < count * BLOCK:
                 q[:] = 0.0
             for y in range(top, bottom):
                 k = y - top
                 values, inverse = raw[y, left:right], inverse_depth[y, left:right]
-                row_u, row_v = tan_x[y * step_y, left:right], tan_y[y, left * step_x : right]
                 for x in range(right - left):
                     inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
                     largest[x] = inverse[x] if inverse[x] > largest[x] else largest[x]
-                for x in range(right - left):
-                    q[k, x] = inverse[x]
-                for x in range(right - left):
-                    u[k, x] = row_u[x]
-                if step_x:
-                    for x in range(right - left):
-                        v[k, x] = row_v[x]
+                copy(inverse, q[k, : right - left])
+                if separable:
+                    row_v[k] = tan_y[y, 0]
                 else:
-                    v_y = row_v[0]
-                    for x in range(right - left):
-                        v[k, x] = v_y
-            for x in range(count * BLOCK):
-                n = s_q = s_uq = s_vq = s_qq = 0.0
-                for k in range(BLOCK):
-                    n += 1.0 if q[k, x] > 0.0 else 0.0
-                    s_q += q[k, x]
-                    s_uq += u[k, x] * q[k, x]
-                    s_vq += v[k, x] * q[k, x]
-                    s_qq += q[k, x] * q[k, x]
-                along[0, x], along[1, x] = n, s_q
-                along[2, x], along[3, x], along[4, x] = s_uq, s_vq, s_qq
-            for k in range(5):
-                fold(along[k], sums[FRAME[k]], count)
-            all_pixels = camera[0, row, start : start + count]
-            missing = False
-            for c in range(count):
-                missing |= sums[0, c] != all_pixels[c]
-            if missing:
-                for x in range(count * BLOCK):
-                    s_u = s_v = s_uu = s_uv = s_vv = 0.0
-                    for k in range(BLOCK):
-                        valid = 1.0 if q[k, x] > 0.0 else 0.0
-                        s_u += valid * u[k, x]
-                        s_v += valid * v[k, x]
-                        s_uu += valid * u[k, x] * u[k, x]
-                        s_uv += valid * u[k, x] * v[k, x]
-                        s_vv += valid * v[k, x] * v[k, x]
-                    along[0, x], along[1, x] = s_u, s_v
-                    along[2, x], along[3, x], along[4, x] = s_uu, s_uv, s_vv
-            for k in range(5):
-                if missing:
-                    fold(along[k], sums[CAMERA[k]], count)
-                known = camera[k + 1, row, start : start + count]
-                for c in range(count):
-                    sums[CAMERA[k], c] = known[c] if sums[0, c] == all_pixels[c] else sums[CAMERA[k], c]
-            i = row * camera.shape[2] + start
+                    copy(tan_x[y, left:right], u[k, : right - left])
+                    copy(tan_y[y, left:right], v[k, : right - left])
+            if separable:
+                copy(tan_x[0, left:right], u[0, : right - left])
+                add_separable(q, u, row_v, count, along)
+            else:
+                add_columns(q, u, v, count, along)
+            for k in range(10):
+                fold(along[k], sums[k], count)
+            i = row * columns + start
             solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])

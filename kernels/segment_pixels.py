@@ -270,28 +270,34 @@ def settle_unchanged(
     ``around`` becomes SETTLED for them; the rest is as in `own_pixels`.
     """
     rows, columns = before.shape
-    moved = np.empty((len(alpha), 3))
+    moved = np.zeros((len(alpha) + 1, 3))  # in deviations; the last row is for blocks of no region
     for a in range(len(alpha)):
         deviation = math.sqrt(
             (sensor_variance(moments[a, 3] / moments[a, 0], sigma) + slope_variance[a]) * spread[a]
         )
         for k in range(3):
-            moved[a, k] = (alpha[a, k] - last_alpha[a, k]) / (STILL * deviation)
-    changed = np.zeros((rows + 2, columns + 2), np.bool_)  # with a rim
+            moved[a, k] = (alpha[a, k] - last_alpha[a, k]) / deviation
+    changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
     for row in range(rows):
+        own, last, u, v, line = (
+            before[row],
+            last_before[row],
+            centre_u[row],
+            centre_v[row],
+            changed[row + 1, 1:],
+        )
         for c in range(columns):
-            a = max(before[row, c], 0)
-            d = moved[a, 0] * centre_u[row, c] + moved[a, 1] * centre_v[row, c] + moved[a, 2]
-            same = before[row, c] == last_before[row, c]
-            changed[row + 1, c + 1] = ~(same & ((before[row, c] < 0) | (abs(d) <= 1.0)))
-    nearby = np.empty(columns + 2, np.bool_)
+            a = own[c] if own[c] >= 0 else len(alpha)
+            d = moved[a, 0] * u[c] + moved[a, 1] * v[c] + moved[a, 2]
+            line[c] = (own[c] != last[c]) | (abs(d) > STILL)
+    nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
-        above, here, below = changed[row], changed[row + 1], changed[row + 2]
+        above, here, below, line = changed[row], changed[row + 1], changed[row + 2], around[row]
         for c in range(columns + 2):
             nearby[c] = above[c] | here[c] | below[c]
+        left, right = nearby[1:], nearby[2:]
         for c in range(columns):
-            if not (nearby[c] | nearby[c + 1] | nearby[c + 2]):
-                around[row, c] = SETTLED
+            line[c] = line[c] if nearby[c] | left[c] | right[c] else SETTLED
 
 
 @kernel()

@@ -283,7 +283,7 @@ def segment_frame(
     squares_of = room.pyramid, grid.offsets, grid.shapes
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        grid.tan_x, grid.tan_y, grid.sums, *grid.pitch, room.inverse_depth, room.pyramid, room.rss, room.slope,
+        grid.tan_x, grid.tan_y, *grid.pitch, *grid.shapes[0], room.inverse_depth, room.pyramid, room.rss, room.slope,
     )  # fmt: skip
     segment_blocks.sum_by_fours(*squares_of, *grid.pitch, room.rss, room.slope)
     noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, grid.shapes, nearest, sigma)
@@ -348,7 +348,6 @@ class _Grid:
     tan_x: Floats  # (1, W) and (H, 1), or (H, W) both
     tan_y: Floats
     pitch: tuple[float, float]  # change of tanθx and tanθy from pixel to pixel
-    sums: Floats  # (6, R, C): what the moments hold of the camera alone
     centre_u: Floats  # (R, C): tanθx, tanθy in the middle of each block
     centre_v: Floats
 
@@ -360,8 +359,6 @@ def _grid(camera: Camera) -> _Grid:
     rows, columns = -(-height // largest), -(-width // largest)
     shapes = [(rows << level, columns << level) for level in reversed(range(LEVELS))]
     rows, columns = shapes[0]
-    sums = np.empty((6, rows, columns))
-    segment_blocks.camera_sums(camera.tan_x, camera.tan_y, sums)
     middle = np.ix_(
         np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
         np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
@@ -373,7 +370,6 @@ def _grid(camera: Camera) -> _Grid:
         tan_x=camera.tan_x_columns[None, :] if camera.is_separable else camera.tan_x,
         tan_y=camera.tan_y_rows[:, None] if camera.is_separable else camera.tan_y,
         pitch=(1.0 / camera.fx, 1.0 / camera.fy),
-        sums=sums,
         centre_u=camera.tan_x[middle],
         centre_v=camera.tan_y[middle],
     )
