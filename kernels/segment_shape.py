@@ -25,7 +25,7 @@ BENT = 2.0  # variances per pixel that a region's own bend must make to be more 
 # Blocks across a region whose own shape can be told, and of which it can be told that it goes on beyond its edge.
 FEWEST = 5
 FEWEST_BESIDE = 2
-ENOUGH = 600  # blocks along which a shape shows
+ENOUGH = 256  # blocks along which a shape shows
 
 
 @kernel(inline=True)
