@@ -325,7 +325,7 @@ def _find_curved(
     count = segment_merge.neighbours(
         region, grid.centre_u, grid.centre_v, room.pairs, room.contact, room.table
     )
-    means = np.empty((*region.shape, 4))
+    means = np.empty((*region.shape, 4), np.float32)
     segment_shape.owned_means(
         room.owner, room.pixel_owner, number, room.inverse_depth, grid.tan_x, grid.tan_y, region, room.pyramid,
         means,
