@@ -53,6 +53,19 @@ def put_run(start, stop, a, starts, first, runs, run_start, run_stop, run_label,
 
 
 @kernel(inline=True)
+def put_below(a, y, last, above_label, above_row):
+    """How many pixels of a run have no label ``a`` above them; below them, up to row ``last``, they have one."""
+    starts = 0
+    for x in range(len(above_label)):
+        starts += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+    for x in range(len(above_label)):
+        above_label[x] = a
+    for x in range(len(above_row)):
+        above_row[x] = last
+    return starts
+
+
+@kernel(inline=True)
 def label_of(owner, pixel_owner, number, y, x):
     """Label of a pixel; below 0 is none."""
     row, column = y // BLOCK, x // BLOCK
@@ -134,10 +147,7 @@ def find_runs(
                 if a >= 0:
                     new = 0
                     if y == top:
-                        for x in range(left, right):
-                            new += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
-                            above_label[x] = a
-                            above_row[x] = y + BLOCK - 1
+                        new = put_below(a, y, y + BLOCK - 1, above_label[left:right], above_row[left:right])
                     runs = put_run(
                         left, right, a, new, this_first, runs,
                         run_start, run_stop, run_label, vertical, parent,

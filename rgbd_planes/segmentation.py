@@ -283,7 +283,8 @@ def segment_frame(
     squares_of = room.pyramid, grid.offsets, grid.shapes
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        grid.tan_x, grid.tan_y, *grid.pitch, grid.shapes[0, 0], grid.shapes[0, 1], room.inverse_depth, room.pyramid, room.rss, room.slope,
+        grid.tan_x, grid.tan_y, *grid.pitch, grid.shapes[0, 0], grid.shapes[0, 1],
+        room.inverse_depth, room.pyramid, room.rss, room.slope,
     )  # fmt: skip
     segment_blocks.sum_by_fours(*squares_of, *grid.pitch, room.rss, room.slope)
     noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, grid.shapes, nearest, sigma)
