@@ -12,6 +12,7 @@ from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import cli, images, scenes
+from rgbd_planes.commands import COMMANDS
 from rgbd_planes.fitting import METHODS
 
 CAMERA = rp.Camera(width=80, height=60, fx=65.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=1000.0)
@@ -227,7 +228,7 @@ def test_no_command_and_an_unknown_one(capsys):
     assert "segmint" in fails(capsys, "segmint")
 
 
-@pytest.mark.parametrize("command", [command.__name__ for command in cli.COMMANDS])
+@pytest.mark.parametrize("command", [command.__name__ for command in COMMANDS])
 def test_help_shows_an_example(capsys, command):
     with pytest.raises(SystemExit) as exit_:
         cli.main([command, "--help"])

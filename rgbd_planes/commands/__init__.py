@@ -1,0 +1,13 @@
+"""The commands of ``rgbd-planes``, one file each; `rgbd_planes.cli` runs them.
+
+A command is a function that declares its arguments on the parser it is given and returns what runs them. Its
+docstring is its help. It imports what it needs when it runs, so that ``--help`` is instant.
+"""
+
+from rgbd_planes.commands.batch import batch
+from rgbd_planes.commands.demo import demo
+from rgbd_planes.commands.fit import fit
+from rgbd_planes.commands.normals import normals
+from rgbd_planes.commands.segment import segment
+
+COMMANDS = (demo, fit, segment, normals, batch)

@@ -1,0 +1,77 @@
+"""What commands share: arguments, checks of what is to be written, and what is said about tiles."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rgbd_planes.tile_planes import TilePlanes
+
+Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
+
+
+class CommandError(Exception):
+    """What the user can mend: one line on stderr."""
+
+
+def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--tile", type=tile_size, default=(16, 16), metavar="N or HxW", help="tile size (16)")
+    parser.add_argument(
+        "--method",
+        default="range_explicit",
+        metavar="NAME",
+        help="range_explicit (default), range_implicit, standard_explicit, standard_implicit, standard_pca",
+    )
+    parser.add_argument(
+        "--max-missing", type=float, default=0.5, metavar="SHARE", help="fit no tile that misses more (0.5)"
+    )
+    parser.add_argument(
+        "--max-error", type=float, metavar="METRES", help="call a tile with a larger residual rough"
+    )
+
+
+def tile_size(text: str) -> tuple[int, int]:
+    """Parse "16", or "12x20" for a height of 12."""
+    try:
+        height, _, width = text.partition("x")
+        return int(height), int(width or height)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None
+
+
+def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Refuse now what could not be written after the work."""
+    from rgbd_planes.files import check_writable
+
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        raise CommandError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
+    check_writable(path)
+
+
+def write_figure(figure: Any, path: Path) -> None:
+    from rgbd_planes.files import write_beside
+
+    with write_beside(path) as beside:
+        figure.savefig(beside, dpi=120)
+
+
+def describe_tiles(tiles: "TilePlanes") -> str:
+    import numpy as np
+
+    from rgbd_planes import TileStatus
+
+    height, width = tiles.tile
+    counts = {status: np.count_nonzero(tiles.status == status) for status in TileStatus}
+    found = ", ".join(f"{count} {status.name}" for status, count in counts.items() if count)
+    line = f"{tiles.status.size} tiles of {height} x {width} pixels by {tiles.method}: {found}"
+    if tiles.fitted.any():
+        line += (
+            f"; median residual {1e3 * np.median(tiles.rmse_metric[tiles.fitted]):.1f} mm along the normal"
+        )
+    else:
+        measured = tiles.valid_count.sum() / (tiles.camera.width * tiles.camera.height)
+        line += f"; {measured:.0%} of the pixels are measured"
+    return line + "."

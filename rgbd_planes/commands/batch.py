@@ -1,0 +1,97 @@
+"""``rgbd-planes batch``."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from rgbd_planes.commands.arguments import Run, add_fit_options
+
+
+def batch(parser: argparse.ArgumentParser) -> Run:
+    """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
+
+    example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet --tile 16
+
+    After an interruption the same command does the rest. A frame that cannot be read or fitted is reported
+    and skipped, and makes the exit status 1.
+    """
+    parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the table, many files")
+    parser.add_argument("--camera", type=Path, metavar="JSON", help="instead of the sequence's own camera")
+    parser.add_argument(
+        "--format",
+        metavar="NAME",
+        help="if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, scannet_sens, "
+        "seven_scenes, tum",
+    )
+    parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")
+    parser.add_argument(
+        "--segments", action="store_true", help="one row a segment, not a tile; no options of tiles"
+    )
+    add_fit_options(parser)
+    parser.add_argument(
+        "--noise",
+        choices=("kinect_v1", "kinect_v1_nguyen"),
+        help="of the sensor: adds covariances and p-values",
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="one for each core, if not given")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:port")
+
+    def run(arguments: argparse.Namespace) -> int:
+        from rgbd_planes import Camera, FitSettings, fit_sequence, noise, open_sequence, sequences
+        from rgbd_planes.batch import Progress
+        from rgbd_planes.extras import needs
+
+        with needs("tqdm", "batch"):
+            from tqdm import tqdm
+        camera = None if arguments.camera is None else Camera.load(arguments.camera)
+        if arguments.topic is None:
+            sequence = open_sequence(arguments.sequence, camera, arguments.format)
+        else:
+            sequence = sequences.rosbag(arguments.sequence, camera, arguments.topic)
+        if arguments.noise is not None:
+            sequence = sequence.with_noise(getattr(noise, arguments.noise)())
+        settings = FitSettings(
+            segments=arguments.segments,
+            tile=arguments.tile,
+            method=arguments.method,
+            max_missing=arguments.max_missing,
+            max_error=arguments.max_error,
+        )
+        bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: not where nobody looks
+
+        def progress(done: Progress) -> None:
+            for problem in done.problems:
+                line = f"rgbd-planes batch: skipped frame {problem.frame}, {problem.name}: {problem.reason}"
+                bar.write(line, file=sys.stderr)
+            bar.update(done.frames)
+
+        try:
+            with bar:
+                report = fit_sequence(
+                    sequence,
+                    arguments.out,
+                    settings,
+                    num_threads=arguments.threads,
+                    scheduler=arguments.scheduler,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            print("rgbd-planes batch: stopped; the same command does the rest", file=sys.stderr)
+            raise
+        rows = ", ".join(f"{count} {status}" for status, count in report.status.items())
+        print(
+            f"{report.frames - len(report.problems)} of {report.frames} frames, {report.rows} rows: {rows}."
+        )
+        if report.resumed:
+            print(f"{report.resumed} frames had been done before.")
+        total = sum(report.seconds.values())
+        if total > 0.0:
+            shares = ", ".join(f"{work} {seconds / total:.0%}" for work, seconds in report.seconds.items())
+            print(f"Of the work: {shares}.")
+        print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
+        if report.problems:
+            print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
+        return 1 if report.problems else 0
+
+    return run

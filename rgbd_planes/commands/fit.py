@@ -1,0 +1,48 @@
+"""``rgbd-planes fit``."""
+
+import argparse
+from pathlib import Path
+
+from rgbd_planes.commands.arguments import Run, add_fit_options, check_output, describe_tiles, write_figure
+
+
+def fit(parser: argparse.ArgumentParser) -> Run:
+    """Fit a plane to every tile of a depth image (PNG, TIFF, PGM, NPY, NPZ).
+
+    example: rgbd-planes fit depth.png --camera camera.json --tile 16 --out planes.npz --figure planes.png
+    """
+    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
+    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    add_fit_options(parser)
+    parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
+    parser.add_argument(
+        "--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them"
+    )
+    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and tiles")
+
+    def run(arguments: argparse.Namespace) -> None:
+        from rgbd_planes import Camera, fit_tiles
+        from rgbd_planes.images import read_depth
+
+        check_output(arguments.out, (".npz",))
+        check_output(arguments.figure, (".png", ".pdf", ".svg"))
+        camera = Camera.load(arguments.camera)
+        depth = read_depth(arguments.depth)
+        tiles = fit_tiles(
+            depth,
+            camera,
+            arguments.tile,
+            arguments.method,
+            max_missing=arguments.max_missing,
+            max_error=arguments.max_error,
+            num_threads=arguments.threads,
+        )
+        print(describe_tiles(tiles))
+        if arguments.out is not None:
+            tiles.save(arguments.out)
+            print(f"Wrote {arguments.out}")
+        if arguments.figure is not None:
+            write_figure(tiles.plot(depth), arguments.figure)
+            print(f"Wrote {arguments.figure}")
+
+    return run

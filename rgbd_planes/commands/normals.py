@@ -1,0 +1,65 @@
+"""``rgbd-planes normals``."""
+
+import argparse
+from pathlib import Path
+
+from rgbd_planes.commands.arguments import Run, check_output, write_figure
+
+
+def normals(parser: argparse.ArgumentParser) -> Run:
+    """Compute the normal at every pixel of a depth image.
+
+    example: rgbd-planes normals depth.png --camera camera.json --window 7 --out normals.npy --figure normals.png
+    """
+    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
+    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    parser.add_argument("--window", type=int, default=7, metavar="N", help="odd, 3 to 31 pixels (7)")
+    parser.add_argument(
+        "--avoid-edges", action="store_true", help="move windows that an edge runs through off it"
+    )
+    parser.add_argument(
+        "--max-missing",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="of a window that may be missing (0.5)",
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
+    parser.add_argument("--out", type=Path, metavar="NPY", help="write them, (H, W, 3) float32")
+    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and curvature")
+
+    def run(arguments: argparse.Namespace) -> None:
+        import numpy as np
+
+        import rgbd_planes as rp
+        from rgbd_planes.files import write_beside
+        from rgbd_planes.images import read_depth
+
+        check_output(arguments.out, (".npy",))
+        check_output(arguments.figure, (".png", ".pdf", ".svg"))
+        camera = rp.Camera.load(arguments.camera)
+        depth = read_depth(arguments.depth)
+        options = {
+            "avoid_edges": arguments.avoid_edges,
+            "max_missing": arguments.max_missing,
+            "num_threads": arguments.threads,
+        }
+        found = rp.normals(depth, camera, arguments.window, **options)
+        share = np.isfinite(found[..., 0]).mean()
+        height, width = camera.shape
+        print(
+            f"{width} x {height} pixels, windows of {arguments.window} x {arguments.window}: "
+            f"normals at {share:.1%} of the pixels."
+        )
+        if arguments.out is not None:
+            with write_beside(arguments.out) as beside, open(beside, "wb") as file:
+                np.save(file, found)
+            print(f"Wrote {arguments.out}")
+        if arguments.figure is not None:
+            from rgbd_planes.surface_plots import plot_surfaces
+
+            curvature = rp.curvature(depth, camera, arguments.window, **options)
+            write_figure(plot_surfaces(depth, camera, found, curvature), arguments.figure)
+            print(f"Wrote {arguments.figure}")
+
+    return run

@@ -1,0 +1,61 @@
+"""``rgbd-planes segment``."""
+
+import argparse
+from pathlib import Path
+
+from rgbd_planes.commands.arguments import CommandError, Run, check_output, write_figure
+
+
+def segment(parser: argparse.ArgumentParser) -> Run:
+    """Find the planes of a depth image and the pixels that belong to each.
+
+    example: rgbd-planes segment depth.png --camera camera.json --out planes.json --labels labels.png
+    """
+    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
+    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    parser.add_argument(
+        "--noise", type=float, metavar="SIGMA", help="of inverse depth, 1/m; from the frame, if not given"
+    )
+    parser.add_argument("--min-size", type=int, default=60, metavar="N", help="pixels of a plane (60)")
+    parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
+    parser.add_argument(
+        "--polygons", action="store_true", help="with their outlines in the JSON; needs shapely"
+    )
+    parser.add_argument("--labels", type=Path, metavar="PNG", help="write the labels, 16 bits, 0 for none")
+    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw the planes over the depth's relief")
+    parser.add_argument("--points", type=Path, metavar="PLY", help="write the points, coloured by plane")
+    parser.add_argument("--mesh", type=Path, metavar="PLY", help="write the outlines; needs shapely")
+
+    def run(arguments: argparse.Namespace) -> None:
+        from rgbd_planes import Camera, plane_polygons, segmentation_export
+        from rgbd_planes import segment as segment_depth
+        from rgbd_planes.images import read_depth
+
+        check_output(arguments.out, (".json",))
+        check_output(arguments.labels, (".png",))
+        check_output(arguments.figure, (".png", ".pdf", ".svg"))
+        check_output(arguments.points, (".ply",))
+        check_output(arguments.mesh, (".ply",))
+        if arguments.polygons and arguments.out is None:
+            raise CommandError("--polygons goes into the JSON: give --out, too")
+        camera = Camera.load(arguments.camera)
+        depth = read_depth(arguments.depth)
+        found = segment_depth(depth, camera, noise=arguments.noise, min_size=arguments.min_size)
+        print(f"{len(found)} planes on {found.share:.1%} of the measured pixels.")
+        polygons = plane_polygons(found) if arguments.polygons or arguments.mesh else []
+        if arguments.out is not None:
+            outlines = polygons if arguments.polygons else None
+            segmentation_export.write_json(arguments.out, found, outlines)
+        if arguments.labels is not None:
+            segmentation_export.write_labels(arguments.labels, found)
+        if arguments.points is not None:
+            segmentation_export.write_points_ply(arguments.points, found, depth)
+        if arguments.mesh is not None:
+            segmentation_export.write_polygons_ply(arguments.mesh, polygons)
+        if arguments.figure is not None:
+            write_figure(found.plot(depth).figure, arguments.figure)
+        for path in (arguments.out, arguments.labels, arguments.points, arguments.mesh, arguments.figure):
+            if path is not None:
+                print(f"Wrote {path}")
+
+    return run
