@@ -16,6 +16,7 @@ class CommandError(Exception):
 
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a fit of tiles."""
     parser.add_argument("--tile", type=tile_size, default=(16, 16), metavar="N or HxW", help="tile size (16)")
     parser.add_argument(
         "--method",
@@ -52,6 +53,7 @@ def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
 
 
 def write_figure(figure: Any, path: Path) -> None:
+    """Write a Matplotlib figure, all of it or nothing."""
     from rgbd_planes.files import write_beside
 
     with write_beside(path) as beside:
@@ -59,6 +61,7 @@ def write_figure(figure: Any, path: Path) -> None:
 
 
 def describe_tiles(tiles: "TilePlanes") -> str:
+    """How many tiles there are of which status, and how well the fitted ones fit: one line."""
     import numpy as np
 
     from rgbd_planes import TileStatus
