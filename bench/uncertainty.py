@@ -31,7 +31,7 @@ INCIDENCES = (0, 15, 30, 45, 60, 75)
 DEPTHS = (0.5, 1.0, 2.0, 4.0, 8.0)
 TILES = (5, 10, 20, 40)
 HOLES = (0.0, 0.3)
-FEWEST_TILES = 300  # to say what share of them is rejected
+FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
 INSIDE = stats.norm.isf(0.005)  # of a 99 % interval, in standard errors
 
 Floats = NDArray[np.float64]
@@ -226,23 +226,25 @@ class RealSet:
     labels: list[NDArray[Any] | None]
 
 
+SETS = {
+    "kinect1_7scenes_seq": "Kinect v1, 7-Scenes",
+    "tum_fr2_distorted": "Kinect v1, TUM fr2",
+    "primesense_open3d_rgbd": "PrimeSense",
+    "realsense_d4xx_aligned_office": "RealSense D4xx",
+    "abw_segcomp_cal0": "ABW, calibration 0, labelled",
+    "abw_segcomp_cal1": "ABW, calibration 1, labelled",
+    "azure_kinect_nfov": "Azure Kinect, depth camera, one frame",
+    "azure_kinect_color_1280x720": "Azure Kinect, in the colour camera, one frame",
+    "lingbot_active_stereo_a": "active stereo, two frames, resampled",
+}
+
+
 def real_sets() -> list[RealSet]:
     """The sets of the data folder that are of a real sensor and in metres; each once in either direction."""
     from rgbd_planes.images import read_depth
 
-    names = {
-        "kinect1_7scenes_seq": "Kinect v1 (7-Scenes)",
-        "tum_fr2_distorted": "Kinect v1 (TUM fr2)",
-        "primesense_open3d_rgbd": "PrimeSense",
-        "realsense_d4xx_aligned_office": "RealSense D4xx",
-        "abw_segcomp_cal0": "ABW cal0, labelled",
-        "abw_segcomp_cal1": "ABW cal1, labelled",
-        "azure_kinect_nfov": "Azure Kinect NFOV",
-        "azure_kinect_color_1280x720": "Azure Kinect in colour",
-        "lingbot_active_stereo_a": "active stereo",
-    }
     sets = []
-    for folder, name in names.items():
+    for folder in SETS:
         if not (DATA / folder / "camera.json").exists():
             continue
         camera = rp.Camera.load(DATA / folder / "camera.json")
@@ -261,11 +263,10 @@ def real_sets() -> list[RealSet]:
                 [np.where((row + column) % 2 == i, frames[0], 0).astype(frames[0].dtype)] for i in (0, 1)
             ]
             of = [[None], [None]]
-            name += ", chessboard of one frame"
         else:
             halves, of = [frames[::2], frames[1::2]], [labels[::2], labels[1::2]]
         for i in (0, 1):
-            sets.append(RealSet(f"{name} {'→←'[i]}", camera, halves[i], halves[1 - i], of[1 - i]))
+            sets.append(RealSet(folder, camera, halves[i], halves[1 - i], of[1 - i]))
     return sets
 
 
@@ -341,53 +342,100 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
     )
 
 
+SIZES = (8, 16, 24)
+
+
+def measure(folder: Path | None = None) -> list[dict[str, Any]]:
+    """Of each set, direction and size of tile, by the noise of the other half and by its own.
+
+    With a ``folder``, the pictures of the estimates go there.
+    """
+    rows: list[dict[str, Any]] = []
+    for data in real_sets():
+        noise = rp.estimate_noise(data.first, data.camera)
+        own = rp.estimate_noise(data.second, data.camera)
+        if folder is not None and (not rows or rows[-1]["data"] != data.name):
+            noise.evidence.plot().savefig(folder / f"noise_{data.name}.png", dpi=70)
+        for size in SIZES:
+            row: dict[str, Any] = {"data": data.name, "size": size}
+            for name, of in (("", noise), ("own_", own)):
+                result = real_result(data, of, size)
+                ratio = result.predicted / result.observed if result.tiles >= FEWEST_ANGLES else np.nan
+                row |= {
+                    "tiles": result.tiles,
+                    f"{name}rejected": result.rejected if result.tiles >= FEWEST_TILES else None,
+                    f"{name}angle": ratio if np.isfinite(ratio) else None,
+                    "independent": result.rejected_independent,
+                }
+            rows.append(row)
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown: both directions in a cell, what is not right in bold."""
+    ends = {"rejected": (0.003, 0.03), "angle": (0.75, 1.25)}
+
+    def right(kind: str, value: float) -> bool:
+        return ends[kind][0] <= value <= ends[kind][1]
+
+    def count(kind: str, name: str) -> str:
+        values = [row[name] for row in rows if row[name] is not None]
+        return f"{sum(right(kind, value) for value in values)} of {len(values)}"
+
+    def cell(data: str, size: int, kind: str) -> str:
+        values = [row[kind] for row in rows if (row["data"], row["size"]) == (data, size)]
+        if not any(value is not None for value in values):
+            return ""
+        shown = [
+            "–" if value is None else f"{100.0 * value:.1f} %" if kind == "rejected" else f"{value:.2f}"
+            for value in values
+        ]
+        return ", ".join(
+            text if value is None or right(kind, value) else f"**{text}**"
+            for text, value in zip(shown, values, strict=True)
+        )
+
+    kinds = [(kind, size) for kind in ends for size in SIZES]
+    lines = [
+        "| frames | " + " | ".join(f"{kind}, {size} px" for kind, size in kinds) + " |",
+        "|---" + "|---:" * len(kinds) + "|",
+    ]
+    for data in dict.fromkeys(row["data"] for row in rows):
+        lines.append(f"| {SETS[data]} | {' | '.join(cell(data, size, kind) for kind, size in kinds)} |")
+    least, most = (100.0 * end(row["independent"] for row in rows) for end in (min, max))
+    lines += [
+        "",
+        f"Bold is what is not between 0.3 and 3 %, or 0.75 and 1.25. Right are {count('rejected', 'rejected')} shares, "
+        f"of {FEWEST_TILES} tiles or more, and {count('angle', 'angle')} angles, of {FEWEST_ANGLES} or more. With a "
+        f"Kinect v1's noise taken as independent, {least:.0f} to {most:.0f} % are rejected. With the noise of the very "
+        f"half that is tested, {count('rejected', 'own_rejected')} and {count('angle', 'own_angle')} are right. The "
+        "shares that are not, beside what they are then:",
+        "",
+        "| frames | tile | tiles | rejected by the other half's noise | by its own |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    lines += [
+        f"| {SETS[row['data']]} | {row['size']} | {row['tiles']} | {100.0 * row['rejected']:.1f} % "
+        f"| {100.0 * row['own_rejected']:.1f} % |"
+        for row in rows
+        if row["rejected"] is not None and not right("rejected", row["rejected"])
+    ]
+    return "\n".join(lines)
+
+
 def real_report(folder: Path) -> list[str]:
     """The two halves of every real set, by tile size."""
-    sizes = (8, 16, 24)
-    lines = [
+    return [
         "## Real frames",
         "",
         "Noise estimated from one half of the frames, tested on the tiles of the other half that lie in one "
         "labelled plane or, where nothing is labelled, in a part that is flat to the eye. Rejected is the share "
-        "below the 1 % level: 0.3 to 3 % is right. Angle: predicted over observed rms angle of the accepted "
-        "tiles to the plane of the whole flat part: 0.75 to 1.25 is right. In brackets: rejected when the noise is "
-        "taken as Kinect v1's and independent.",
+        "below the 1 % level. Angle: predicted over observed rms angle of the accepted tiles to the plane of the "
+        "whole flat part.",
         "",
-        "| frames | " + " | ".join(f"{s} px: tiles | rejected | angle" for s in sizes) + " |",
-        "|---" * (1 + 3 * len(sizes)) + "|",
-    ]
-    right = dict.fromkeys(("rejected", "rejected_of", "angle", "angle_of"), 0)
-    for data in real_sets():
-        try:
-            noise = rp.estimate_noise(data.first, data.camera)
-        except ValueError as error:
-            lines.append(f"| {data.name} | {error} |" + " |" * (3 * len(sizes) - 1))
-            continue
-        if data.name.endswith("→"):
-            name = data.name.split(",")[0].rstrip(" →").replace(" ", "_").replace("(", "").replace(")", "")
-            noise.evidence.plot().savefig(folder / f"noise_{name}.png", dpi=70)
-        row = []
-        for size in sizes:
-            result = real_result(data, noise, size)
-            ratio = result.predicted / result.observed
-            angle = f"{ratio:.2f} ({result.observed:.2f}°)" if ratio == ratio else "–"
-            row.append(
-                f"{result.tiles} | {result.rejected:.1%} ({result.rejected_independent:.0%}) | {angle}"
-            )
-            if result.tiles >= FEWEST_TILES:
-                right["rejected"] += 0.003 <= result.rejected <= 0.03
-                right["rejected_of"] += 1
-            if result.tiles >= 50:
-                right["angle"] += 0.75 <= ratio <= 1.25
-                right["angle_of"] += ratio == ratio
-        lines.append(f"| {data.name} | {' | '.join(row)} |")
-    lines += [
-        "",
-        f"Right: rejected in {right['rejected']} of {right['rejected_of']} sets and sizes with {FEWEST_TILES} tiles or "
-        f"more (of fewer, one is already 0.3 %), angle in {right['angle']} of {right['angle_of']} with 50 or more.",
+        table(measure(folder)),
         "",
     ]
-    return lines
 
 
 EVERYTHING = ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std")
