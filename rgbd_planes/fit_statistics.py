@@ -96,14 +96,24 @@ def _all_tables(noise: NoiseModel, most: int) -> Float:
     return _some_tables(noise, np.arange(most + 1))
 
 
+# What `_made_limits` makes for the default level, so that most need no SciPy, which takes 0.3 s to load.
+_DEFAULT_LIMITS = (
+    0.99999997990416, 3.28995756496133, 2.94107146103008, -0.287355000926986, -0.564272188507147, 0.508657297303299,
+    -0.595456492337689, 0.604215142100822, -0.356612220905266, 0.106879331901754, -0.0121882631104778,
+)  # fmt: skip
+
+
 @functools.lru_cache(maxsize=32)
 def _limits(level: float) -> Float:
     """Quantiles of chi-square over its degrees of freedom, by powers of 1/√(degrees of freedom), right to 1e-5 of p."""
-    from numpy.polynomial import Chebyshev, Polynomial
-    from scipy.special import chdtri
-
     if level == 0.0:
         return np.empty(0)
+    return np.array(_DEFAULT_LIMITS) if level == DEFAULT_SIGNIFICANCE else _made_limits(level)
+
+
+def _made_limits(level: float) -> Float:
+    from numpy.polynomial import Chebyshev, Polynomial
+    from scipy.special import chdtri
 
     def limit(x: Float) -> Float:
         freedom = np.maximum(x, 1e-3) ** -2

@@ -8,6 +8,7 @@ import pytest
 from scipy import special, stats
 
 import rgbd_planes as rp
+from rgbd_planes import fit_statistics
 from rgbd_planes.kernels import chi_square
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
@@ -254,6 +255,16 @@ def test_rough_is_a_small_p_value_for_any_number_of_pixels(noise, rng):
         fits = rp.fit_windows(depth, camera, windows)
         sure = np.abs(fits.p_value - 0.01) > 3e-4
         np.testing.assert_array_equal((fits.status == rp.TileStatus.ROUGH)[sure], (fits.p_value < 0.01)[sure])
+
+
+def test_limits_of_the_default_level():
+    """The numbers that are there are those that SciPy gives, and the quantiles of chi-square."""
+    limits = fit_statistics._limits(fit_statistics.DEFAULT_SIGNIFICANCE)
+    made = fit_statistics._made_limits(fit_statistics.DEFAULT_SIGNIFICANCE)
+    np.testing.assert_allclose(limits, made, rtol=1e-9)
+    freedom = np.geomspace(1.0, 1e5, 200)
+    p = stats.chi2.sf(np.polynomial.Polynomial(limits)(freedom**-0.5) * freedom, freedom)
+    np.testing.assert_allclose(p, fit_statistics.DEFAULT_SIGNIFICANCE, atol=2e-5)
 
 
 def test_one_level_at_every_depth(rng):
