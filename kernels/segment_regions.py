@@ -3,9 +3,64 @@
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import leaves
+from .segment_blocks import EMPTY, leaves, sensor_variance
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
-from .segment_pixels import own_pixels, planes
+from .segment_pixels import misfit, own_pixels, planes
+
+# The four blocks beside one.
+DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
+
+
+@kernel()
+def spread_out(region, owner, pyramid, alpha, slope_variance, spread, sigma, settled):
+    """Give the blocks that are of no region, being too rough, to a region beside them that they fit.
+
+    One after the other from the regions' edges on: where rounds go on by one block each, this goes all the way.
+    A block fits within ``settled`` standard deviations, root mean square. The arguments are those of
+    `segment_pixels.own_pixels`; ``region`` is changed.
+    """
+    rows, columns = region.shape
+    # Blocks to look at: at first all, and then the neighbours of those that have joined a region.
+    row_of, column_of = np.empty(4 * rows * columns, np.int32), np.empty(4 * rows * columns, np.int32)
+    next_row, next_column = np.empty_like(row_of), np.empty_like(row_of)
+    joins = np.empty(4 * rows * columns, np.int32)
+    count = 0
+    for row in range(rows):
+        for column in range(columns):
+            if region[row, column] < 0 and owner[row, column] != EMPTY:
+                row_of[count], column_of[count] = row, column
+                count += 1
+    while count > 0:
+        for k in range(count):
+            row, column = row_of[k], column_of[k]
+            m = pyramid[:, row * columns + column]
+            best = settled * settled
+            joins[k] = -1
+            for side in range(4):
+                r, c = row + DOWN[side], column + RIGHT[side]
+                if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] < 0:
+                    continue
+                a = region[r, c]
+                total = (sensor_variance(m[3] / m[0], sigma) + slope_variance[a]) * spread[a]
+                error = misfit(m, alpha[a]) / (m[0] * total)
+                if error < best:
+                    best = error
+                    joins[k] = a
+        joined = 0
+        for k in range(count):
+            row, column = row_of[k], column_of[k]
+            if joins[k] < 0 or region[row, column] >= 0:
+                continue
+            region[row, column] = joins[k]
+            for side in range(4):
+                r, c = row + DOWN[side], column + RIGHT[side]
+                if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] >= 0 or owner[r, c] == EMPTY:
+                    continue
+                next_row[joined], next_column[joined] = r, c
+                joined += 1
+        row_of, next_row = next_row, row_of
+        column_of, next_column = next_column, column_of
+        count = joined
 
 
 @kernel()
@@ -83,6 +138,8 @@ def find_regions(
         last_alpha = alpha
         alpha, slope_variance, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
         planes(moments[:count], sigma, lateral_x, lateral_y, growth, alpha, slope_variance, waves)
+        if trip == 1:  # before that it would spread over what becomes a region of its own
+            spread_out(region, owner, pyramid, alpha, slope_variance, waves, sigma, settled)
         own_pixels(
             inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, waves, sigma,
             reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, last_alpha,
