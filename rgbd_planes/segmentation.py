@@ -227,8 +227,8 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     camera : Camera
     noise : float, callable or noise model, optional
         Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
-        or what has such a function as ``sigma``. By default ``camera.noise``, and where that is None the
-        frame's own residuals say it.
+        or what has such a function as ``sigma``; its ``lateral`` error, in pixels, is taken from there, too, if
+        it has one. By default ``camera.noise``; what nothing says, the frame's own residuals say.
     min_size : int
         Pixels that a plane must have.
 
@@ -254,9 +254,10 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     if min_size < 3:
         raise ValueError(f"min_size must be at least 3 pixels, got {min_size}")
     frame = as_depth_frame(depth, camera)
-    sigma = _as_function(camera.noise if noise is None else noise)
+    given = camera.noise if noise is None else noise
+    sigma, lateral = _as_function(given), float(getattr(given, "lateral", 0.0))
     with announced(("segment", frame.raw.dtype)):
-        return segment_frame(frame, camera, sigma, min_size, Rules())
+        return segment_frame(frame, camera, sigma, min_size, Rules(), lateral)
 
 
 def _as_function(noise: Any) -> Callable[[Floats], Floats] | None:
@@ -276,6 +277,7 @@ def segment_frame(
     sigma: Callable[[Floats], Floats] | None,
     min_size: int,
     rules: Rules,
+    lateral: float = 0.0,
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
     grid = _grid(camera)
@@ -287,7 +289,9 @@ def segment_frame(
         room.inverse_depth, room.pyramid, room.rss, room.slope,
     )  # fmt: skip
     segment_blocks.sum_by_fours(*squares_of, *grid.pitch, room.rss, room.slope)
-    noise = estimate(frame, room.pyramid, room.rss, room.slope, grid.offsets, grid.shapes, nearest, sigma)
+    noise = estimate(
+        frame, room.pyramid, room.rss, room.slope, grid.offsets, grid.shapes, nearest, sigma, lateral
+    )  # fmt: skip
     spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
 
     state = np.empty(grid.offsets[-1], np.int8)

@@ -58,6 +58,7 @@ def estimate(
     shapes: NDArray[np.int64],
     farthest: float,
     sigma: Callable[[Floats], Floats] | None,
+    lateral: float,
 ) -> FrameNoise:
     """Estimate the noise of a frame from the residuals of its own squares of 8, 16 and 32 pixels.
 
@@ -72,10 +73,12 @@ def estimate(
         Largest inverse depth of the frame, 1/m.
     sigma : callable, optional
         The sensor's standard deviation of inverse depth; estimated where not given.
+    lateral : float
+        See `FrameNoise`; estimated where it is 0.
     """
     mean_square, slope_square = np.empty((2, offsets[2] - offsets[1]))
     growth = np.ones(3)
-    lateral = PIXEL
+    own_lateral = PIXEL
     typical = 0.0
     smallest = 0.0
     for level in range(1, 4):
@@ -92,7 +95,7 @@ def estimate(
             steep = slope_square[:count] > 4.0 * typical
             if np.count_nonzero(steep) > 5 * _FEWEST_SQUARES:
                 excess = np.maximum(square[steep] - typical, 0.0) / slope_square[:count][steep]
-                lateral = min(max(_quantile(excess, 0.2) ** 0.5, 0.05), PIXEL)
+                own_lateral = min(max(_quantile(excess, 0.2) ** 0.5, 0.05), PIXEL)
         elif smallest > 0.0:
             growth[level - 1] = min(max((_quantile(square, 0.2) / smallest) ** 0.5, growth[level - 2]), 3.0)
 
@@ -103,7 +106,7 @@ def estimate(
         table = np.broadcast_to(np.asarray(sigma(q), dtype=np.float64), q.shape)
     return FrameNoise(
         np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]),
-        lateral,
+        lateral or own_lateral,
         growth,
         _together(moments, rss, offsets, shapes, typical),
     )

@@ -11,6 +11,7 @@ from scipy.ndimage import convolve, gaussian_filter
 
 from rgbd_planes import Camera, fit_tiles, scenes, segment
 from rgbd_planes.metrics import compare_labels, plane_errors
+from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -286,6 +287,18 @@ def test_noise_can_be_given():
         segment(depth, CAMERA, noise="kinect")
     with pytest.raises(ValueError, match="min_size must be at least 3"):
         segment(depth, CAMERA, min_size=2)
+
+
+@pytest.mark.parametrize(("lateral", "least", "most"), [(0.0, 0.0, 0.5), (1.5, 0.99, 1.0)])
+def test_the_lateral_error_of_a_model_counts(lateral, least, most):
+    # Each pixel of a steep floor is seen one and a half pixels too high or too low: no frame shows how much that is.
+    rng = np.random.default_rng(20)
+    y = np.indices(CAMERA.shape)[0] + rng.normal(0.0, 1.5, CAMERA.shape)
+    q = np.where(np.arange(CAMERA.height)[:, None] < 120, 0.5, 0.5 + 3e-3 * (y - 119.5))
+    noise = NoiseModel((5e-4,), lateral=lateral)
+    found = segment(1.0 / (q + rng.normal(0.0, 5e-4, q.shape)), CAMERA, noise=noise)
+    assert least <= (found.labels[120:] > 0).mean() <= most
+    assert (found.labels[:100] == 1).all()
 
 
 def odd_frames():
