@@ -9,13 +9,14 @@ import json
 import sys
 from pathlib import Path
 
-from bench import batch_throughput, first_call, real_sensors, uncertainty, user_tasks
+from bench import batch_throughput, first_call, peers, real_sensors, uncertainty, user_tasks
 from bench.readme import with_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "measured.md"
 RESULTS = PAGE.with_suffix(".json")
 SECTIONS = {
     "tasks": user_tasks,
+    "peers": peers,
     "first": first_call,
     "batch": batch_throughput,
     "sensors": real_sensors,

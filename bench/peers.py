@@ -10,16 +10,18 @@ reaches, so that it fits its blocks and merges none); Open3D's normals and plana
 once, beside it, on a rendered room of six planes, with both built from their sources.
 """
 
-# ruff: noqa: E402
 import os
 
-# Before NumPy loads its linear algebra: one thread each.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+if __name__ == "__main__":  # Before NumPy loads its linear algebra: one thread each.
+    for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(_name, "1")
 
 import argparse
 import json
 import platform
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,6 +38,17 @@ from rgbd_planes.threads import run_in_ranges
 BASE = "NumPy, PCA in XYZ"
 FLOOR, FLOOR_SHARED = "floor: a division a pixel", "floor: a division for two pixels"
 FORMS = {BASE: "pca", "NumPy, Z = aX + bY + c": "z", "NumPy, 1/Z on the ray": "1/z"}
+# The rows of the tables.
+SHOWN = {method: f"`{method}`" for method in METHODS} | {
+    BASE: BASE,
+    "NumPy, 1/Z on the ray": "NumPy, 1/Z on the ray",
+    "OpenCV findPlanes, points given": "OpenCV `findPlanes`, blocks only, points given",
+    "OpenCV depthTo3d alone": "OpenCV `depthTo3d`, which that needs first",
+    "Open3D detect_planar_patches, normals given": "Open3D `detect_planar_patches`, normals given",
+}
+NORMALS_SHOWN = {"normals 7": "`normals`", "avoid_edges 7": "`normals`, `avoid_edges`"} | {
+    f"OpenCV {name}": f"OpenCV {name}" for name in ("FALS", "LINEMOD", "SRI", "CROSS_PRODUCT")
+}
 NO_PLANE = 10**9
 THREADS = os.cpu_count() or 1
 
@@ -256,26 +269,67 @@ def figure(points: dict[str, list[tuple[Any, float]]], path: Path) -> None:
 
 def spread(values: tuple[float, float, float]) -> str:
     """Median and quartiles."""
-    low, middle, high = (f"{value:.3g}" for value in values)
+    low, middle, high = (f"{value:.0f}" if value >= 100.0 else f"{value:.3g}" for value in values)
     return f"{middle} ({low}–{high})"
 
 
-def text(rows: list[dict[str, Any]]) -> str:
-    """The table of tile fitting in Markdown."""
+def table(measured: dict[str, Any]) -> str:
+    """The tables of tile fitting and of normals in Markdown, and how times scale."""
+    rows = {(row["tile"], row["system"]): row for row in measured["rows"]}
     lines = [
-        "| tile | system | ms | x baseline | baseline / it | x floor | median angle |",
-        "|---|---|---|---|---|---|---|",
+        "| | 20 x 20: of the baseline | of the floor | angle | 10 x 10: of the baseline | of the floor | angle |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    for row in rows:
-        angle = "" if row["median_deg"] is None else f"{row['median_deg']:.2f}°"
-        lines.append(
-            f"| {row['tile']} | {row['system']} | {row['median_ms']:.3f} | {spread(row['of_baseline'])} "
-            f"| {spread(row['faster_than_baseline'])} | {spread(row['of_floor'])} | {angle} |"
-        )
-    for tile, quoted in QUOTED.items():
-        for name, share in quoted.items():
-            lines.append(f"| {tile} | {name}, quoted | | {share} | | | |")
+    for name, shown in SHOWN.items():
+        found = [rows.get((tile, name)) for tile in QUOTED]
+        if any(found):
+            lines.append(_line([shown, *(cell for row in found for cell in _cells(row))]))
+    for name in QUOTED[20]:
+        lines.append(_line([name, *(cell for quoted in QUOTED.values() for cell in (quoted[name], "", ""))]))
+    lines += [
+        "",
+        "| normals, window 7 | time, ours = 1 | median error | no pixel missing: time | median error |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    normals = {(row["holes"], row["system"]): row for row in measured["normals"]}
+    for name, shown in NORMALS_SHOWN.items():
+        found = [normals.get((holes, name)) for holes in sorted(of_normals.HOLES, reverse=True)]
+        if any(found):
+            lines.append(_line([shown, *(cell for row in found for cell in _cells_of_normals(row))]))
+    points = measured["scaling"]
+    threads, faster = points["threads"][-1]
+    lines += [
+        "",
+        f"Nanoseconds a pixel, tiles of 20: {_series(points['size'])}. By side of the tile, 640x480: "
+        f"{_series(points['tile'])}.",
+        f"A batch of 100 frames on {threads} threads is {faster:.2f} times as fast as on one, the floor kernel "
+        f"{points['threads, floor'][-1][1]:.2f} times.",
+    ]
     return "\n".join(lines)
+
+
+def _line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _cells(row: dict[str, Any] | None) -> tuple[str, str, str]:
+    if row is None:
+        return "", "", ""
+    angle = "" if row["median_deg"] is None else f"{row['median_deg']:.2f}°"
+    return "1" if row["system"] == BASE else spread(row["of_baseline"]), spread(row["of_floor"]), angle
+
+
+def _cells_of_normals(row: dict[str, Any] | None) -> tuple[str, str]:
+    if row is None:
+        return "", ""
+    share = row["share_of_valid"]
+    only = f", on {share:.0%} of the pixels".replace("%", " %") if share < 0.5 else ""
+    time = "1" if row["system"] == "normals 7" else spread(row["of_ours"])
+    return time, f"{row['median_deg']:.2f}°{only}"
+
+
+def _series(points: list[tuple[Any, float]]) -> str:
+    return ", ".join(f"{value:.2f} with {label}" for label, value in points)
 
 
 def text_of_threads(rows: list[dict[str, Any]]) -> str:
@@ -284,21 +338,13 @@ def text_of_threads(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines + [f"| {row['system']} | {spread(row['speedup'])} |" for row in rows])
 
 
-def text_of_normals(rows: list[dict[str, Any]]) -> str:
-    """The table of normals in Markdown."""
-    lines = [
-        "| missing | normals | ms | x normals 7 | median | away from edges | near edges | valid pixels with one |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    return "\n".join(
-        lines
-        + [
-            f"| {row['holes']:.0%} | {row['system']} | {row['median_ms']:.2f} | {spread(row['of_ours'])} "
-            f"| {row['median_deg']:.2f}° | {row['inside_deg']:.2f}° | {row['near_edge_deg']:.2f}° "
-            f"| {row['share_of_valid']:.0%} |".replace("%", " %")
-            for row in rows
-        ]
-    )
+def measure() -> dict[str, Any]:
+    """What `main` measures, in a process of its own, whose linear algebra has one thread."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, "-m", "bench.peers", "--out", folder], check=True, stdout=subprocess.DEVNULL
+        )
+        return dict(json.loads((Path(folder) / "peers.json").read_text()))
 
 
 def main() -> None:
@@ -312,18 +358,11 @@ def main() -> None:
     normals = [row for holes in of_normals.HOLES for row in compare_normals(holes, repeats // 5)]
     threaded = with_all_threads(frame, 20, repeats // 3)
     points = scaling(arguments.quick)
-    heading = (
-        "640 x 480, uint16, 5 % missing, one thread; ratios: median (quartiles) of times taken in turns. The "
-        "baseline is NumPy's PCA."
-    )
-    report = "\n\n".join([heading, text(rows), text_of_normals(normals), text_of_threads(threaded)])
-    print(report)
-    print()
-    for name, values in points.items():
-        print(f"{name}: " + ", ".join(f"{label} {value:.3g}" for label, value in values))
-    arguments.out.mkdir(parents=True, exist_ok=True)
     about = {"python": platform.python_version(), "numpy": np.__version__, "machine": platform.machine()}
     measured = {"about": about, "rows": rows, "normals": normals, "threads": threaded, "scaling": points}
+    report = f"{table(measured)}\n\n{text_of_threads(threaded)}"
+    print(report)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "peers.json").write_text(json.dumps(measured, indent=1))
     (arguments.out / "peers.md").write_text(f"{report}\n")
     figure(points, arguments.out / "scaling.png")
