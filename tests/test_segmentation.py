@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, gaussian_filter
 
-from rgbd_planes import Camera, fit_tiles, scenes, segment
+from rgbd_planes import Camera, fit_tiles, scenes, segment, segmentation
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.kernels import segment_blocks
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation import Reason
@@ -470,3 +472,53 @@ def test_real_frames(real_frame):
     found = segment(depth, camera)
     assert len(found) >= 3
     assert (found.labels > 0).sum() > 0.5 * (found.reason != Reason.MISSING).sum()
+
+
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
+def test_moments_of_blocks_and_squares(distortion):
+    # 83 blocks in a row: the second stretch that is worked on together lies beyond the frame.
+    camera = Camera(330, 37, 300.0, 310.0, 160.0, 20.0, distortion, depth_scale=1000.0)
+    rng = np.random.default_rng(2)
+    depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(
+        np.uint16
+    )
+    frame, grid = as_depth_frame(depth, camera), segmentation._grid(camera)
+    q = np.zeros(camera.shape, np.float32)
+    moments, (rss, slope) = np.empty((10, grid.offsets[-1])), np.empty((2, grid.offsets[-1]))
+    nearest = segment_blocks.block_moments(
+        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
+        grid.tan_x, grid.tan_y, *grid.pitch, *grid.shapes[0], q, moments, rss, slope,
+    )  # fmt: skip
+    segment_blocks.sum_by_fours(moments, grid.offsets, grid.shapes, *grid.pitch, rss, slope)
+    expected = np.divide(1000.0, depth, out=np.zeros(camera.shape), where=depth > 0)
+    np.testing.assert_allclose(q, expected, rtol=1e-6)
+    assert nearest == q.max()
+
+    valid = depth > 0
+    u, v = camera.tan_x, camera.tan_y
+    q64 = q.astype(np.float64)
+    pixels = np.stack([valid, u, v, q64, u * u, u * v, u * q64, v * v, v * q64, q64 * q64]) * valid
+    for level, (rows, columns) in enumerate(grid.shapes):
+        side = segment_blocks.BLOCK << level
+        padded = np.zeros((10, rows * side, columns * side))
+        padded[:, :37, :330] = pixels
+        sums = padded.reshape(10, rows, side, columns, side).sum(axis=(2, 4)).reshape(10, -1)
+        own = slice(grid.offsets[level], grid.offsets[level + 1])
+        np.testing.assert_allclose(moments[:, own], sums, rtol=1e-12, atol=1e-12)
+    first = pixels[:, :4, :4].reshape(10, -1)
+    rays = np.stack([first[1], first[2], first[0]], axis=1)
+    residual = first[3] - rays @ np.linalg.lstsq(rays, first[3], rcond=None)[0]
+    np.testing.assert_allclose(rss[0], residual @ residual, rtol=1e-6)
+
+
+def test_planes_of_a_room_are_the_fit_of_their_pixels(room):
+    # What the last round leaves alone, and what it takes out and puts in again, adds up to the pixels.
+    depth = room[1]
+    found = segment(depth, CAMERA)
+    q = np.divide(1000.0, depth, out=np.zeros(depth.shape), where=depth > 0)
+    for i in np.flatnonzero(found.sizes > 500):
+        own = found.labels == i + 1
+        rays = np.stack([CAMERA.tan_x[own], CAMERA.tan_y[own], np.ones(own.sum())], axis=1)
+        alpha = np.linalg.lstsq(rays, q[own], rcond=None)[0]
+        deviation = np.sqrt(np.diag(found.alpha_covariance[i]))
+        assert np.all(np.abs(found.alpha[i] - alpha) < 0.5 * deviation)
