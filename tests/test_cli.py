@@ -170,6 +170,7 @@ BAD_INPUT = {
     "tile too large": (None, ["--tile", "61"], "60 x 80"),
     "tile too small": (None, ["--tile", "1"], "at least 2"),
     "tile no number": (None, ["--tile", "16y12"], "16 or 12x20, got '16y12'"),
+    "tile half a size": (None, ["--tile", "16x"], "16 or 12x20, got '16x'"),
     "method": (None, ["--method", "ransac"], "range_explicit.*ransac"),
     "share": (None, ["--max-missing", "2"], "max_missing"),
     "threads": (None, ["--threads", "0"], "num_threads"),

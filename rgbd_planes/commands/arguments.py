@@ -35,8 +35,8 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
 def tile_size(text: str) -> tuple[int, int]:
     """Parse "16", or "12x20" for a height of 12."""
     try:
-        height, _, width = text.partition("x")
-        return int(height), int(width or height)
+        height, by, width = text.partition("x")
+        return int(height), int(width if by else height)
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None
 
