@@ -5,7 +5,6 @@ Kernels are serial and release the GIL; they work on a range of tiles or rows, a
 not its launch cost, not its behaviour after a fork, not its thread safety.
 """
 
-import contextlib
 import functools
 import hashlib
 from collections.abc import Callable
@@ -44,9 +43,13 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for these types, or None."""
+        try:
+            guard, load = self._guard_against_spurious_io_errors, self._load_overload
+        except AttributeError:  # a later Numba's inside is another: its own way then
+            return super().load_overload(sig, target_context)
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+        with guard():
+            return load(sig, target_context)
 
 
 def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Function], Function]:
@@ -70,9 +73,11 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
-        dispatcher = numba.njit(**options)(function)
-        with contextlib.suppress(RuntimeError):  # no place for a cache: a read-only home and installation
-            dispatcher._cache = _Cache(function)
+        try:
+            dispatcher = numba.njit(cache=True, **options)(function)
+        except RuntimeError:  # no place for a cache: a read-only home and installation
+            return cast(Function, numba.njit(**options)(function))
+        dispatcher._cache = _Cache(function)
         return cast(Function, dispatcher)
 
     return compile_lazily
