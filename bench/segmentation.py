@@ -30,12 +30,16 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
+    segment_labels,
     segment_parts,
+    segment_quadtree,
     segment_regions,
+    segment_runs,
     segment_shape,
 )
 from rgbd_planes.metrics import compare_labels, plane_errors
-from rgbd_planes.segmentation import Rules, Segmentation, segment, segment_frame
+from rgbd_planes.segmentation import Rules, segment, segment_frame
+from rgbd_planes.segmentation_result import Segmentation
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -290,12 +294,13 @@ class Baseline:
 STAGES = {
     "read, blocks": (segment_blocks, ("block_moments", "sum_by_fours")),
     "noise": (segmentation, ("estimate",)),
-    "quadtree": (segment_blocks, ("join_blocks",)),
+    "quadtree": (segment_quadtree, ("join_blocks",)),
     "rounds: merge, own pixels": (segment_regions, ("find_regions",)),
     "curved": (segment_shape, ("owned_means", "find_curved")),
-    "parts": (segment_parts, ("find_runs", "measure_parts")),
+    "runs": (segment_runs, ("find_runs",)),
+    "parts": (segment_parts, ("measure_parts", "judge_parts")),
     "gaps": (segment_gaps, ("find_coplanar", "label_boxes", "join_across")),
-    "labels": (segment_parts, ("label_runs", "write_labels", "settle_strays")),
+    "labels": (segment_labels, ("label_runs", "write_labels", "settle_strays")),
 }
 
 

@@ -8,7 +8,7 @@ in the wall itself.
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import joint_residual, residual
+from .segment_moments import joint_residual, residual
 from .segment_planes import fit_planes
 
 LEAST = 4  # rows or columns that must cross a gap
@@ -58,7 +58,7 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
 def label_boxes(row_runs, run_start, run_stop, run_label, box):
     """First row, row after the last, first column, column after the last of each label.
 
-    The runs are those of `segment_parts.find_runs`. ``box`` (N + 1, 4) int64 is written, row a for label a.
+    The runs are those of `segment_runs.find_runs`. ``box`` (N + 1, 4) int64 is written, row a for label a.
     """
     box[:, 0] = box[:, 2] = FARTHEST
     box[:, 1] = box[:, 3] = 0
@@ -166,7 +166,7 @@ def join_across(
 
     Parameters
     ----------
-    row_runs, run_start, run_stop : see `segment_parts.find_runs`
+    row_runs, run_start, run_stop : see `segment_runs.find_runs`
     run_label : (K,) int32
         Label of each run: row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
     pairs, count : see `find_coplanar`

@@ -10,7 +10,8 @@ and small regions join the large one that they fit best.
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import fit, residual, solve, variance, waviness
+from .segment_moments import fit, residual, solve
+from .segment_noise import variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
 MUCH_LARGER = 4.0
@@ -182,9 +183,9 @@ def merge(
     pairs, contact, table, count
         Of `neighbours`; they are overwritten.
     sigma, lateral_x, lateral_y
-        Noise: see `segment_blocks.variance`.
+        Noise: see `segment_noise.variance`.
     growth : (S,) float64
-        See `segment_blocks.waviness`.
+        See `segment_noise.waviness`.
     floor, jump, spread : float
         A pair agrees if Δ is at most σ² (floor² · waviness² · n + spread), and the jump at most about
         ``jump`` · waviness · σ; n is the smaller region's pixels and σ² the smaller of the two variances.

@@ -1,14 +1,33 @@
-"""Segmentation, what comes out: the planes of the labels, how sure they are, and how well their pixels fit."""
+"""Segmentation: the planes of regions and of labels, how sure they are, and how well their pixels fit."""
 
 import math
 
 from ._jit import kernel
-from .segment_blocks import fit, residual, sensor_variance
+from .segment_moments import fit, residual
+from .segment_noise import sensor_variance, variance, waviness
+
+
+@kernel()
+def planes(moments, sigma, lateral_x, lateral_y, growth, alpha, slope_variance, spread):
+    """Plane of each region, and the part of a pixel's variance that its slope makes.
+
+    A region without a plane gets an α of infinities, which no pixel fits.
+    """
+    for i in range(len(moments)):
+        if not fit(moments[i], alpha[i]):
+            alpha[i, :] = math.inf
+            slope_variance[i] = 1.0
+            spread[i] = 1.0
+            continue
+        spread[i] = waviness(moments[i, 0], growth) ** 2
+        slope_variance[i] = variance(moments[i], alpha[i], sigma, lateral_x, lateral_y) - sensor_variance(
+            moments[i, 3] / moments[i, 0], sigma
+        )
 
 
 @kernel()
 def deviations(moments, sigma, slope_variance, spread, deviation):
-    """Standard deviation of a pixel about the plane of each region; see `segment_pixels.planes`."""
+    """Standard deviation of a pixel about the plane of each region; see `planes`."""
     for a in range(len(moments)):
         mean_q = moments[a, 3] / max(moments[a, 0], 1.0)
         deviation[a] = math.sqrt((sensor_variance(mean_q, sigma) + slope_variance[a]) * spread[a])

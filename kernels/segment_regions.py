@@ -3,9 +3,13 @@
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import EMPTY, leaves, sensor_variance
+from .segment_blocks import EMPTY
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
-from .segment_pixels import misfit, own_pixels, planes
+from .segment_moments import misfit
+from .segment_noise import sensor_variance
+from .segment_pixels import own_pixels
+from .segment_planes import planes
+from .segment_quadtree import leaves
 
 # The four blocks beside one.
 DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
@@ -76,7 +80,7 @@ def find_regions(
     inverse_depth, tan_x, tan_y, centre_u, centre_v, reach, close, settled, cut, owner, pixel_owner
         See `segment_pixels.own_pixels`.
     pyramid, offsets, shapes, state
-        See `segment_blocks.join_blocks`.
+        See `segment_quadtree.join_blocks`.
     sigma, lateral_x, lateral_y, growth, floor, jump, spread, pairs, contact, table
         See `segment_merge.merge` and `segment_merge.neighbours`.
     rough : float

@@ -19,7 +19,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Camera": "camera",
     "FitSettings": "batch_parts",
-    "Segmentation": "segmentation",
+    "Segmentation": "segmentation_result",
     "TileFitter": "tiles",
     "TilePlanes": "tile_planes",
     "TileStatus": "plane_fits",
@@ -72,8 +72,8 @@ if TYPE_CHECKING:
     from rgbd_planes.point_noise import measurement_noise as measurement_noise
     from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
-    from rgbd_planes.segmentation import Segmentation as Segmentation
     from rgbd_planes.segmentation import segment as segment
+    from rgbd_planes.segmentation_result import Segmentation as Segmentation
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature
     from rgbd_planes.surfaces import normals as normals

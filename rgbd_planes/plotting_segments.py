@@ -10,7 +10,7 @@ from rgbd_planes.depth import as_depth_frame
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rgbd_planes.segmentation import Segmentation
+    from rgbd_planes.segmentation_result import Segmentation
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def label_image(segmentation: "Segmentation", depth: ArrayLike | None = None) ->
 
     Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief.
     """
-    from rgbd_planes.segmentation import Reason
+    from rgbd_planes.segmentation_result import Reason
 
     palette = np.vstack([[NO_PLANE], label_colours(len(segmentation))])
     image = palette[segmentation.labels]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.segmentation import Segmentation
+from rgbd_planes.segmentation_result import Segmentation
 
 if TYPE_CHECKING:
     from shapely import Geometry, MultiPolygon, Polygon

@@ -13,7 +13,7 @@ from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
 
 if TYPE_CHECKING:
-    from rgbd_planes.segmentation import Segmentation
+    from rgbd_planes.segmentation_result import Segmentation
     from rgbd_planes.tile_planes import TilePlanes
     from rgbd_planes.windows import WindowPlanes
 

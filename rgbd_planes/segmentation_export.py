@@ -15,7 +15,7 @@ from rgbd_planes.export import Floats, ros_header, ros_planes, ros_polygons, tri
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours
-from rgbd_planes.segmentation import Segmentation
+from rgbd_planes.segmentation_result import Segmentation
 
 if TYPE_CHECKING:
     import open3d

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.depth import DepthFrame
-from rgbd_planes.kernels import segment_blocks
+from rgbd_planes.kernels import segment_noise
 from rgbd_planes.kernels.segment_blocks import BLOCK
 
 Floats = NDArray[np.float64]
@@ -83,7 +83,7 @@ def estimate(
     smallest = 0.0
     for level in range(1, 4):
         own = slice(offsets[level], offsets[level + 1])
-        count = segment_blocks.square_residuals(
+        count = segment_noise.square_residuals(
             moments[:, own], rss[own], slope[own], _FULL * (BLOCK << level) ** 2, mean_square, slope_square
         )
         if count < _FEWEST_SQUARES:
@@ -118,7 +118,7 @@ def _together(
     """`FrameNoise.together` from the flat ones of the squares of 32 pixels."""
     ratio = np.empty(offsets[4] - offsets[3])
     least, most = _FULL * (BLOCK << 3) ** 2, 4.0 * typical
-    count = segment_blocks.together(moments, offsets, shapes, rss, 3, 1, least, most, ratio)
+    count = segment_noise.together(moments, offsets, shapes, rss, 3, 1, least, most, ratio)
     return max(_quantile(ratio[:count], 0.5), 1.0) if count >= _FEWEST_SQUARES else 1.0
 
 

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.metrics import plane_errors
-from rgbd_planes.segmentation import SMALLEST, Segmentation, segment
+from rgbd_planes.segmentation import SMALLEST, segment
+from rgbd_planes.segmentation_result import Segmentation
 
 SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
 TURNED = 20.0  # degrees between them, at most

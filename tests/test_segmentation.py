@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, gaussian_filter
 
-from rgbd_planes import Camera, fit_tiles, scenes, segment, segmentation
+from rgbd_planes import Camera, fit_tiles, scenes, segment, segmentation_workspace
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.segmentation import Reason
+from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 
@@ -482,7 +482,7 @@ def test_moments_of_blocks_and_squares(distortion):
     depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(
         np.uint16
     )
-    frame, grid = as_depth_frame(depth, camera), segmentation._grid(camera)
+    frame, grid = as_depth_frame(depth, camera), segmentation_workspace.grid_of(camera)
     q = np.zeros(camera.shape, np.float32)
     moments, (rss, slope) = np.empty((10, grid.offsets[-1])), np.empty((2, grid.offsets[-1]))
     nearest = segment_blocks.block_moments(

@@ -1,0 +1,91 @@
+"""Segmentation: the plane of any union of pixels, from its moments.
+
+Moments are the ten sums [n, Σu, Σv, Σq, Σuu, Σuv, Σuq, Σvv, Σvq, Σqq] over valid pixels, (u, v) =
+(tanθx, tanθy), all about the origin: so the moments of any union of blocks are the sum of theirs, and the
+plane, the residual and the covariance of the union follow without touching a pixel again. In double
+precision the cancellation this costs is far below any sensor's noise: 1e-8 of the inverse depth.
+"""
+
+import math
+
+from ._jit import kernel
+
+# Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
+COLLINEAR = 1e-6
+
+
+@kernel(inline=True)
+def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
+    """Least squares plane q = α·(u, v, 1) of ten sums: the sum of squared residuals, and α.
+
+    The residual is -1 and α 0 where the pixels do not determine a plane.
+    """
+    share = 1.0 / max(n, 1.0)
+    mean_u, mean_v, mean_q = s_u * share, s_v * share, s_q * share
+    uu = s_uu - s_u * mean_u
+    uv = s_uv - s_u * mean_v
+    vv = s_vv - s_v * mean_v
+    uq = s_uq - s_u * mean_q
+    vq = s_vq - s_v * mean_q
+    qq = s_qq - s_q * mean_q
+    determinant = uu * vv - uv * uv
+    known = (n >= 3.0) & (determinant > COLLINEAR * uu * vv)
+    inverse = 1.0 / (determinant if known else math.inf)
+    a = (vv * uq - uv * vq) * inverse
+    b = (uu * vq - uv * uq) * inverse
+    rss = max(qq - (a * uq + b * vq), 0.0) if known else -1.0
+    return rss, a, b, mean_q - a * mean_u - b * mean_v if known else 0.0
+
+
+@kernel(inline=True)
+def residual(m):
+    """Sum of squared residuals of the plane fitted to moments; -1 where there is none."""
+    return solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])[0]
+
+
+@kernel(inline=True)
+def joint_residual(m, k):
+    """The same for the union of two."""
+    return solve(
+        m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
+        m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
+    )[0]  # fmt: skip
+
+
+@kernel(inline=True)
+def fit(m, alpha):
+    """Write α of the plane fitted to moments; False where the pixels do not determine it."""
+    rss, a, b, c = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+    if rss < 0.0:
+        return False
+    alpha[0] = a
+    alpha[1] = b
+    alpha[2] = c
+    return True
+
+
+@kernel(inline=True)
+def misfit(m, alpha):
+    """Sum of squared residuals of the pixels in some moments about a given plane."""
+    a, b, c = alpha[0], alpha[1], alpha[2]
+    return (
+        m[9] - 2.0 * (a * m[6] + b * m[8] + c * m[3])
+        + a * (a * m[4] + 2.0 * (b * m[5] + c * m[1]))
+        + b * (b * m[7] + 2.0 * c * m[2])
+        + c * c * m[0]
+    )  # fmt: skip
+
+
+@kernel(inline=True)
+def add(m, u, v, q, sign):
+    """Add a pixel to moments, or subtract it."""
+    m[0] += sign
+    m[1] += sign * u
+    m[2] += sign * v
+    m[3] += sign * q
+    m[4] += sign * u * u
+    m[5] += sign * u * v
+    m[6] += sign * u * q
+    m[7] += sign * v * v
+    m[8] += sign * v * q
+    m[9] += sign * q * q

@@ -1,0 +1,96 @@
+"""Segmentation, second stage: blocks that agree are joined by fours, and those by fours again."""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import EMPTY, MIXED
+from .segment_noise import sensor_variance
+
+
+@kernel()
+def join_blocks(
+    moments, offsets, shapes, rss, slope, sigma, lateral, roughness, steepness, floor, spread, state
+):
+    """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
+
+    Parameters
+    ----------
+    moments, offsets, shapes, rss, slope
+        See `segment_blocks.sum_by_fours`.
+    sigma : see `segment_noise.sensor_variance`
+    lateral : float
+        Variance, in pixels, of where a measurement lies: see `segment_noise.variance`.
+    roughness, steepness : float
+        A block is planar if its residual is below ``roughness`` standard deviations, the slope's part of
+        which counts ``steepness`` times (a block across a depth jump looks steep, too).
+    floor, spread : float
+        Four are one plane if joining them adds at most ``floor``² variances per pixel, plus ``spread``.
+    state : (T,) int8, written
+        0 not planar, 1 planar, 2 too few pixels to say.
+    """
+    for i in range(shapes[0, 0] * shapes[0, 1]):
+        n = moments[0, i]
+        allowed = roughness * roughness * sensor_variance(moments[3, i] / max(n, 1.0), sigma) + (
+            steepness * steepness * lateral * slope[i]
+        )
+        planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
+        state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
+    for level in range(1, shapes.shape[0]):
+        rows, columns = shapes[level, 0], shapes[level, 1]
+        finer = shapes[level - 1, 1]
+        for row in range(rows):
+            for column in range(columns):
+                parent = offsets[level] + row * columns + column
+                planar = 0
+                total = 0.0
+                smallest = math.inf
+                for r in range(2 * row, 2 * row + 2):
+                    for c in range(2 * column, 2 * column + 2):
+                        child = offsets[level - 1] + r * finer + c
+                        if state[child] == 0:
+                            planar = -9
+                        if state[child] != 1:
+                            continue
+                        planar += 1
+                        total += rss[child]
+                        mean_q = moments[3, child] / moments[0, child]
+                        smallest = min(smallest, sensor_variance(mean_q, sigma) + lateral * slope[child])
+                if planar <= 0:
+                    state[parent] = 2 if planar == 0 else 0
+                    continue
+                rise = rss[parent] - total
+                agree = rss[parent] >= 0.0 and rise <= smallest * (
+                    floor * floor * moments[0, parent] + spread
+                )
+                state[parent] = 1 if agree else 0
+
+
+@kernel()
+def leaves(offsets, shapes, state, moments, region, owner, region_moments):
+    """Number the largest planar node over each planar block, in the order of their first blocks.
+
+    ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or MIXED; ``region_moments`` (R·C, 10) is written.
+    Returns how many there are.
+    """
+    levels = shapes.shape[0]
+    number = np.full(len(state), -1, np.int64)
+    count = 0
+    for row in range(shapes[0, 0]):
+        for column in range(shapes[0, 1]):
+            region[row, column] = -1
+            owner[row, column] = EMPTY if moments[0, row * shapes[0, 1] + column] == 0.0 else MIXED
+            if state[row * shapes[0, 1] + column] != 1:
+                continue
+            for level in range(levels - 1, -1, -1):
+                i = offsets[level] + (row >> level) * shapes[level, 1] + (column >> level)
+                if state[i] == 1:
+                    if number[i] < 0:
+                        number[i] = count
+                        region_moments[count] = moments[:, i]
+                        count += 1
+                    region[row, column] = number[i]
+                    break
+    return count

@@ -1,0 +1,190 @@
+"""Segmentation: what each region owns, as runs of pixels along the rows, united into connected parts.
+
+A block that one region owns is a run of its own width, missing pixels and all, and neighbouring ones are one
+run: so pixels are looked at only where regions meet.
+"""
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import BLOCK, MIXED
+from .segment_pixels import MISSING
+
+# Missing pixels in a row that still are holes in a surface.
+GAP = 3
+
+
+@kernel(inline=True)
+def root_of(parent, i):
+    """The oldest ancestor."""
+    while parent[i] != i:
+        i = parent[i]
+    return i
+
+
+@kernel(inline=True)
+def unite(parent, i, j):
+    """Make two sets one; the older root stays."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    if i < j:
+        parent[j] = i
+    elif j < i:
+        parent[i] = j
+
+
+@kernel(inline=True)
+def put_run(start, stop, a, starts, first, runs, run_start, run_stop, run_label, vertical, parent):
+    """Add pixels to the last run of a row, whose runs begin with ``first``, or as a new one; how many there are."""
+    i = runs - 1
+    if i >= first and run_label[i] == a and run_stop[i] == start:
+        run_stop[i] = stop
+        vertical[i] += starts
+        return runs
+    vertical[runs] = starts
+    run_start[runs] = start
+    run_stop[runs] = stop
+    run_label[runs] = a
+    parent[runs] = runs
+    if i >= first and run_label[i] == a and start - run_stop[i] <= GAP:
+        unite(parent, runs, i)
+    return runs + 1
+
+
+@kernel(inline=True)
+def put_below(a, y, last, above_label, above_row):
+    """How many pixels of a run have no label ``a`` above them; below them, up to row ``last``, they have one."""
+    starts = 0
+    for x in range(len(above_label)):
+        starts += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+    for x in range(len(above_label)):
+        above_label[x] = a
+    for x in range(len(above_row)):
+        above_row[x] = last
+    return starts
+
+
+@kernel(inline=True)
+def label_of(owner, pixel_owner, number, y, x):
+    """Label of a pixel; below 0 is none."""
+    row, column = y // BLOCK, x // BLOCK
+    a = owner[row, column]
+    if a == MIXED:
+        a = pixel_owner[row * owner.shape[1] + column, y % BLOCK * BLOCK + x % BLOCK]
+    return number[a] if a >= 0 else -1
+
+
+@kernel()
+def find_runs(
+    owner,
+    pixel_owner,
+    number,
+    width,
+    height,
+    row_runs,
+    run_start,
+    run_stop,
+    run_label,
+    vertical,
+    parent,
+    loose,
+):
+    """Runs of equal labels along the rows, united into connected parts.
+
+    Runs touch corner to corner or side by side, also across up to GAP pixels that no region owns.
+
+    Parameters
+    ----------
+    owner, pixel_owner
+        Of `segment_pixels.own_pixels`.
+    number : (N,) int64
+        Label of each region, below 0 for none.
+    width, height : int
+        Of the image.
+    row_runs : (H + 1,) int32, written
+        First run of each row.
+    run_start, run_stop, run_label : (K,) int32, written
+        First column, last column + 1 and label of each run.
+    vertical : (K,) int32, written
+        How many of a run's pixels have no pixel of the same label above, missing pixels between them aside.
+    parent : (K,) int32, written
+        Roots stand for parts.
+    loose : (L,) int32, written
+        Measured pixels without a label: row · W + column.
+
+    Returns
+    -------
+    tuple of int
+        Number of runs, and of loose pixels.
+    """
+    rows, columns = owner.shape
+    runs = 0
+    loose_count = 0
+    this_first = row_first = two_first = 0  # first run of this row, of the row above, and the one above that
+    above_label = np.full(width, -1, np.int32)
+    above_row = np.full(width, -GAP - 2, np.int32)
+    starts = np.empty(columns, np.int64)  # stretches of blocks of one label in a row, and of no label
+    kind = np.empty(columns, np.int64)
+    for row in range(rows):
+        count = 0
+        for column in range(columns):
+            a = owner[row, column]
+            if a >= 0:
+                a = number[a]
+            if a == MIXED or count == 0 or kind[count - 1] != a:
+                starts[count] = column
+                kind[count] = a
+                count += 1
+        top = row * BLOCK
+        for y in range(top, min(top + BLOCK, height)):
+            two_first, row_first, this_first = row_first, this_first, runs
+            row_runs[y] = runs
+            for i in range(count):
+                left = starts[i] * BLOCK
+                right = min((starts[i + 1] if i + 1 < count else columns) * BLOCK, width)
+                a = kind[i]
+                if a >= 0:
+                    new = 0
+                    if y == top:
+                        new = put_below(a, y, y + BLOCK - 1, above_label[left:right], above_row[left:right])
+                    runs = put_run(
+                        left, right, a, new, this_first, runs,
+                        run_start, run_stop, run_label, vertical, parent,
+                    )  # fmt: skip
+                elif a == MIXED:
+                    block = row * columns + starts[i]
+                    k = (y - top) * BLOCK - left
+                    x = left
+                    while x < right:
+                        start = x
+                        b = pixel_owner[block, k + x]
+                        a = number[b] if b >= 0 else -1
+                        new = 0
+                        while x < right and pixel_owner[block, k + x] == b:
+                            new += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+                            if a >= 0:
+                                above_label[x] = a
+                                above_row[x] = y
+                            elif b != MISSING:
+                                loose[loose_count] = y * width + x
+                                loose_count += 1
+                                above_label[x] = -1
+                            x += 1
+                        if a >= 0:
+                            runs = put_run(
+                                start, x, a, new, this_first, runs,
+                                run_start, run_stop, run_label, vertical, parent,
+                            )  # fmt: skip
+            for lines in range(1, 3):
+                j, stop = (row_first, this_first) if lines == 1 else (two_first, row_first)
+                for i in range(this_first, runs):
+                    while j < stop and run_stop[j] < run_start[i]:
+                        j += 1
+                    k = j
+                    while k < stop and run_start[k] <= run_stop[i]:
+                        if run_label[k] == run_label[i] and parent[k] != parent[i]:
+                            x = max(run_start[i], run_start[k])
+                            if lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0:
+                                unite(parent, i, k)
+                        k += 1
+    row_runs[height] = runs
+    return runs, loose_count

@@ -1,0 +1,163 @@
+"""What a segmentation of a depth frame says: which pixel belongs to which plane, and why to none."""
+
+import enum
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.camera import Camera
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+
+
+class Reason(enum.IntEnum):
+    """Why a pixel belongs to a plane, or to none."""
+
+    PLANE = 0
+    """It belongs to one."""
+    MISSING = 1
+    """Nothing was measured."""
+    UNCLAIMED = 2
+    """No plane nearby fits it."""
+    SMALL = 3
+    """Its region has too few pixels."""
+    ROUGH = 4
+    """Its region is no plane: the residual is too large."""
+    NARROW = 5
+    """Its region is a strip of a pixel or two, as depth edges make."""
+    CURVED = 6
+    """Its region is part of a curved surface."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Segmentation:
+    """The planes of a frame, and which pixel belongs to which.
+
+    Attributes
+    ----------
+    camera : Camera
+    labels : (H, W) int32
+        0 none, 1..N; row i of the arrays below belongs to label i + 1.
+    planes : (N, 4) float64
+        nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
+    alpha : (N, 3) float64
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label, but for
+        strays that go with their neighbours.
+    alpha_covariance : (N, 3, 3) float64
+        Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
+        pixels as the frame's correlated noise leaves.
+    sizes : (N,) int32
+        Pixels.
+    rmse : (N,) float64
+        Root mean square residual in inverse depth, 1/m.
+    reason : (H, W) uint8
+        `Reason`.
+    sigma : float
+        Typical standard deviation of the frame's inverse depth, 1/m.
+    """
+
+    camera: Camera
+    labels: NDArray[np.int32]
+    planes: Floats
+    alpha: Floats
+    alpha_covariance: Floats
+    sizes: NDArray[np.int32]
+    rmse: Floats
+    reason: NDArray[np.uint8]
+    sigma: float
+
+    def __len__(self) -> int:
+        """Number of planes."""
+        return len(self.planes)
+
+    def __repr__(self) -> str:
+        height, width = self.labels.shape
+        share = f"{self.share:.0%} of the measured pixels"
+        return f"<Segmentation: {len(self)} planes, {share} of {height} x {width}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import segments_html
+
+        return segments_html(self)
+
+    @property
+    def share(self) -> float:
+        """Share of the measured pixels that belong to a plane."""
+        return int(np.count_nonzero(self.labels)) / max(1, int((self.reason != Reason.MISSING).sum()))
+
+    @property
+    def rmse_metric(self) -> Floats:
+        """(N,) float64: `rmse` in metres along the normal, d·Z̄·rmse, to first order."""
+        return self.planes[:, 3] * self.mean_depth * self.rmse
+
+    @property
+    def mean_depth(self) -> Floats:
+        """(N,) float64: Z in metres where the mean inverse depth of the plane's pixels is."""
+        sums = np.bincount(self.labels.ravel(), weights=self.fitted_inverse_depth().ravel())[1:]
+        return np.asarray(self.sizes / sums)
+
+    @property
+    def plane_covariance(self) -> Floats:
+        """(N, 4, 4) float64: covariance of (n, d), by first-order propagation from α."""
+        n, d = self.planes[:, :3], self.planes[:, 3]
+        # ∂n/∂α = -d (I - n nᵀ), ∂d/∂α = d² n, from d = 1/‖α‖ and n = -α d.
+        jacobian = np.empty((len(self), 4, 3))
+        jacobian[:, :3] = -d[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
+        jacobian[:, 3] = d[:, None] ** 2 * n
+        return np.asarray(jacobian @ self.alpha_covariance @ jacobian.transpose(0, 2, 1))
+
+    def fitted_inverse_depth(self) -> Floats:
+        """(H, W) float64, 1/m: the inverse depth of each pixel's plane; 0 where there is none."""
+        a: Floats
+        a, b, c = np.vstack([np.zeros(3), self.alpha])[self.labels].transpose(2, 0, 1)
+        return np.asarray(a * self.camera.tan_x + b * self.camera.tan_y + c)
+
+    def fitted_depth(self) -> Floats:
+        """(H, W) float64, metres: where each pixel's ray meets its plane; NaN where there is none."""
+        q = self.fitted_inverse_depth()
+        depth = np.full(q.shape, np.nan)
+        np.divide(1.0, q, out=depth, where=q > 0.0)
+        return depth
+
+    def tile_labels(self, tile: tuple[int, int]) -> NDArray[np.int32]:
+        """(R, C) int32: the plane that all measured pixels of each tile of a grid lie on, 0 where they do not.
+
+        ``tile`` is (height, width) in pixels; the tiles are those of `fit_tiles`.
+        """
+        edges = [np.arange(0, length, step) for length, step in zip(self.labels.shape, tile, strict=True)]
+        missing = self.reason == Reason.MISSING
+        lowest, highest = np.where(missing, len(self) + 1, self.labels), self.labels
+        for axis, edge in enumerate(edges):
+            lowest = np.minimum.reduceat(lowest, edge, axis=axis)
+            highest = np.maximum.reduceat(highest, edge, axis=axis)
+        return np.where(lowest == highest, highest, 0).astype(np.int32)
+
+    def labels_from_minus_one(self) -> NDArray[np.int32]:
+        """(H, W) int32: labels 0..N-1, -1 for none, as deplex and clustering libraries have them."""
+        return self.labels - np.int32(1)
+
+    def labels_for_opencv(self) -> NDArray[np.uint8]:
+        """(H, W) uint8: labels 0..N-1, 255 for none, as OpenCV's RgbdPlane has them.
+
+        Raises
+        ------
+        ValueError
+            There are more than 255 planes.
+        """
+        if len(self) > 255:
+            raise ValueError(
+                f"expected at most 255 planes, which is all that uint8 labels hold, got {len(self)}"
+            )
+        return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
+
+    def plot(self, depth: ArrayLike | None = None, axes: "Axes | None" = None) -> "Axes":
+        """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`."""
+        from rgbd_planes.plotting_segments import plot_segments
+
+        return plot_segments(self, depth, axes)
