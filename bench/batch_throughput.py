@@ -22,7 +22,7 @@ KINDS = 16  # different frames
 AT_ONCE = 64  # frames of a call of fit_batch
 
 
-def measure(frames: int = 2048, rounds: int = 7) -> dict[str, Any]:
+def measure(frames: int = 2048, rounds: int = 15) -> dict[str, Any]:
     """Return times in milliseconds a frame, throughputs and shares of the work."""
     camera = rp.presets.kinect_v1()
     rendering = rp.scenes.room().render(camera)
@@ -46,21 +46,23 @@ def measure(frames: int = 2048, rounds: int = 7) -> dict[str, Any]:
         in_memory = sequence(frames, lambda i: i, stored.__getitem__)
         in_files = sequence(frames // 8, lambda i: folder / f"{i}.png", read_depth)
 
-        def fit_batch() -> None:
+        def fit_batch(out: rp.TilePlanes | None = None) -> None:
             for _ in range(frames // AT_ONCE):
-                fitter.fit_batch(part)
+                fitter.fit_batch(part, out)
 
         def fit_sequence(which: str, of: FrameSequence) -> None:
             work[which].update(rp.fit_sequence(of, folder / which, num_threads=threads).seconds)
 
-        def write_bare() -> None:  # what any table must do: have its bytes, and give them to the system
+        def write_bare() -> None:  # what any table must do: give its bytes to the system
             for i, content in enumerate(contents):
-                (folder / f"bare {i}").write_bytes(bytearray(content))
+                (folder / f"bare {i}").write_bytes(content)
 
         fit_sequence("memory", in_memory)
         contents = [file.read_bytes() for file in sorted((folder / "memory").glob("part-*"))]
+        earlier = fitter.fit_batch(part)
         turns = {
             "fit_batch": (fit_batch, frames),
+            "out": (lambda: fit_batch(earlier), frames),
             "memory": (lambda: fit_sequence("memory", in_memory), frames),
             "png": (lambda: fit_sequence("png", in_files), len(in_files)),
             "bare": (write_bare, frames),
@@ -82,6 +84,7 @@ def measure(frames: int = 2048, rounds: int = 7) -> dict[str, Any]:
         which: statistics.median(b / s for b, s in zip(reference, values, strict=True))
         for which, values in seconds.items()
     }
+    fastest = {which: min(values) for which, values in seconds.items()}
     return {
         "frames": frames,
         "threads": threads,
@@ -89,10 +92,10 @@ def measure(frames: int = 2048, rounds: int = 7) -> dict[str, Any]:
         "bytes_per_frame": sum(map(len, contents)) / frames,
         "milliseconds": {which: 1e3 * statistics.median(values) for which, values in seconds.items()},
         "throughput": throughput,
+        "fastest": {which: fastest["fit_batch"] / value for which, value in fastest.items()},
         "work": {which: {k: v / of.total() for k, v in of.items()} for which, of in work.items()},
-        # Writing is one thread's, the fits are of all.
-        "bare_share": statistics.median(w / b for w, b in zip(seconds["bare"], reference, strict=True))
-        / threads,
+        # Writing is one thread's, the fits are of all; it waits for the disk at times.
+        "bare_share": fastest["bare"] / fastest["fit_batch"] / threads,
     }
 
 
@@ -100,19 +103,24 @@ def table(result: dict[str, Any]) -> str:
     """The result as Markdown."""
     names = {
         "fit_batch": "`fit_batch`, frames in memory",
+        "out": "`fit_batch(out=...)`, into an earlier result",
         "memory": "`fit_sequence`, frames in memory",
         "png": "`fit_sequence`, frames in PNG files",
     }
-    lines = ["| | of `fit_batch`'s throughput | reading | fitting | writing |", "|---|---:|---:|---:|---:|"]
+    lines = [
+        "| | of `fit_batch`'s throughput | fastest rounds | reading | fitting | writing |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
     for which, name in names.items():
         shares = [f"{share:.0%}" for share in result["work"].get(which, {}).values()] or [""] * 3
-        lines.append(f"| {name} | {result['throughput'][which]:.0%} | {' | '.join(shares)} |")
+        throughput = f"{result['throughput'][which]:.0%} | {result['fastest'][which]:.0%}"
+        lines.append(f"| {name} | {throughput} | {' | '.join(shares)} |")
     kilobytes = result["bytes_per_frame"] / 1e3
     lines += [
         "",
         f"{result['frames']} frames of 640 x 480, tiles of 16 x 16, {result['threads']} threads. The table has",
-        f"{result['tiles']} rows and {kilobytes:.0f} kB a frame: to copy so many bytes once and write them to a",
-        f"file, and nothing else, takes {result['bare_share']:.0%} of the time of fitting.",
+        f"{result['tiles']} rows and {kilobytes:.0f} kB a frame: to write so many bytes to a file, and nothing else,",
+        f"takes {result['bare_share']:.0%} of the time of fitting.",
     ]
     return "\n".join(lines)
 
@@ -120,7 +128,7 @@ def table(result: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=2048)
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--rounds", type=int, default=15)
     result = measure(**vars(parser.parse_args()))
     print(table(result))
     for which, milliseconds in result["milliseconds"].items():

@@ -28,9 +28,9 @@ from rgbd_planes.files import write_beside
 from rgbd_planes.sequences.frames import FrameSequence
 
 # Of a part: what is lost by an interruption, and what each thread holds in memory.
-MOST_FRAMES = 256
+MOST_FRAMES = 512
 FEWEST_FRAMES = 4
-MOST_ROWS = 300_000
+MOST_ROWS = 600_000
 CONNECT_SECONDS = 30.0
 _ABOUT = "_about.json"
 
@@ -133,8 +133,7 @@ def fit_sequence(
         raise ValueError(f"num_threads must be at least 1, or None, got {num_threads}")
     settings = settings or FitSettings()
     settings.check(sequence.camera)
-    cameras = {entry.camera for entry in sequence.entries}
-    if len({camera.noise is None for camera in cameras}) > 1:
+    if len({camera.noise is None for camera in sequence.cameras}) > 1:
         raise ValueError("expected a noise model in all cameras or in none, got some with and some without")
     timed = not bool(np.isnan(sequence.timestamps).any())
     columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
@@ -168,9 +167,8 @@ def fit_sequence(
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
     """Make or check the table's folder; the number of frames of a part."""
     digest = hashlib.sha256()
-    for entry in sequence.entries:
-        digest.update(f"{entry.name}\n{entry.timestamp}\n".encode())
-    for camera in dict.fromkeys(entry.camera for entry in sequence.entries):
+    digest.update("".join(f"{entry.name}\n{entry.timestamp}\n" for entry in sequence.entries).encode())
+    for camera in sequence.cameras:
         digest.update(repr(camera).encode())
     about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": asdict(settings)}
     about = json.loads(json.dumps(about))

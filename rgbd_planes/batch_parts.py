@@ -11,17 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rgbd_planes.batch_rows import COVARIANCES, KEY, Columns, Grid, Rows, empty_rows
+from rgbd_planes.batch_rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
 from rgbd_planes.files import write_beside
-from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tile_grid import check_tile, tile_sizes
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
-
-_UPPER = tuple(np.array(list(COVARIANCES.values())).T)  # where the covariances are in (4, 4)
 
 
 @dataclass(frozen=True)
@@ -168,26 +165,16 @@ class _TileAdder:
 
     def __init__(self, settings: FitSettings) -> None:
         self._settings = settings
-        self._tiles: TilePlanes | None = None
+        self._camera: Camera | None = None
 
     def __call__(self, frame: Frame, number: int, rows: Rows) -> None:
-        fitter = _fitter(frame.camera, self._settings)
-        if self._tiles is not None and self._tiles.camera is not fitter.camera:
-            self._tiles = None
-        self._tiles = tiles = fitter.fit(frame.depth, self._tiles)
-        uncertain = []
-        if frame.camera.noise is not None:
-            uncertain = [tiles.p_value.ravel(), tiles.plane_covariance.reshape(-1, 4, 4)[:, *_UPPER].T]
-        rows.add(
-            number,
-            Grid(tiles.shape, frame.camera.shape, tiles.tile),  # type: ignore[arg-type]
-            tiles.status.ravel(),
-            tiles.valid_count.ravel(),
-            tiles.planes.reshape(-1, 4).T,
-            tiles.rmse.ravel(),
-            tiles.rmse_metric.ravel(),
-            *uncertain,
-        )
+        if frame.camera is not self._camera:
+            self._camera = frame.camera
+            self._fitter = _fitter(frame.camera, self._settings)
+            self._tiles: TilePlanes | None = None
+        self._tiles = tiles = self._fitter.fit(frame.depth, self._tiles)
+        grid = Grid(tiles.shape, frame.camera.shape, tiles.tile)  # type: ignore[arg-type]
+        rows.add_tiles(number, grid, tiles)
 
 
 def _add_segments(frame: Frame, number: int, rows: Rows) -> None:
@@ -198,13 +185,4 @@ def _add_segments(frame: Frame, number: int, rows: Rows) -> None:
         (label, down.start, across.start, down.stop - down.start, across.stop - across.start)
         for label, (down, across) in enumerate(find_objects(segments.labels), start=1)
     ]
-    rows.add(
-        number,
-        np.array(places, np.int32).reshape(-1, 5).T,
-        np.full(len(segments), TileStatus.OK, np.uint8),
-        segments.sizes,
-        segments.planes.T,
-        segments.rmse,
-        segments.rmse_metric,
-        segments.plane_covariance[:, *_UPPER].T,
-    )
+    rows.add_segments(number, np.array(places, np.int32).reshape(-1, 5).T, segments)

@@ -7,13 +7,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.kernels import rows as row_kernels
+from rgbd_planes.kernels.statistics import P_VALUE, PLANE_COVARIANCE
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.segmentation_result import Segmentation
+from rgbd_planes.tile_planes import TilePlanes
 
 KEY = b"rgbd_planes"  # of what a file says about its rows
 STATUSES = [status.name for status in TileStatus]
 PLANE = ("nx", "ny", "nz", "d")
 WRITTEN_AT_ONCE = 1 << 20  # bytes: the system takes a few large pieces faster than many small ones
 COVARIANCES = {f"cov_{PLANE[i]}_{PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
+# Which of a tile's statistics a table has, in the order of its columns.
+_STATISTICS = np.array([P_VALUE, *(PLANE_COVARIANCE + 4 * i + j for i, j in COVARIANCES.values())])
+_UPPER = tuple(np.array(list(COVARIANCES.values())).T)  # where the covariances are in (4, 4)
+_NO_STATISTICS = np.empty((0, 0, 0)), np.empty(0, np.int64)
 
 
 class Grid(NamedTuple):
@@ -60,6 +68,7 @@ class Rows:
         which = ["label"] if segments else ["row", "column"]
         self._place_names = [*which, "top", "left", "height", "width"]
         self._float_names = [*PLANE, "rmse", "rmse_metric", *uncertain]
+        self._noise = noise
         self._frames: list[tuple[int, int, Grid | NDArray[np.int32]]] = []  # number, rows, their places
         self._count = 0
         self._status = np.empty(0, np.int8)
@@ -68,7 +77,7 @@ class Rows:
         self._floats = np.empty((len(self._float_names), 0), np.float32)
 
     def clear(self, expected: int) -> None:
-        """Begin again, with memory for so many rows at least; what there is stays."""
+        """Begin again, with memory for so many rows at least."""
         self._count = 0
         self._frames.clear()
         self._reserve(expected)
@@ -78,41 +87,41 @@ class Rows:
             for name in ("_status", "_valid_count", "_floats"):
                 old = getattr(self, name)
                 setattr(self, name, new := np.empty((*old.shape[:-1], capacity), old.dtype))
-                new[..., : self._count] = old[..., : self._count]
+                new[..., : old.shape[-1]] = old
 
-    def add(
-        self,
-        frame: int,
-        places: Grid | NDArray[np.int32],
-        status: NDArray[np.uint8],
-        valid_count: NDArray[np.int32],
-        *floats: NDArray[np.float64],
-    ) -> None:
-        """Add the n rows of a frame.
+    def add_tiles(self, frame: int, grid: Grid, tiles: TilePlanes) -> None:
+        """Add a row for each tile of a frame, which is counted from the first of the part."""
+        statistics, which = (tiles._statistics.rows, _STATISTICS) if self._noise else _NO_STATISTICS
+        start = self._begin(frame, tiles.status.size, grid)
+        row_kernels.add_tiles(
+            tiles.planes, tiles.rmse, tiles.rmse_metric, tiles.valid_count, tiles.status, statistics, which, start,
+            self._floats, self._valid_count, self._status,
+        )  # fmt: skip
+
+    def add_segments(self, frame: int, places: NDArray[np.int32], segments: Segmentation) -> None:
+        """Add a row for each segment of a frame.
 
         Parameters
         ----------
         frame : int
             Counted from the first of the part.
-        places : Grid, or (5, n) int32
-            Of tiles, or label, top, left, height and width of segments.
-        status : (n,) uint8
-        valid_count : (n,) int32
-        *floats : (n,) or (k, n) float64
-            Planes and residuals, one column or several in an array, in their order.
+        places : (5, n) int32
+            Label, top, left, height and width.
+        segments : Segmentation
         """
-        start, stop = self._count, self._count + len(status)
-        if stop > len(self._status):
-            self._reserve(max(stop, 2 * len(self._status)))
-        self._status[start:stop] = status.view(np.int8)
-        self._valid_count[start:stop] = valid_count
-        column = 0
-        for values in floats:
-            columns = column if values.ndim == 1 else slice(column, column + len(values))
-            self._floats[columns, start:stop] = values
-            column += 1 if values.ndim == 1 else len(values)
-        self._frames.append((frame, len(status), places))
-        self._count = stop
+        covariances = segments.plane_covariance[:, *_UPPER].T
+        here = slice(self._begin(frame, len(segments), places), self._count)
+        self._status[here] = TileStatus.OK
+        self._valid_count[here] = segments.sizes
+        self._floats[:, here] = [*segments.planes.T, segments.rmse, segments.rmse_metric, *covariances]
+
+    def _begin(self, frame: int, count: int, places: Grid | NDArray[np.int32]) -> int:
+        """Make room for so many rows of a frame; the first of them."""
+        start, self._count = self._count, self._count + count
+        if self._count > len(self._status):
+            self._reserve(max(self._count, 2 * len(self._status)))
+        self._frames.append((frame, count, places))
+        return start
 
     def status_counts(self) -> dict[str, int]:
         """Number of rows of each status that occurs."""

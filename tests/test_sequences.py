@@ -201,6 +201,7 @@ def test_arkitscenes_has_a_camera_for_each_frame(tmp_path, frames):
     same(sequence, frames, cameras, times=[99.95, 100.05, 100.15])
     assert sequence.entries[0].camera is sequence.entries[1].camera
     assert "2 cameras" in repr(sequence)
+    assert sequence.cameras == (CAMERA, cameras[2])
     write_arkitscenes(tmp_path / "b", frames, shift=0.02)
     with pytest.raises(ValueError, match="expected a calibration of its moment"):
         rp.open_sequence(tmp_path / "b")

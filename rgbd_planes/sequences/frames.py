@@ -89,18 +89,23 @@ class FrameSequence(Sequence[Frame]):
         """The camera of the first frame; in most data sets that of all."""
         return self.entries[0].camera
 
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The different cameras, in the order in which they come."""
+        objects = {
+            id(entry.camera): entry.camera for entry in self.entries
+        }  # few, faster than to compare all
+        return tuple(dict.fromkeys(objects.values()))
+
     def with_noise(self, noise: Any) -> "FrameSequence":
         """The same frames, of cameras with a noise model (`rgbd_planes.noise`)."""
-        cameras = {
-            camera: replace(camera, noise=noise)
-            for camera in dict.fromkeys(entry.camera for entry in self.entries)
-        }
+        cameras = {camera: replace(camera, noise=noise) for camera in self.cameras}
         return FrameSequence((replace(e, camera=cameras[e.camera]) for e in self.entries), self._read)
 
     def __repr__(self) -> str:
         if not self.entries:
             return "<FrameSequence: no frames>"
-        cameras = len({entry.camera for entry in self.entries})
+        cameras = len(self.cameras)
         of = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
         return f"<FrameSequence: {len(self)} frames, {of}, {self.entries[0].name} to {self.entries[-1].name}>"
 
