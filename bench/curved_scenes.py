@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera, scenes
+from rgbd_planes.noise import KINECT_V1
 
 Floats = NDArray[np.float64]
 
@@ -131,7 +132,7 @@ def _raw(depth: Floats, scale: float, holes: float, seed: int) -> NDArray[np.uin
 
 def kinect(depth: Floats, seed: int) -> NDArray[np.uint16]:
     """Independent noise of a Kinect v1, millimetres."""
-    return _raw(depth + scenes.KINECT_NOISE * depth**2 * _noise(depth, seed, 0.0), 1000.0, 0.03, seed)
+    return _raw(depth + KINECT_V1 * depth**2 * _noise(depth, seed, 0.0), 1000.0, 0.03, seed)
 
 
 def stereo(depth: Floats, seed: int) -> NDArray[np.uint16]:

@@ -14,7 +14,8 @@ from bench.methods import TABLES, Fit, sensor, windows
 from bench.operations import count_all
 from bench.sequence import KINECTS, real_frames, rendered_frames, sequence
 from bench.timing import Times, change, flush_caches, in_turns
-from rgbd_planes import Camera, TileStatus, fit_tiles, scenes
+from rgbd_planes import Camera, TileStatus, fit_tiles
+from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.quadtree import QuadtreeFitter
 
 Result = dict[str, Any]
@@ -247,7 +248,7 @@ def _noise(most: int) -> Result:
                     }
                 )
         result[name] = rows
-    return {"noise": {"paper": scenes.KINECT_NOISE, "sets": result}}
+    return {"noise": {"paper": KINECT_V1, "sets": result}}
 
 
 def _flat_tiles(frame: npt.NDArray[Any], camera: Camera, tile: int = 16) -> npt.NDArray[np.float64]:

@@ -353,17 +353,17 @@ def picture(frames: Sequence[Frame], path: Path) -> None:
     from rgbd_planes.plotting_segments import label_colours
 
     figure = Figure((8.0, 3.1 * len(frames)), layout="constrained")
-    axes = figure.subplots(len(frames), 2, squeeze=False)
-    for row, frame in zip(axes, frames, strict=True):
+    panels = figure.subfigures(len(frames), 2, squeeze=False)
+    for (left, right), frame in zip(panels, frames, strict=True):
         found = segment(frame.depth, frame.camera)
         _, truth = np.unique(np.append(0, frame.truth), return_inverse=True)
         colours = np.vstack([[(0.62, 0.62, 0.62)], label_colours(int(truth.max()))])
-        row[0].imshow(colours[truth[1:].reshape(frame.truth.shape)], interpolation="nearest")
-        row[0].set_title(f"{frame.name}: truth, {truth.max()} planes", fontsize=9)
-        found.plot(frame.depth, row[1])
-        for panel in row:
-            panel.set_xticks([])
-            panel.set_yticks([])
+        axes = left.add_subplot()
+        axes.imshow(colours[truth[1:].reshape(frame.truth.shape)], interpolation="nearest")
+        axes.set_title(f"{frame.name}: truth, {truth.max()} planes")
+        axes.set_xticks([])
+        axes.set_yticks([])
+        found.plot(frame.depth, right)
     figure.savefig(path, dpi=90)
 
 

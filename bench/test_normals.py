@@ -42,7 +42,7 @@ class Case(NamedTuple):
 
 
 @cache
-def case(holes: float, width: int = 640, height: int = 480, noise: float = scenes.KINECT_NOISE) -> Case:
+def case(holes: float, width: int = 640, height: int = 480, noise: float = rp.noise.KINECT_V1) -> Case:
     """The rendered room with independent noise of a Kinect's size."""
     focal = 525.0 * width / 640
     camera = rp.Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0)

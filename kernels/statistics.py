@@ -321,43 +321,6 @@ def covariances(room):
 
 
 @kernel()
-def add_moments(moments, reference, labels, totals, total_reference):
-    """Moments of every union of tiles: label k's into column k - 1, label 0 is left out.
-
-    Each tile's moments are shifted to the union's reference point, which is exact, and added.
-
-    Parameters
-    ----------
-    labels : (T,) int32
-    totals : (10, N) float64, written
-    total_reference : (3, N) float64
-        The reference points of the unions.
-    """
-    totals[:] = 0.0
-    for i in range(labels.shape[0]):
-        k = labels[i] - 1
-        n = moments[0, i]
-        if k < 0 or not n > 0.0:
-            continue
-        du = reference[0, i] - total_reference[0, k]
-        dv = reference[1, i] - total_reference[1, k]
-        dw = reference[2, i] - total_reference[2, k]
-        s_u = moments[1, i]
-        s_v = moments[2, i]
-        s_w = moments[3, i]
-        totals[0, k] += n
-        totals[1, k] += s_u + n * du
-        totals[2, k] += s_v + n * dv
-        totals[3, k] += s_w + n * dw
-        totals[4, k] += moments[4, i] + du * (2.0 * s_u + n * du)
-        totals[5, k] += moments[5, i] + du * s_v + dv * s_u + n * du * dv
-        totals[6, k] += moments[6, i] + du * s_w + dw * s_u + n * du * dw
-        totals[7, k] += moments[7, i] + dv * (2.0 * s_v + n * dv)
-        totals[8, k] += moments[8, i] + dv * s_w + dw * s_v + n * dv * dw
-        totals[9, k] += moments[9, i] + dw * (2.0 * s_w + n * dw)
-
-
-@kernel()
 def same_plane(alpha, covariance, other_alpha, other_covariance, p_value):
     """P-value of δᵀ(Σ + Σ')⁻¹δ with δ = α - α', chi-square with 3 degrees of freedom, for K pairs.
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
 from rgbd_planes.batch_rows import Columns
+from rgbd_planes.checks import check_num_threads
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.sequences.frames import FrameSequence
@@ -129,8 +130,7 @@ def fit_sequence(
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
     if len(sequence) == 0:
         raise ValueError("expected a sequence with frames, got none")
-    if num_threads is not None and num_threads < 1:
-        raise ValueError(f"num_threads must be at least 1, or None, got {num_threads}")
+    check_num_threads(num_threads)
     settings = settings or FitSettings()
     settings.check(sequence.camera)
     if len({camera.noise is None for camera in sequence.cameras}) > 1:

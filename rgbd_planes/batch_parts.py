@@ -49,7 +49,7 @@ class FitSettings:
         """Number of tiles of a frame; 1 for segments, of which there are few."""
         if self.segments:
             return 1
-        height, width = check_tile(self.tile, camera)
+        height, width = check_tile(self.tile, camera.shape)
         return len(tile_sizes(camera.height, height)) * len(tile_sizes(camera.width, width))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
+from rgbd_planes.checks import number, numbers
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import write_beside
 from rgbd_planes.noise import NoiseModel
@@ -47,7 +48,7 @@ class Camera:
     disparity : (scale, offset), optional
         For disparity images: 1/Z = scale * raw + offset, in 1/m. Either this or `depth_scale`, not both.
     depth_range : (nearest, farthest), optional
-        Depths in metres that are measurements, both included.
+        Depths in metres that are measurements, both included; infinity for no farthest.
     invalid_values : sequence of float
         Raw values that mean "no measurement", besides 0, negative, NaN and infinite depths.
     noise : NoiseModel, optional
@@ -82,12 +83,14 @@ class Camera:
         for name in ("width", "height"):
             self._set(name, _size(name, getattr(self, name)))
         for name in ("fx", "fy", "cx", "cy"):
-            self._set(name, _number(name, getattr(self, name)))
+            self._set(name, number(name, getattr(self, name)))
         for name in ("fx", "fy"):
             if getattr(self, name) == 0:
                 raise ValueError(f"expected {name} in pixels, not 0, got {getattr(self, name)!r}")
-        self._set("distortion", _numbers("distortion", self.distortion))
-        self._set("invalid_values", _numbers("invalid_values", self.invalid_values, finite=False))
+        self._set("distortion", numbers("distortion", self.distortion))
+        invalid = numbers("invalid_values", self.invalid_values, finite=False)
+        # The others are never measurements; NaN would make a camera differ from its own copy.
+        self._set("invalid_values", tuple(value for value in invalid if math.isfinite(value)))
         if self.noise is not None and not isinstance(self.noise, NoiseModel):
             raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
         self._check_distortion()
@@ -112,7 +115,7 @@ class Camera:
 
     def _check_depth(self) -> None:
         if self.depth_scale is not None:
-            self._set("depth_scale", _number("depth_scale", self.depth_scale))
+            self._set("depth_scale", number("depth_scale", self.depth_scale))
             if not self.depth_scale > 0:
                 raise ValueError(f"expected depth_scale > 0 (raw units per metre), got {self.depth_scale!r}")
             if self.depth_scale < 1:
@@ -126,14 +129,14 @@ class Camera:
                     f"expected depth_scale or disparity, got both: depth_scale={self.depth_scale!r}, "
                     f"disparity={self.disparity!r}"
                 )
-            pair = _numbers("disparity", self.disparity)
+            pair = numbers("disparity", self.disparity)
             if len(pair) != 2 or pair[0] == 0:
                 raise ValueError(
                     f"expected disparity as (scale, offset), scale not 0, got {self.disparity!r}"
                 )
             self._set("disparity", pair)
         if self.depth_range is not None:
-            pair = _numbers("depth_range", self.depth_range, finite=False)
+            pair = numbers("depth_range", self.depth_range, finite=False)
             if len(pair) != 2 or not 0 <= pair[0] < pair[1]:
                 raise ValueError(
                     f"expected depth_range as (nearest, farthest) in metres, 0 <= nearest < farthest, "
@@ -288,7 +291,7 @@ class Camera:
         if self.disparity is not None:
             made["disparity"] = {"scale": self.disparity[0], "offset": self.disparity[1]}
         if self.depth_range is not None:
-            made["depth_range"] = list(self.depth_range)
+            made["depth_range"] = [depth if math.isfinite(depth) else None for depth in self.depth_range]
         return made
 
     @classmethod
@@ -324,6 +327,8 @@ class Camera:
                     f"expected disparity with the keys scale, offset, got {', '.join(map(str, disparity))}"
                 )
             made["disparity"] = (disparity["scale"], disparity["offset"])
+        if isinstance(made.get("depth_range"), Sequence):
+            made["depth_range"] = [math.inf if depth is None else depth for depth in made["depth_range"]]
         return cls(**made)
 
     @classmethod
@@ -442,21 +447,3 @@ def _size(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise ValueError(f"expected {name} as a whole number of pixels, at least 1, got {value!r}")
     return int(value)
-
-
-def _number(name: str, value: Any, *, finite: bool = True) -> float:
-    if isinstance(value, (bool, str, bytes)):
-        raise TypeError(f"expected {name} as a number, got {value!r}")
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"expected {name} as a number, got {value!r}") from None
-    if finite and not math.isfinite(number):
-        raise ValueError(f"expected {name} as a finite number, got {value!r}")
-    return number
-
-
-def _numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:
-    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)):
-        raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
-    return tuple(_number(name, value, finite=finite) for value in values)

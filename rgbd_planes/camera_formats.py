@@ -37,7 +37,7 @@ def from_opencv(
     camera_matrix: ArrayLike, distortion: ArrayLike | None, size: tuple[int, int], pixel_center: float
 ) -> dict[str, Any]:
     matrix = _matrix("camera_matrix", camera_matrix)
-    if len(size) != 2:
+    if np.shape(size) != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
     coefficients = [] if distortion is None else np.asarray(distortion, np.float64).ravel().tolist()
     return {

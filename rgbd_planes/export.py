@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera
 from rgbd_planes.colours import normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
@@ -154,8 +155,14 @@ def write_ply(
     body = vertices.tobytes()
     if faces is not None:
         corners = np.asarray(faces)
-        if corners.ndim != 2 or corners.shape[1] < 3 or (corners.size and corners.max() >= len(xyz)):
-            raise ValueError(f"faces must be (F, K) numbers of {len(xyz)} points, got {corners.shape}")
+        if corners.ndim != 2 or corners.shape[1] < 3 or corners.dtype.kind not in "iu":
+            raise ValueError(
+                f"faces must be (F, K) integers, K at least 3, got {corners.shape} of {corners.dtype}"
+            )
+        if corners.size and not 0 <= corners.min() <= corners.max() < len(xyz):
+            raise ValueError(
+                f"faces must be numbers of points, 0 to {len(xyz) - 1}, got {corners.min()} to {corners.max()}"
+            )
         polygons = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", corners.shape[1])])
         polygons["count"], polygons["corners"] = corners.shape[1], corners
         header += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
@@ -208,6 +215,7 @@ def points_to_open3d(depth: ArrayLike, camera: Camera) -> "open3d.geometry.Point
     """
     with needs("open3d", None):
         import open3d
+    check_camera(camera)
     points = camera.points(depth).reshape(-1, 3)
     return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[np.isfinite(points[:, 2])]))
 
@@ -230,6 +238,7 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> 
         header and coefficients, of each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d].
         The fields of ROS 1 and 2, but for the ``seq`` of ROS 1's header.
     """
+    _check_one_frame(tiles)
     return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)
 
 
@@ -282,6 +291,7 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: f
     dict
         Fields x, y, z of float32; NaN where the depth is missing.
     """
+    check_camera(camera)
     points = camera.points(depth).astype("<f4")
     height, width, _ = points.shape
     return {

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import number
 from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
 
@@ -137,7 +138,7 @@ class Assessment:
     """
 
     def __init__(self, camera: Camera, method: str, significance: float | None, largest: int) -> None:
-        if significance is not None and not 0.0 <= significance < 1.0:
+        if significance is not None and not 0.0 <= number("significance", significance, finite=False) < 1.0:
             raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
         if significance is not None and camera.noise is None:
             raise ValueError(

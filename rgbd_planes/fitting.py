@@ -20,27 +20,6 @@ METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_im
 RESULTS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
 
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """Raise ValueError unless ``value`` is one of ``choices``."""
-    if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
-
-
-def check_share(name: str, value: float) -> None:
-    """Raise ValueError unless ``value`` is between 0 and 1."""
-    if not 0.0 <= value <= 1.0:
-        raise ValueError(f"{name} must be between 0 and 1, got {value!r}")
-
-
-def check_error(max_error: float | None) -> float:
-    """Return the largest permitted residual in metres: infinity for None."""
-    if max_error is None:
-        return np.inf
-    if not max_error > 0.0:
-        raise ValueError(f"max_error must be a positive length in metres, or None, got {max_error!r}")
-    return float(max_error)
-
-
 def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np.float64]:
     """Return how many valid pixels a tile of so many pixels needs: at least three."""
     # The small term keeps a share such as 0.3 of 10 pixels, 3.0000000000000004 or so, what it says it is.

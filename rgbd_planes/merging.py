@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
-from rgbd_planes.kernels import statistics
+from rgbd_planes.kernels import merging
 from rgbd_planes.plane_fits import PlaneFits, allocate
 
 
@@ -34,8 +34,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     fits : TilePlanes, WindowPlanes or MergedPlanes
         Of one frame. Pixels that overlapping windows share count twice.
     labels : array_like of int
-        Of the shape of ``fits``: 0 for none, 1..N. Tiles without a plane of their own, but with valid pixels,
-        are merged as well.
+        Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result. Tiles without a plane
+        of their own, but with valid pixels, are merged as well.
     significance : float, optional
         As in `TileFitter`: unions with a larger residual get ROUGH.
 
@@ -49,6 +49,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     TypeError, ValueError
         The labels are not integers of this shape, or ``fits`` are those of a batch: merge ``fits[i]``.
     """
+    if not isinstance(fits, PlaneFits):
+        raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
     array = np.asarray(labels)
     if array.dtype.kind not in "iu":
         raise TypeError(f"labels must be integers, got dtype {array.dtype}")
@@ -58,15 +60,18 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         )
     if array.shape != fits.shape:
         raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}")
-    if array.size and array.min() < 0:
-        raise ValueError(f"labels must be 0 or more, got {array.min()}")
+    largest_label = np.iinfo(np.int32).max
+    if array.size and not 0 <= array.min() <= array.max() <= largest_label:
+        raise ValueError(f"labels must be 0 to {largest_label}, got {array.min()} to {array.max()}")
     flat = np.ascontiguousarray(array, np.int32).ravel()
     count = int(flat.max(initial=0))
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
 
     arrays = allocate((), (count,))
     arrays["_reference"][:] = _means(moments, reference, flat, count)
-    statistics.add_moments(moments, reference, flat, arrays["_moments"], arrays["_reference"])
+    merging.merge_by_label(
+        moments[:, None], reference[:, None], flat, arrays["_moments"][:, None], arrays["_reference"][:, None]
+    )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
     largest = int(arrays["valid_count"].max(initial=0))
     Assessment(fits.camera, fits.method, significance, largest)(arrays)

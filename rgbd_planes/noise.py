@@ -81,6 +81,8 @@ class NoiseModel:
         coefficients = tuple(float(c) for c in self.coefficients)
         if not 1 <= len(coefficients) <= 3 or not np.isfinite(coefficients).all():
             raise ValueError(f"expected 1 to 3 finite coefficients, got {self.coefficients!r}")
+        if max(coefficients) < 0.0:
+            raise ValueError(f"expected a standard deviation that is not negative, got {self.coefficients!r}")
         object.__setattr__(self, "coefficients", coefficients)
         if self.samples is not None:
             samples = np.array(self.samples, np.float64)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.merging import merge
 from rgbd_planes.noise import NoiseModel, quantised, table
@@ -123,6 +124,9 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     -----
     Surfaces that are not flat but everywhere as smooth as a plane (a curtain, a lawn) count as noise.
     """
+    check_camera(camera)
+    if not hasattr(frames, "__len__"):
+        raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
     opened: list[Any] = [frames] if len(frames) and np.ndim(frames[0]) == 1 else list(frames)
     if not opened:
         raise ValueError("expected at least one frame, got none")

@@ -70,6 +70,10 @@ class PlaneFits:
     _moments: Float
     _reference: Float
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Without the statistics: in a copy, what is shown would no longer be what a fit writes.
+        return {name: value for name, value in self.__dict__.items() if name != "_made"}
+
     @property
     def shape(self) -> tuple[int, ...]:
         """Leading shape of the arrays."""

@@ -9,6 +9,7 @@ from rgbd_planes.depth import as_depth_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from rgbd_planes.segmentation_result import Segmentation
 
@@ -60,32 +61,33 @@ def _relief(inverse_depth: Floats, sigma: float) -> Floats:
 
 
 def plot_segments(
-    segmentation: "Segmentation", depth: ArrayLike | None = None, axes: "Axes | None" = None
-) -> "Axes":
+    segmentation: "Segmentation", depth: ArrayLike | None = None, figure: "Figure | None" = None
+) -> "Figure":
     """Draw a segmentation.
 
     Parameters
     ----------
     depth : (H, W) array_like, optional
         The frame that was segmented, for its relief.
-    axes : matplotlib Axes, optional
-        Drawn into; those of a new figure by default.
+    figure : matplotlib Figure or SubFigure, optional
+        Drawn into; a new one by default, which `savefig` writes and a notebook shows.
 
     Returns
     -------
-    matplotlib Axes
+    matplotlib Figure or SubFigure
     """
-    height, width = segmentation.labels.shape
-    if axes is None:
-        from matplotlib.figure import Figure
+    from rgbd_planes.plotting import NotebookFigure
 
-        axes = Figure((8.0, 8.0 * height / width + 0.4), layout="constrained").add_subplot()
+    height, width = segmentation.labels.shape
+    if figure is None:
+        figure = NotebookFigure((8.0, 8.0 * height / width + 0.4), layout="constrained")
+    axes = figure.add_subplot()
     axes.imshow(label_image(segmentation, depth), interpolation="nearest")
     _write_numbers(segmentation, axes)
     axes.set_title(f"{len(segmentation)} planes, {segmentation.share:.0%} of the measured pixels")
     axes.set_xticks([])
     axes.set_yticks([])
-    return axes
+    return figure
 
 
 def _write_numbers(segmentation: "Segmentation", axes: "Axes") -> None:

@@ -5,15 +5,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.checks import check_camera, number
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.scenes import KINECT_NOISE
+from rgbd_planes.noise import KINECT_V1
 
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
 
 
 def measurement_noise(
-    depth: npt.ArrayLike, camera: "Camera", sigma_inverse_depth: float = KINECT_NOISE
+    depth: npt.ArrayLike, camera: "Camera", sigma_inverse_depth: float = KINECT_V1
 ) -> npt.NDArray[np.float64]:
     """Standard deviations of X, Y and Z of each pixel's point.
 
@@ -42,7 +43,8 @@ def measurement_noise(
     Khoshelham and Oude Elberink 2012, lens distortion included. The three are one error along the ray, seen
     from three sides: fully correlated, and constant in 1/Z.
     """
-    if not 0.0 <= sigma_inverse_depth < np.inf:
+    check_camera(camera)
+    if not 0.0 <= number("sigma_inverse_depth", sigma_inverse_depth, finite=False) < np.inf:
         raise ValueError(
             f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}"
         )

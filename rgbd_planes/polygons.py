@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import number
+from rgbd_planes.extras import needs
 from rgbd_planes.segmentation_result import Segmentation
 
 if TYPE_CHECKING:
@@ -125,19 +127,18 @@ def plane_polygons(
 
     Raises
     ------
-    ImportError
+    ModuleNotFoundError
         shapely is not installed.
-    ValueError
-        `tolerance` or `min_part` is negative.
+    TypeError, ValueError
+        For an argument that cannot be used: a `tolerance` or a `min_part` that is negative.
     """
-    if not tolerance >= 0.0:
-        raise ValueError(f"tolerance must not be negative, in pixels, got {tolerance!r}")
-    if not min_part >= 0.0:
-        raise ValueError(f"min_part must not be negative, in pixels, got {min_part!r}")
-    try:
+    if not isinstance(segmentation, Segmentation):
+        raise TypeError(f"expected a Segmentation, got {type(segmentation).__name__}")
+    for name, pixels in (("tolerance", tolerance), ("min_part", min_part)):
+        if not number(name, pixels, finite=False) >= 0.0:
+            raise ValueError(f"{name} must not be negative, in pixels, got {pixels!r}")
+    with needs("shapely", "polygons"):
         import shapely  # noqa: F401
-    except ImportError as error:
-        raise ImportError("polygons need shapely: pip install rgbd-planes[polygons]") from error
 
     boxes = _boxes(segmentation.labels, len(segmentation))
     return [

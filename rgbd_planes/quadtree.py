@@ -8,19 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.fitting import (
-    METHODS,
-    Arrays,
-    WindowMoments,
-    check_choice,
-    check_error,
-    check_share,
-    solve_planes,
-    valid_needed,
-)
-from rgbd_planes.kernels import quadtree
+from rgbd_planes.fitting import METHODS, Arrays, WindowMoments, solve_planes, valid_needed
+from rgbd_planes.kernels.merging import merge_by_four
+from rgbd_planes.merging import merge
 from rgbd_planes.plane_fits import TileStatus, allocate
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.windows import WindowPlanes
@@ -117,13 +110,12 @@ class QuadtreeFitter:
         *,
         implementation: str = "direct",
     ) -> None:
-        if not isinstance(camera, Camera):
-            raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+        check_camera(camera)
         check_choice("method", method, METHODS)
         check_choice("implementation", implementation, ("direct", "integral"))
         check_share("max_missing", max_missing)
-        if max_subdivisions < 0:
-            raise ValueError(f"max_subdivisions must be 0 or more, got {max_subdivisions}")
+        check_whole("tile", tile, 2, "whole number of pixels")
+        check_whole("max_subdivisions", max_subdivisions, 0)
         finest = tile // 2**max_subdivisions
         if finest < 2 or finest * 2**max_subdivisions != tile:
             raise ValueError(
@@ -213,7 +205,7 @@ class QuadtreeFitter:
         levels = [(finest._moments, finest._reference)]
         for size in self._sizes[-2::-1]:
             wider = np.empty((10, *self._grid(size))), np.empty((3, *self._grid(size)))
-            quadtree.merge_by_four(*levels[-1], *wider)
+            merge_by_four(*levels[-1], *wider)
             levels.append(wider)
         levels.reverse()
 
@@ -280,11 +272,11 @@ def segment_quadtree(
 
     Papadakis and Willis 2017, section "Planar Segmentation Application".
     """
-    if clusters < 1:
-        raise ValueError(f"clusters must be at least 1, got {clusters}")
+    check_whole("clusters", clusters, 1)
+    check_whole("seed", seed, 0)
     elements = QuadtreeFitter(camera, method, tile, max_subdivisions, max_error, max_missing).fit(depth)
     element_labels = _cluster(elements, clusters, seed)
-    return QuadtreeSegmentation(elements, element_labels, _cluster_planes(elements, element_labels))
+    return QuadtreeSegmentation(elements, element_labels, merge(elements, element_labels).planes)
 
 
 def _cluster(elements: QuadtreePlanes, clusters: int, seed: int) -> npt.NDArray[np.int32]:
@@ -319,19 +311,3 @@ def _centre_depth(elements: QuadtreePlanes) -> npt.NDArray[np.float64]:
     middle = row + height // 2, column + width // 2
     rays = np.stack([elements.camera.tan_x[middle], elements.camera.tan_y[middle], np.ones(len(row))])
     return np.asarray(1.0 / np.einsum("ki,ik->k", elements.alpha, rays))
-
-
-def _cluster_planes(elements: QuadtreePlanes, labels: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-    """(N, 4) planes through all pixels of each cluster, from the elements' moments."""
-    count = int(labels.max(initial=0))
-    arrays = allocate((), (count,))
-    # Any element's reference will do as its cluster's.
-    _, first = np.unique(labels, return_index=True)
-    arrays["_reference"][:] = elements._reference[:, first[len(first) - count :]]
-    arrays["_moments"][:] = 0.0
-    quadtree.merge_by_label(
-        elements._moments[:, None], elements._reference[:, None], labels,
-        arrays["_moments"][:, None], arrays["_reference"][:, None],
-    )  # fmt: skip
-    solve_planes(elements.method, arrays, np.full(count, 3.0), np.inf, 0, count)
-    return np.asarray(arrays["planes"])

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_share, number
+from rgbd_planes.noise import KINECT_V1
+from rgbd_planes.tile_grid import common_labels
 
 Floats = NDArray[np.float64]
-
-KINECT_NOISE = 1.425e-3
-"""Standard deviation of a Kinect v1's inverse depth in 1/m: sigma_Z = 1.425e-3 Z² (eq. noise_models)."""
 
 KINECT_BASELINE = 0.075
 """Metres from a Kinect v1's infrared camera to its projector (Khoshelham and Oude Elberink 2012)."""
@@ -74,6 +74,7 @@ class Scene:
         Rendering
             Its labels count the surfaces that at least one pixel sees, in the order of the scene.
         """
+        check_camera(camera)
         rays = np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1).reshape(-1, 3)
         nearest = np.zeros(len(rays))  # inverse depth: 0 is infinitely far, so the largest is the nearest
         seen = np.full(len(rays), -1)
@@ -133,7 +134,7 @@ class Rendering:
     def measure(
         self,
         *,
-        noise: float = KINECT_NOISE,
+        noise: float = KINECT_V1,
         holes: float = 0.0,
         patches: float = 0.0,
         baseline: float = 0.0,
@@ -171,11 +172,10 @@ class Rendering:
             A share outside 0..1, a negative noise, or, for `quantise`, a camera without units or (disparity)
             without a raw value that means missing.
         """
-        if not noise >= 0.0:
+        if not number("noise", noise) >= 0.0:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
-        for name, share in (("holes", holes), ("patches", patches)):
-            if not 0.0 <= share <= 1.0:
-                raise ValueError(f"{name} must be a share between 0 and 1, got {share}")
+        check_share("holes", holes)
+        check_share("patches", patches)
         generator = np.random.default_rng(seed)
         shape = self.depth.shape
         # Always drawn, in this order, so that asking for holes leaves the noise of a seed as it was.
@@ -190,23 +190,12 @@ class Rendering:
         depth[missing] = np.nan
         return _to_raw(depth, self.camera) if quantise else depth
 
-    def tile_labels(self, tile: tuple[int, int]) -> NDArray[np.int32]:
-        """The plane that each tile sees, 0 where a tile sees more than one, or none.
+    def tile_labels(self, tile: int | tuple[int, int]) -> NDArray[np.int32]:
+        """(R, C) int32: the plane that all pixels of each tile of a grid see, 0 where they do not.
 
-        Parameters
-        ----------
-        tile : (height, width)
-            In pixels. The last row and column of tiles may be smaller.
-
-        Returns
-        -------
-        (R, C) int32
+        ``tile`` is that of `fit_tiles`.
         """
-        rows = np.arange(0, self.camera.height, tile[0])
-        columns = np.arange(0, self.camera.width, tile[1])
-        lowest = np.minimum.reduceat(np.minimum.reduceat(self.labels, rows, axis=0), columns, axis=1)
-        highest = np.maximum.reduceat(np.maximum.reduceat(self.labels, rows, axis=0), columns, axis=1)
-        return np.where(lowest == highest, lowest, 0).astype(np.int32)
+        return common_labels(self.labels, self.labels, tile)
 
 
 def plane(normal: ArrayLike, distance: float) -> Scene:

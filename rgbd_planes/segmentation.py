@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.kernels import (
@@ -99,8 +100,8 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     anew to the pixels they own, and this is done again until it has settled. The same bits come out for
     the same frame, always.
     """
-    if min_size < 3:
-        raise ValueError(f"min_size must be at least 3 pixels, got {min_size}")
+    check_camera(camera)
+    check_whole("min_size", min_size, 3, "whole number of pixels")
     frame = as_depth_frame(depth, camera)
     given = camera.noise if noise is None else noise
     sigma, lateral = _as_function(given), float(getattr(given, "lateral", 0.0))
@@ -112,11 +113,11 @@ def _as_function(noise: Any) -> Callable[[Floats], Floats] | None:
     sigma = getattr(noise, "sigma", noise)  # of a noise model
     if sigma is None or callable(sigma):
         return sigma  # type: ignore[no-any-return]
-    if isinstance(noise, int | float):
-        if not 0.0 < noise < np.inf:
-            raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
-        return lambda q: np.full_like(q, noise)
-    raise TypeError(f"noise must be a number in 1/m, a function of inverse depth or None, got {noise!r}")
+    if not isinstance(noise, (int, float, np.number)):
+        raise TypeError(f"noise must be a number in 1/m, a function of inverse depth or None, got {noise!r}")
+    if isinstance(noise, bool) or not 0.0 < noise < np.inf:
+        raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
+    return lambda q: np.full_like(q, noise)
 
 
 def segment_frame(

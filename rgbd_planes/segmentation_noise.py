@@ -104,6 +104,8 @@ def estimate(
         table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
     else:
         table = np.broadcast_to(np.asarray(sigma(q), dtype=np.float64), q.shape)
+        if not (table[1:] >= 0.0).all():  # where q = 0 no function need be defined
+            raise ValueError(f"expected noise of 0 or more at all inverse depths, got {table.tolist()}")
     return FrameNoise(
         np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]),
         lateral or own_lateral,

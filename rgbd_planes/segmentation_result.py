@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.tile_grid import common_labels
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
@@ -125,18 +126,13 @@ class Segmentation:
         np.divide(1.0, q, out=depth, where=q > 0.0)
         return depth
 
-    def tile_labels(self, tile: tuple[int, int]) -> NDArray[np.int32]:
+    def tile_labels(self, tile: int | tuple[int, int]) -> NDArray[np.int32]:
         """(R, C) int32: the plane that all measured pixels of each tile of a grid lie on, 0 where they do not.
 
-        ``tile`` is (height, width) in pixels; the tiles are those of `fit_tiles`.
+        ``tile`` is that of `fit_tiles`.
         """
-        edges = [np.arange(0, length, step) for length, step in zip(self.labels.shape, tile, strict=True)]
         missing = self.reason == Reason.MISSING
-        lowest, highest = np.where(missing, len(self) + 1, self.labels), self.labels
-        for axis, edge in enumerate(edges):
-            lowest = np.minimum.reduceat(lowest, edge, axis=axis)
-            highest = np.maximum.reduceat(highest, edge, axis=axis)
-        return np.where(lowest == highest, highest, 0).astype(np.int32)
+        return common_labels(np.where(missing, len(self) + 1, self.labels), self.labels, tile)
 
     def labels_from_minus_one(self) -> NDArray[np.int32]:
         """(H, W) int32: labels 0..N-1, -1 for none, as deplex and clustering libraries have them."""
@@ -156,8 +152,16 @@ class Segmentation:
             )
         return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
 
-    def plot(self, depth: ArrayLike | None = None, axes: "Axes | None" = None) -> "Axes":
-        """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`."""
+    def plot(self, depth: ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
+        """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like, optional
+            The frame that was segmented, for its relief.
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
         from rgbd_planes.plotting_segments import plot_segments
 
-        return plot_segments(self, depth, axes)
+        return plot_segments(self, depth, figure)

@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_num_threads, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.fitting import check_share
 from rgbd_planes.kernels import dense
 from rgbd_planes.kernels.sliding import BAND
-from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
+from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
 Floats = npt.NDArray[np.float32]
 
@@ -113,8 +113,7 @@ def _surfaces(
     normals_only: bool,
 ) -> tuple[Floats, Floats]:
     """Return normals and surface variation, the latter empty for ``normals_only`` when that is quicker."""
-    if not isinstance(camera, Camera):
-        raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+    check_camera(camera)
     _check_window(window)
     check_share("max_missing", max_missing)
     check_num_threads(num_threads)
@@ -162,9 +161,8 @@ def _surfaces(
 
 
 def _check_window(window: int) -> None:
-    if isinstance(window, bool) or not isinstance(window, (int, np.integer)):
-        raise TypeError(f"window must be a whole number of pixels, got {window!r}")
-    if not 3 <= window <= 31 or window % 2 == 0:
+    check_whole("window", window, 3, "whole number of pixels")
+    if window > 31 or window % 2 == 0:
         raise ValueError(f"window must be odd, from 3 to 31 pixels, got {window}")
 
 

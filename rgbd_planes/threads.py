@@ -27,12 +27,6 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 os.register_at_fork(after_in_child=_pool.cache_clear) if hasattr(os, "register_at_fork") else None
 
 
-def check_num_threads(num_threads: int | None) -> None:
-    """Raise ValueError unless ``num_threads`` is None or at least 1."""
-    if num_threads is not None and num_threads < 1:
-        raise ValueError(f"num_threads must be at least 1, or None, got {num_threads}")
-
-
 def choose_num_threads(num_threads: int | None, pixels: int) -> int:
     """Return the number of threads to use: as asked for, or as many as ``pixels`` of work pay for."""
     if num_threads is not None:

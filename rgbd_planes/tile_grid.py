@@ -10,20 +10,33 @@ from rgbd_planes.compilation import announced
 from rgbd_planes.kernels.camera_terms import full_tile_moments
 
 
-def check_tile(tile: int | tuple[int, int], camera: Camera) -> tuple[int, int]:
-    """Return the tile's (height, width)."""
+def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int, int]:
+    """Return the tile's (height, width), that of tiles of a frame of (height, width)."""
     sides = (tile, tile) if isinstance(tile, (int, np.integer)) else tuple(np.atleast_1d(tile))
     if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
         raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
     height, width = int(sides[0]), int(sides[1])
     if height < 2 or width < 2:
         raise ValueError(f"tile must be at least 2 x 2 pixels, got {tile!r}")
-    if height > camera.height or width > camera.width:
+    if height > frame[0] or width > frame[1]:
         raise ValueError(
-            f"tile must fit into the frame of {camera.height} x {camera.width} pixels (height x width), "
-            f"got {tile!r}"
+            f"tile must fit into the frame of {frame[0]} x {frame[1]} pixels (height x width), got {tile!r}"
         )
     return height, width
+
+
+def common_labels(
+    lowest: npt.NDArray[np.int32], highest: npt.NDArray[np.int32], tile: int | tuple[int, int]
+) -> npt.NDArray[np.int32]:
+    """(R, C) int32: the label of each tile whose least one is its largest one, 0 for the others.
+
+    ``lowest`` and ``highest`` are (H, W): of each pixel the label that counts for the least and for the largest.
+    """
+    for axis, (length, size) in enumerate(zip(lowest.shape, check_tile(tile, lowest.shape), strict=True)):
+        starts = np.arange(0, length, size)
+        lowest = np.minimum.reduceat(lowest, starts, axis=axis)
+        highest = np.maximum.reduceat(highest, starts, axis=axis)
+    return np.where(lowest == highest, highest, 0).astype(np.int32)
 
 
 def tile_sizes(length: int, tile: int) -> npt.NDArray[np.int64]:

@@ -2,6 +2,8 @@
 
 import json
 import os
+import zipfile
+import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -138,12 +140,19 @@ class TilePlanes(PlaneFits):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `save` wrote."""
-        with np.load(path, allow_pickle=False) as file:
-            if "about" not in file:
-                raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}")
-            about = json.loads(str(file["about"]))
-            arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
+        """Read a file that `save` wrote.
+
+        Raises
+        ------
+        OSError, ValueError
+            There is none, or it is another file, or damaged.
+        """
+        try:
+            with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+                about = json.loads(str(file["about"]))
+                arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
+        except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}") from error
         height, width = about["tile"]
         return cls(
             camera=Camera.from_dict(about["camera"]),

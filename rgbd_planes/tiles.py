@@ -9,22 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
-from rgbd_planes.fitting import (
-    METHODS,
-    Arrays,
-    WindowMoments,
-    check_choice,
-    check_error,
-    check_share,
-    solve_planes,
-    valid_needed,
-)
+from rgbd_planes.fitting import METHODS, Arrays, WindowMoments, solve_planes, valid_needed
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
-from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges, submit
+from rgbd_planes.threads import choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import camera_terms, check_tile, relative_rays, tile_sizes, tile_windows
 from rgbd_planes.tile_planes import ARRAYS, TilePlanes
 
@@ -76,14 +68,13 @@ class TileFitter:
         significance: float | None = None,
         num_threads: int | None = None,
     ) -> None:
-        if not isinstance(camera, Camera):
-            raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+        check_camera(camera)
         check_choice("method", method, METHODS)
         check_choice("implementation", implementation, IMPLEMENTATIONS)
         check_share("max_missing", max_missing)
         check_num_threads(num_threads)
         self.camera = camera
-        self.tile = check_tile(tile, camera)
+        self.tile = check_tile(tile, camera.shape)
         self.method = method
         self.implementation = implementation
         self._max_error = check_error(max_error)
@@ -151,6 +142,10 @@ class TileFitter:
         TilePlanes
             Arrays of shape (F, R, C, ...).
         """
+        if not hasattr(frames, "__len__"):
+            raise TypeError(
+                f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any"
+            )
         if len(frames) == 0:
             raise ValueError("expected at least one frame, got none")
         arrays = self._arrays((len(frames),), out)
@@ -208,7 +203,8 @@ class TileFitter:
             return allocate(frames, self._grid)
         shape = frames + self._grid
         if (
-            out.shape != shape
+            not isinstance(out, TilePlanes)
+            or out.shape != shape
             or out.tile != self.tile
             or out.camera is not self.camera
             or out.method != self.method

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_whole
 from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation import SMALLEST, segment
 from rgbd_planes.segmentation_result import Segmentation
@@ -71,8 +72,8 @@ def segment_sequence(
     iterator of TrackedSegmentation
         One for each frame, made when it is asked for.
     """
-    if memory < 0:
-        raise ValueError(f"memory must be a number of frames, 0 or more, got {memory}")
+    check_camera(camera)
+    check_whole("memory", memory, 0, "whole number of frames")
     tracker = Tracker(camera, memory)
     return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in frames)
 

@@ -1,12 +1,16 @@
 """Compile the kernels before they are needed."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.fitting import METHODS, check_choice
+from rgbd_planes.checks import check_camera, check_choice
+from rgbd_planes.fitting import METHODS
 from rgbd_planes.tiles import TileFitter
+
+DType = str | type | np.dtype[Any]
 
 # Coefficients that bend a ray a little, for the kernels of cameras with lens distortion.
 _DISTORTION = (1e-3, 0.0, 0.0, 0.0, 0.0)
@@ -15,7 +19,7 @@ _DISTORTION = (1e-3, 0.0, 0.0, 0.0, 0.0)
 def warmup(
     camera: Camera | None = None,
     methods: str | Sequence[str] = "range_explicit",
-    dtypes: str | Sequence[str] = ("uint16", "float32"),
+    dtypes: DType | Sequence[DType] = ("uint16", "float32"),
 ) -> None:
     """Compile what fits tiles, or load it from the cache, so that the first frame is as fast as the next.
 
@@ -24,21 +28,21 @@ def warmup(
     Parameters
     ----------
     camera : Camera, optional
-        Kernels differ for cameras with and without lens distortion, and for depth and disparity images;
-        without a camera it is depth without distortion.
+        Kernels differ for cameras with and without lens distortion, for depth and disparity images, and with a
+        noise model there is one more; without a camera it is depth without distortion.
     methods : str or sequence of str
         See `TileFitter`.
-    dtypes : str or sequence of str
+    dtypes : dtype or sequence of dtypes
         Of the frames to come.
     """
-    distorted = camera is not None and camera.is_distorted
-    disparity = None if camera is None else camera.disparity
+    given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
+    check_camera(given)
     small = Camera(
-        8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if distorted else (),
-        depth_scale=1000.0 if disparity is None else None, disparity=disparity,
+        8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
+        depth_scale=1000.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
     )  # fmt: skip
     for method in [methods] if isinstance(methods, str) else methods:
         check_choice("method", method, METHODS)
         fitter = TileFitter(small, 4, method, num_threads=1)
-        for dtype in [dtypes] if isinstance(dtypes, str) else dtypes:
+        for dtype in [dtypes] if isinstance(dtypes, (str, type, np.dtype)) else dtypes:
             fitter.fit(np.ones(small.shape, dtype))

@@ -7,20 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
-from rgbd_planes.fitting import (
-    METHODS,
-    WindowMoments,
-    check_choice,
-    check_error,
-    check_share,
-    solve_planes,
-    valid_needed,
-)
+from rgbd_planes.fitting import METHODS, WindowMoments, solve_planes, valid_needed
 from rgbd_planes.plane_fits import PlaneFits, allocate
-from rgbd_planes.threads import check_num_threads, choose_num_threads, run_in_ranges
+from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,8 +97,7 @@ def fit_windows(
     WindowPlanes
         Arrays of shape (K, ...).
     """
-    if not isinstance(camera, Camera):
-        raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+    check_camera(camera)
     check_choice("method", method, METHODS)
     check_choice("implementation", implementation, ("integral", "naive"))
     check_share("max_missing", max_missing)

@@ -1,5 +1,8 @@
 """What a result shows, saves and turns into."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from test_tiles import make_camera, make_depth, make_holes
@@ -33,10 +36,32 @@ def test_save_and_load(tiles, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["planes.npz"]
 
 
-def test_load_of_something_else(tmp_path):
+def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "other.npz", a=np.ones(3))
-    with pytest.raises(ValueError, match=r"TilePlanes.save wrote, got .*other.npz"):
-        rp.TilePlanes.load(tmp_path / "other.npz")
+    np.save(tmp_path / "other.npy", np.ones(3))
+    (tmp_path / "other.txt").write_text("nothing")
+    tiles.save(tmp_path / "planes.npz")
+    (tmp_path / "half.npz").write_bytes((tmp_path / "planes.npz").read_bytes()[:4000])
+    for name in ("other.npz", "other.npy", "other.txt", "half.npz"):
+        with pytest.raises(ValueError, match=rf"TilePlanes.save wrote, got .*{name}"):
+            rp.TilePlanes.load(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda tiles: pickle.loads(pickle.dumps(tiles))]
+)
+def test_a_copy_is_a_result_like_any_other(copied, rng):
+    """Also to fit into, statistics included."""
+    camera = make_camera(noise=rp.noise.kinect_v1())
+    first, second = make_depth(camera, rng), make_depth(camera, rng)
+    tiles = rp.fit_tiles(first, camera)
+    before = tiles.p_value.copy()
+    made = copied(tiles)
+    np.testing.assert_array_equal(made.p_value, before)
+    assert not made.p_value.flags.writeable
+    fitter = rp.TileFitter(made.camera)
+    assert fitter.fit(second, out=made) is made
+    np.testing.assert_array_equal(made.p_value, fitter.fit(second).p_value)
 
 
 def test_save_to_nowhere_leaves_nothing(tiles, tmp_path):

@@ -142,7 +142,7 @@ def test_nothing_valid_is_no_error(camera):
     [
         ({"tile": 30}, "tile must be 2\\*\\*max_subdivisions times .* got 30 for max_subdivisions 2"),
         ({"tile": 4}, "at least 2 pixels, got 4"),
-        ({"max_subdivisions": -1}, "max_subdivisions must be 0 or more, got -1"),
+        ({"max_subdivisions": -1}, "max_subdivisions must be at least 0, got -1"),
         ({"clusters": 0}, "clusters must be at least 1, got 0"),
         ({"method": "ransac"}, "method must be one of .* got 'ransac'"),
         ({"max_missing": 1.5}, "max_missing must be between 0 and 1, got 1.5"),

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import rgbd_planes as rp
 from rgbd_planes import scenes
 from rgbd_planes.camera import Camera
 
@@ -130,7 +131,7 @@ def test_look_at_puts_the_target_on_the_optical_axis_and_stays_level():
     assert pose[1, 1] > 0.0  # and its y points down
 
 
-@pytest.mark.parametrize("tile", [(8, 8), (7, 13), (48, 64), (100, 100)])
+@pytest.mark.parametrize("tile", [(8, 8), (7, 13), (48, 64)])
 def test_tile_labels_are_of_tiles_that_see_one_plane(tile):
     rendering = scenes.room().render(small_camera())
     expected = [
@@ -142,13 +143,14 @@ def test_tile_labels_are_of_tiles_that_see_one_plane(tile):
         for row in range(0, 48, tile[0])
     ]
     assert np.array_equal(rendering.tile_labels(tile), expected)
+    assert np.array_equal(rendering.tile_labels(9), rendering.tile_labels((9, 9)))
 
 
 def test_noise_is_the_papers():
     camera = small_camera(width=400, height=300, fx=525.0, fy=525.0, cx=199.5, cy=149.5)
     rendering = scenes.plane((0.3, 0.2, -1.0), 2.0).render(camera)
     measured = rendering.measure(quantise=False, seed=5)
-    standard = (measured - rendering.depth) / (scenes.KINECT_NOISE * rendering.depth**2)
+    standard = (measured - rendering.depth) / (rp.noise.KINECT_V1 * rendering.depth**2)
     count = standard.size
     assert abs(standard.mean()) < 5 / np.sqrt(count)
     assert abs(standard.std() - 1.0) < 5 / np.sqrt(2 * count)

@@ -420,6 +420,7 @@ def test_tile_labels(room):
         own = np.unique(found.labels[tile][found.reason[tile] != Reason.MISSING])
         assert tiles[row, column] == (own[0] if len(own) == 1 else 0)
     assert (tiles > 0).mean() > 0.3
+    assert np.array_equal(found.tile_labels(9), found.tile_labels((9, 9)))
 
 
 def test_labels_for_others(room):
@@ -462,7 +463,9 @@ def test_covariance_of_correlated_noise_is_honest(pixels):
 
 def test_plot_draws(room):
     found = segment(room[1], CAMERA)
-    axes = found.plot(room[1])
+    figure = found.plot(room[1])
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    (axes,) = figure.axes
     assert f"{len(found)} planes" in axes.get_title()
     assert len(axes.images) == 1
 

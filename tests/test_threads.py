@@ -129,14 +129,18 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     rp.warmup()
     rp.warmup(make_camera((0.01, 0.0, 0.0, 0.0, 0.0)), ["range_explicit", "standard_pca"], "uint16")
     rp.warmup(rp.Camera(8, 8, 8.0, 8.0, 4.0, 4.0, disparity=(-0.01, 3.0)), dtypes="uint16")
+    with_noise = make_camera(noise=rp.noise.kinect_v1())
+    rp.warmup(with_noise, dtypes=np.float32)
     with pytest.raises(ValueError, match="method must be one of"):
         rp.warmup(methods="pca")
-    from rgbd_planes.kernels import grid
+    from rgbd_planes.kernels import grid, statistics
 
-    compiled = len(grid.fit_range_tiles.signatures)
-    assert compiled >= 3
-    rp.fit_tiles(np.ones((48, 64), np.float32), make_camera())
-    assert len(grid.fit_range_tiles.signatures) == compiled
+    kernels = grid.fit_range_tiles, statistics.assess
+    compiled = [len(kernel.signatures) for kernel in kernels]
+    assert compiled[0] >= 3
+    assert compiled[1] >= 1
+    rp.fit_tiles(np.ones((48, 64), np.float32), with_noise)
+    assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 
 def test_wide_and_tall_tiles_are_counted_in_parts(rng):

@@ -80,5 +80,5 @@ def test_frames_are_read_one_at_a_time() -> None:
 
 
 def test_bad_memory() -> None:
-    with pytest.raises(ValueError, match="memory must be a number of frames"):
+    with pytest.raises(ValueError, match="memory must be at least 0, got -1"):
         segment_sequence([], CAMERA, memory=-1)

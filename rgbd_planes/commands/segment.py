@@ -53,7 +53,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         if arguments.mesh is not None:
             segmentation_export.write_polygons_ply(arguments.mesh, polygons)
         if arguments.figure is not None:
-            write_figure(found.plot(depth).figure, arguments.figure)
+            write_figure(found.plot(depth), arguments.figure)
         for path in (arguments.out, arguments.labels, arguments.points, arguments.mesh, arguments.figure):
             if path is not None:
                 print(f"Wrote {path}")

@@ -1,4 +1,4 @@
-"""From the moments of four neighbouring tiles to those of the tile that they make up."""
+"""From the moments of tiles to those of the larger tiles, or any others, that they make up."""
 
 from ._jit import kernel
 
@@ -68,16 +68,17 @@ def merge_by_four(moments, reference, wide_moments, wide_reference):
 
 @kernel()
 def merge_by_label(moments, reference, labels, wide_moments, wide_reference):
-    """Moments of all elements that share a label, label i + 1 in column i; label 0 is left out.
+    """Moments of all tiles that share a label, label i + 1 in column i; label 0 is left out.
 
     Parameters
     ----------
     moments, reference : (10, 1, K) and (3, 1, K) float64
     labels : (K,) int32
-    wide_moments : (10, 1, N) float64, zero on entry, added to
+    wide_moments : (10, 1, N) float64, written
     wide_reference : (3, 1, N) float64
         The reference points to add up about.
     """
+    wide_moments[:] = 0.0
     for i in range(labels.shape[0]):
-        if labels[i] > 0:
+        if labels[i] > 0 and moments[0, 0, i] > 0.0:
             add_moments(moments, reference, 0, i, wide_moments, wide_reference, 0, labels[i] - 1)

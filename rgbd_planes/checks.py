@@ -1,0 +1,70 @@
+"""What many doors check of an argument: it can be used, or an error says what was expected and what came."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+
+def check_camera(camera: Any) -> None:
+    """Raise TypeError unless it is a `Camera`."""
+    from rgbd_planes.camera import Camera
+
+    if not isinstance(camera, Camera):
+        raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+
+
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise ValueError unless ``value`` is one of ``choices``."""
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+
+
+def check_share(name: str, value: float) -> None:
+    """Raise TypeError or ValueError unless ``value`` is a number between 0 and 1."""
+    if not 0.0 <= number(name, value, finite=False) <= 1.0:
+        raise ValueError(f"{name} must be between 0 and 1, got {value!r}")
+
+
+def check_whole(name: str, value: int, least: int, kind: str = "whole number") -> None:
+    """Raise TypeError or ValueError unless ``value`` is a whole number of at least ``least``."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be a {kind}, got {value!r}")
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value!r}")
+
+
+def check_num_threads(num_threads: int | None) -> None:
+    """Raise TypeError or ValueError unless ``num_threads`` is None or a whole number of at least 1."""
+    if num_threads is not None:
+        check_whole("num_threads", num_threads, 1, "whole number, or None")
+
+
+def check_error(max_error: float | None) -> float:
+    """Return the largest permitted residual in metres: infinity for None."""
+    if max_error is None:
+        return math.inf
+    if not number("max_error", max_error, finite=False) > 0.0:
+        raise ValueError(f"max_error must be a positive length in metres, or None, got {max_error!r}")
+    return float(max_error)
+
+
+def number(name: str, value: Any, *, finite: bool = True) -> float:
+    """Return a number as a float."""
+    if isinstance(value, (bool, str, bytes)):
+        raise TypeError(f"expected {name} as a number, got {value!r}")
+    try:
+        made = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"expected {name} as a number, got {value!r}") from None
+    if finite and not math.isfinite(made):
+        raise ValueError(f"expected {name} as a finite number, got {value!r}")
+    return made
+
+
+def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:
+    """Return a sequence of numbers as floats."""
+    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)):
+        raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
+    return tuple(number(name, value, finite=finite) for value in values)

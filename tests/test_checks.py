@@ -1,0 +1,81 @@
+"""What cannot be used is refused at the door, with what was expected and what came."""
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes import export, metrics, noise, scenes
+
+CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
+DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda camera: rp.fit_tiles(DEPTH, camera),
+        lambda camera: rp.fit_windows(DEPTH, camera, [[0, 0, 8, 8]]),
+        lambda camera: rp.segment(DEPTH, camera),
+        lambda camera: next(rp.segment_sequence([DEPTH], camera)),
+        lambda camera: rp.segment_quadtree(DEPTH, camera),
+        lambda camera: rp.normals(DEPTH, camera),
+        lambda camera: rp.measurement_noise(DEPTH, camera),
+        lambda camera: rp.estimate_noise([DEPTH], camera),
+        lambda camera: scenes.room().render(camera),
+        lambda camera: export.to_ros_points(DEPTH, camera),
+        rp.warmup,
+    ],
+)
+def test_no_camera(use):
+    with pytest.raises(TypeError, match="expected a Camera, got ndarray"):
+        use(np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("use", "error", "message"),
+    [
+        (lambda: rp.fit_tiles(DEPTH, CAMERA, max_missing="a"), TypeError, "max_missing as a number, got 'a'"),
+        (lambda: rp.fit_tiles(DEPTH, CAMERA, max_missing=np.nan), ValueError, "between 0 and 1, got nan"),
+        (lambda: rp.fit_tiles(DEPTH, CAMERA, max_error="a"), TypeError, "max_error as a number, got 'a'"),
+        (lambda: rp.fit_tiles(DEPTH, CAMERA, significance="a"), TypeError, "significance as a number, got 'a'"),
+        (lambda: rp.fit_tiles(DEPTH, CAMERA, num_threads=1.5), TypeError, "whole number, or None, got 1.5"),
+        (lambda: rp.fit_tiles(DEPTH, CAMERA, num_threads=True), TypeError, "whole number, or None, got True"),
+        (lambda: rp.normals(DEPTH, CAMERA, num_threads=1.5), TypeError, "whole number, or None, got 1.5"),
+        (lambda: rp.TileFitter(CAMERA).fit(DEPTH, DEPTH), ValueError, "out must be a result of this fitter"),
+        (lambda: rp.TileFitter(CAMERA).fit_batch(iter([DEPTH])), TypeError, "got list_iterator: fit_stream"),
+        (lambda: rp.estimate_noise(iter([DEPTH]), CAMERA), TypeError, "sequence of frames, got list_iterator"),
+        (lambda: rp.segment(DEPTH, CAMERA, min_size=np.nan), TypeError, "whole number of pixels, got nan"),
+        (lambda: rp.segment(DEPTH, CAMERA, min_size=2), ValueError, "min_size must be at least 3, got 2"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=True), ValueError, "positive standard deviation"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=lambda q: -q), ValueError, "noise of 0 or more at all inverse"),
+        (lambda: rp.segment_sequence([], CAMERA, memory=1.5), TypeError, "whole number of frames, got 1.5"),
+        (lambda: rp.segment_quadtree(DEPTH, CAMERA, tile=32.0), TypeError, "whole number of pixels, got 32.0"),
+        (lambda: rp.segment_quadtree(DEPTH, CAMERA, clusters="a"), TypeError, "clusters must be a whole number"),
+        (lambda: rp.segment_quadtree(DEPTH, CAMERA, seed=-1), ValueError, "seed must be at least 0, got -1"),
+        (lambda: rp.merge(DEPTH, DEPTH), TypeError, "expected the planes of a fit, got ndarray"),
+        (lambda: rp.plane_polygons(DEPTH), TypeError, "expected a Segmentation, got ndarray"),
+        (lambda: rp.segment(DEPTH, CAMERA).tile_labels(0), ValueError, "at least 2 x 2 pixels, got 0"),
+        (lambda: scenes.room().render(CAMERA).measure(holes="a"), TypeError, "holes as a number, got 'a'"),
+        (lambda: rp.measurement_noise(DEPTH, CAMERA, "a"), TypeError, "sigma_inverse_depth as a number"),
+        (lambda: noise.NoiseModel((-1e-3,)), ValueError, "not negative, got"),
+        (lambda: rp.Camera.from_opencv(np.eye(3), None, 64), ValueError, "size as .width, height., got 64"),
+        (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must hold integer labels, got object"),
+    ],
+)  # fmt: skip
+def test_no_such_argument(use, error, message):
+    with pytest.raises(error, match=message):
+        use()
+
+
+def test_labels_that_int32_cannot_hold():
+    tiles = rp.fit_tiles(DEPTH, CAMERA)
+    for label in (2**31, 2**32 + 1):
+        with pytest.raises(ValueError, match=f"got {label} to {label}"):
+            rp.merge(tiles, np.full(tiles.shape, label))
+
+
+def test_faces_of_points_that_are_not_there(tmp_path):
+    for faces in ([[0, 1, 3]], [[0, 1, -1]], [[0, 1]], [[0.0, 1.0, 2.0]]):
+        with pytest.raises(ValueError, match="faces must be"):
+            export.write_ply(tmp_path / "mesh.ply", np.eye(3), faces=faces)
+    assert list(tmp_path.iterdir()) == []
