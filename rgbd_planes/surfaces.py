@@ -10,7 +10,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import dense
+from rgbd_planes.kernels import dense, window_choice
 from rgbd_planes.kernels.sliding import BAND
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
@@ -151,7 +151,7 @@ def _surfaces(
         chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
 
         def choose(start: int, stop: int) -> None:
-            dense.choose_windows(
+            window_choice.choose_windows(
                 frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, int(window) // 2, _ratio(window),
                 arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
             )  # fmt: skip

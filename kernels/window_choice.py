@@ -1,0 +1,78 @@
+"""Which window to take for a pixel: one that no edge runs through."""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+
+
+@kernel()
+def calmer(other, place, smallest, best):
+    """Take the windows of smaller variance: ``place`` counts those of ``other`` in the frame."""
+    for i in range(other.shape[0]):
+        is_calmer = other[i] < smallest[i]
+        smallest[i] = other[i] if is_calmer else smallest[i]
+        best[i] = place + i if is_calmer else best[i]
+
+
+@kernel()
+def choose_windows(
+    raw, lowest, highest, tan_x, tan_y, reach, ratio, normals, variance, variation, row_start, row_stop,
+    chosen_normals, chosen_variation,
+):  # fmt: skip
+    """Give each valid pixel its window, or one of the eight that are moved by ``reach`` but still hold it.
+
+    A moved window is taken, the one with the smallest residual variance, if its own window's is more than
+    ``ratio`` times as large: an edge runs through it. The same idea as Kuwahara's filter of means (1976).
+    At the border windows are moved less. A plane that the pixel's ray does not meet is none. Missing pixels
+    get NaN.
+
+    Parameters
+    ----------
+    tan_x, tan_y : (H, W) float64
+    normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
+        Of `dense.separable` or `dense.distorted`.
+    reach : int
+        At least 1.
+    chosen_normals, chosen_variation : (H, W, 3) and (H, W) float32, written
+    """
+    height, width = raw.shape
+    smallest = np.empty(width, np.float32)
+    best = np.empty(width, np.int64)
+    inner = max(width - 2 * reach, 0)
+    for row in range(row_start, row_stop):
+        for column in range(width):
+            own = variance[row, column]
+            # Not a number, where the pixel's own window has no plane, is larger than everything.
+            smallest[column] = own / ratio if own == own else math.inf
+            best[column] = row * width + column
+        for y in range(-reach, reach + 1, reach):
+            other_row = min(max(row + y, 0), height - 1)
+            others = variance[other_row]
+            for x in range(-reach, reach + 1, reach):
+                if inner > 0:
+                    left = reach + x
+                    calmer(
+                        others[left : left + inner], other_row * width + left,
+                        smallest[reach : reach + inner], best[reach : reach + inner],
+                    )  # fmt: skip
+                for side in range(2):
+                    start = 0 if side == 0 else max(reach, width - reach)
+                    stop = min(reach, width) if side == 0 else width
+                    for column in range(start, stop):
+                        place = min(max(column + x, 0), width - 1)
+                        calmer(
+                            others[place : place + 1], other_row * width + place,
+                            smallest[column : column + 1], best[column : column + 1],
+                        )  # fmt: skip
+        for column in range(width):
+            place = best[column]
+            a, b, c = normals[3 * place], normals[3 * place + 1], normals[3 * place + 2]
+            towards = a * tan_x[row, column] + b * tan_y[row, column] + c
+            there = (raw[row, column] >= lowest) & (raw[row, column] <= highest) & (towards < 0.0)
+            nan = np.float32(0.0 if there else math.nan)
+            chosen_normals[row, column, 0] = a + nan
+            chosen_normals[row, column, 1] = b + nan
+            chosen_normals[row, column, 2] = c + nan
+            chosen_variation[row, column] = variation[place] + nan
