@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rgbd_planes.noise_estimation import NoiseEvidence
+    from rgbd_planes.noise_evidence import NoiseEvidence
 
 _SEEN, _MODEL, _PLAIN = "#2f6fb0", "#c8442e", "#8a8a8a"
 

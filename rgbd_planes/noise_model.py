@@ -1,0 +1,217 @@
+"""A model of a sensor's noise: what `rgbd_planes.noise` makes and a `Camera` has."""
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.residual_statistics import ResidualStatistics, square_statistics
+
+Floats = NDArray[np.float64]
+
+# Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
+_ENTRIES, _LARGEST = 2048, 100.0
+
+KINECT_V1 = 1.425e-3
+"""Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """The noise of a sensor's inverse depth.
+
+    Make one with `kinect_v1`, `stereo`, `time_of_flight`, `axial`, `table`, `function` or `quantised`, or
+    from your own frames with `rgbd_planes.estimate_noise`; `dataclasses.replace` changes one.
+
+    Attributes
+    ----------
+    coefficients : (c0, c1, c2)
+        σq = c0 + c1·q + c2·q² of the random error of one pixel, in 1/m.
+    samples : tuple of (q, σq), optional
+        Instead of `coefficients`: σq at inverse depths, linear between them, constant beyond.
+    formula : function, optional
+        Instead of `coefficients`: σq of an array of q.
+    step : float
+        Quantum of integer depth in metres: rounding adds (step·q²)²/12 to the variance.
+    disparity_step : float
+        Quantum of integer disparity in 1/m: adds disparity_step²/12.
+    correlation : tuple of (share, length)
+        Shares of the random variance that are correlated between pixels at distance r as
+        exp(-r²/(2·length²)), length in pixels. What is left of 1 is independent.
+    floor : float
+        Systematic error (lens, calibration, the sensor's own filters), which does not average out: its
+        standard deviation as a multiple of σq.
+    floor_length : float
+        Distance in pixels over which the systematic error changes, in the same sense.
+    spread : float
+        Relative standard deviation of the noise's variance from place to place, over what depth explains:
+        texture, reflectance.
+    lateral : float
+        Standard deviation, in pixels, of where across its ray a measurement lies: times the change of q from pixel
+        to pixel it is noise, too, that of steep surfaces. `sigma` is without it.
+    evidence : NoiseEvidence, optional
+        What `rgbd_planes.estimate_noise` saw; no part of a file.
+    """
+
+    coefficients: tuple[float, ...] = (KINECT_V1,)
+    samples: tuple[tuple[float, float], ...] | None = None
+    formula: Callable[[Floats], ArrayLike] | None = None
+    step: float = 0.0
+    disparity_step: float = 0.0
+    correlation: tuple[tuple[float, float], ...] = ()
+    floor: float = 0.0
+    floor_length: float = 60.0
+    spread: float = 0.0
+    lateral: float = 0.0
+    evidence: Any = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        coefficients = tuple(float(c) for c in self.coefficients)
+        if not 1 <= len(coefficients) <= 3 or not np.isfinite(coefficients).all():
+            raise ValueError(f"expected 1 to 3 finite coefficients, got {self.coefficients!r}")
+        if max(coefficients) < 0.0:
+            raise ValueError(f"expected a standard deviation that is not negative, got {self.coefficients!r}")
+        object.__setattr__(self, "coefficients", coefficients)
+        if self.samples is not None:
+            samples = np.array(self.samples, np.float64)
+            if samples.ndim != 2 or samples.shape[1] != 2 or not np.isfinite(samples).all():
+                raise ValueError(f"expected samples as pairs (inverse depth, sigma), got {self.samples!r}")
+            if not (np.diff(samples[:, 0]) > 0.0).all() or not (samples[:, 1] > 0.0).all():
+                raise ValueError(
+                    f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}"
+                )
+            object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
+        for name in ("step", "disparity_step", "floor", "spread", "lateral"):
+            value = float(getattr(self, name))
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"expected {name} of 0 or more, got {value!r}")
+            object.__setattr__(self, name, value)
+        correlation = tuple((float(share), float(length)) for share, length in self.correlation)
+        shares = [share for share, _ in correlation]
+        if any(share < 0.0 for share in shares) or sum(shares) > 1.0 + 1e-9:
+            raise ValueError(f"expected shares of correlation that add up to at most 1, got {shares}")
+        if any(not 0.0 < length < math.inf for length in [self.floor_length, *(c[1] for c in correlation)]):
+            raise ValueError(
+                "expected positive correlation lengths in pixels, got "
+                f"{correlation!r} and {self.floor_length!r}"
+            )
+        object.__setattr__(self, "correlation", correlation)
+
+    def sigma(self, inverse_depth: ArrayLike) -> Floats:
+        """Standard deviation of one pixel's inverse depth, quantisation included, in 1/m.
+
+        Parameters
+        ----------
+        inverse_depth : array_like
+            1/m.
+        """
+        q = np.asarray(inverse_depth, np.float64)
+        return np.asarray(np.sqrt(self._along(q) ** 2 + self._rounding(q)))
+
+    def _along(self, q: Floats) -> Floats:
+        """Standard deviation of q before rounding."""
+        if self.formula is not None:
+            sigma = np.broadcast_to(np.asarray(self.formula(q), np.float64), q.shape)
+        elif self.samples is not None:
+            sigma = np.interp(q, *np.array(self.samples).T)
+        else:
+            c0, c1, c2 = (*self.coefficients, 0.0, 0.0)[:3]
+            sigma = (c2 * q + c1) * q + c0 if len(self.coefficients) > 1 else np.full(q.shape, c0)
+        return np.asarray(sigma)
+
+    def _rounding(self, q: Floats) -> Floats:
+        """Variance of q from rounding, which is independent from pixel to pixel."""
+        return np.asarray(((self.step * q * q) ** 2 + self.disparity_step**2) / 12.0)
+
+    def sigma_depth(self, depth: ArrayLike) -> Floats:
+        """Standard deviation of one pixel's depth in metres at depths in metres: σZ = σq·Z²."""
+        z = np.asarray(depth, np.float64)
+        return np.asarray(self.sigma(1.0 / z) * z * z)
+
+    @functools.cached_property
+    def _variances(self) -> Floats:
+        """σq² before rounding as `kernels.statistics.pixel_variance` takes it."""
+        if self.formula is None and self.samples is None and len(self.coefficients) == 1:
+            return np.array([1.0, self.coefficients[0] ** 2])
+        scale = _ENTRIES / math.sqrt(_LARGEST)
+        roots = np.maximum(np.arange(_ENTRIES + 1), 0.5) / scale  # no function need be defined at 0
+        return np.concatenate([[scale], self._along(roots**2) ** 2])
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether pixels err independently of each other, all of them alike."""
+        return not (any(share for share, _ in self.correlation) or self.floor or self.spread)
+
+    def sample_share(self, count: ArrayLike) -> Floats:
+        """Effective number of independent pixels, as a share of ``count`` neighbouring ones.
+
+        The variance of the mean of ``count`` pixels is σq² / (count · sample_share).
+        """
+        return np.asarray(1.0 / self.statistics(count).offset)
+
+    def statistics(self, count: ArrayLike) -> ResidualStatistics:
+        """What this noise does to a plane fitted to so many neighbouring pixels.
+
+        Parameters
+        ----------
+        count : array_like of int
+            Numbers of valid pixels. Correlated noise is worked out for full squares of as many pixels.
+        """
+        n = np.asarray(count, np.float64)
+        if self.is_independent:
+            freedom = np.maximum(n - 3.0, 0.0)
+            one = np.ones(n.shape)
+            return ResidualStatistics(freedom, np.maximum(freedom, 1e-3), one, one)
+        side = np.sqrt(np.maximum(n, 4.0))
+        largest = int(2 ** np.ceil(np.log2(max(float(side.max(initial=4.0)), 8.0))))
+        sides, *curves = square_statistics(self._components, largest)
+        expected, log_freedom, tilt, offset = (
+            np.interp(np.log(side), np.log(sides), curve) for curve in curves
+        )
+        more = n > 3.0
+        # Where the variance itself varies, that of the sum of squares grows by (spread · expected)².
+        freedom = 1.0 / (np.exp(-log_freedom) + 0.5 * self.spread**2)
+        return ResidualStatistics(
+            np.where(more, n * expected, 0.0), np.where(more, freedom, 1e-3), tilt, offset, self.spread
+        )
+
+    @property
+    def _components(self) -> tuple[tuple[float, float], ...]:
+        """(variance, length) of each part of the error in units of σq²; length 0 is independent."""
+        white = max(1.0 - sum(share for share, _ in self.correlation), 0.0)
+        parts = ((white, 0.0), *self.correlation, (self.floor**2, self.floor_length))
+        return tuple(part for part in parts if part[0] > 0.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The model as a dict that JSON takes.
+
+        Raises
+        ------
+        ValueError
+            It is a user's function.
+        """
+        if self.formula is not None:
+            raise ValueError("expected a noise model of numbers, got one of a function: make a table of it")
+        return {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in ("formula", "evidence") and getattr(self, f.name) != f.default
+        } | {"coefficients": self.coefficients}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Make a model from what `to_dict` returned."""
+        known = {f.name for f in fields(cls)} - {"formula", "evidence"}
+        if not isinstance(values, Mapping) or not set(values) <= known:
+            raise ValueError(
+                f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}"
+            )
+        made = dict(values)
+        for name in ("correlation", "samples"):
+            if made.get(name) is not None:
+                made[name] = tuple(tuple(pair) for pair in made[name])
+        return cls(**made)

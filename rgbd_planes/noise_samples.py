@@ -1,0 +1,168 @@
+"""The flat tiles of frames, by size: what a sensor's noise is estimated from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.noise import NoiseModel
+from rgbd_planes.tile_planes import TilePlanes
+
+Float = npt.NDArray[np.float64]
+
+WINDOW = 24
+"""Side in pixels of the windows that are judged flat or not."""
+REFERENCE = 12
+"""Side of the tiles that σq and the lateral error are taken from."""
+MOST_MISSING = 0.1
+"""Share of the pixels of a tile."""
+FEWEST_WINDOWS = 16
+_BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
+_CLUTTERED = 4.0  # and over those of other windows
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Flat tiles of one size.
+
+    Mean of q, squared slope of q a pixel and how the tile's own differs from it, side of the window of which it is,
+    sum of squared residuals, pixels, place.
+    """
+
+    q: Float
+    slope_square: Float
+    tilt_square: Float
+    window: int
+    rss: Float
+    count: npt.NDArray[np.int32]
+    place: tuple[npt.NDArray[np.intp], ...]
+
+    @classmethod
+    def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes) -> "Samples":
+        """The tiles of ``planes`` that lie in flat windows, and the slopes of ``windows``."""
+        _, rows, columns = planes.shape
+        size = planes.tile[0]
+        if size <= WINDOW:
+            inside = flat.repeat(WINDOW // size, axis=1).repeat(WINDOW // size, axis=2)[:, :rows, :columns]
+            chosen = np.zeros(planes.shape, bool)
+            chosen[:, : inside.shape[1], : inside.shape[2]] = inside
+        else:
+            # All its windows flat; together they must be as well.
+            many = size // WINDOW
+            padded = np.zeros((len(flat), many * rows, many * columns), bool)
+            inside = flat[:, : many * rows, : many * columns]
+            padded[:, : inside.shape[1], : inside.shape[2]] = inside
+            chosen = np.asarray(padded.reshape(len(flat), rows, many, columns, many).all(axis=(2, 4)))
+        chosen &= planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * size * size)
+        if size > WINDOW and chosen.any():
+            residual = planes.rmse[chosen]
+            chosen[chosen] = residual < _CLUTTERED * np.median(residual)
+        q = 1.0 / _depth(planes)
+        rss = planes.valid_count * planes.rmse**2
+        # Slopes of small tiles are noise themselves, and larger where the residual is: those of windows are taken.
+        place = frame, row, column = np.nonzero(chosen)
+        alpha = planes.alpha[place]
+        of_window = alpha
+        if size < windows.tile[0]:
+            side = windows.tile[0]
+            of_window = windows.alpha[frame, row * size // side, column * size // side]
+        pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
+        slope_square = np.sum((of_window[:, :2] * pitch) ** 2, axis=1)
+        # Independent errors of variance 1 make it 1 on average, but for what the window shares.
+        n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = planes._moments[frame, :, row, column].T
+        tilt_x, tilt_y = (alpha - of_window)[:, :2].T
+        tilt_square = 0.5 * (
+            (s_uu - s_u * s_u / n) * tilt_x**2
+            + 2.0 * (s_uv - s_u * s_v / n) * tilt_x * tilt_y
+            + (s_vv - s_v * s_v / n) * tilt_y**2
+        )
+        return cls(
+            q[chosen],
+            slope_square,
+            tilt_square,
+            windows.tile[0],
+            rss[chosen],
+            planes.valid_count[chosen],
+            place,
+        )
+
+    def independent(self, model: NoiseModel) -> Float:
+        """Variance of q from the lateral error and from rounding."""
+        return np.asarray(model.lateral**2 * self.slope_square + model._rounding(self.q))
+
+    def expected(self, model: NoiseModel) -> tuple[Float, Float]:
+        """The sum of squared residuals that the model expects, and its degrees of freedom."""
+        made = model.statistics(self.count)
+        return made.with_independent(model._along(self.q) ** 2, self.independent(model), self.count)
+
+    def typical(self, model: NoiseModel) -> tuple[float, float]:
+        """Mean square residual in units of σq², from the median of the tiles: without independent parts, and all."""
+        v = 2.0 / (9.0 * np.maximum(self.expected(model)[1], 1.0))
+        median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
+        return self._middle(model, self.rss / self.count / median_over_mean)
+
+    def typical_tilt(self, model: NoiseModel) -> tuple[float, float]:
+        """Variance of slopes, as a multiple of that of independent errors of variance σq², in the same way."""
+        return self._middle(model, self.tilt_square / np.log(2.0))
+
+    def _middle(self, model: NoiseModel, seen: Float) -> tuple[float, float]:
+        square = model._along(self.q) ** 2
+        return float(np.median((seen - self.independent(model)) / square)), float(np.median(seen / square))
+
+
+def all_samples(
+    tiles: dict[int, TilePlanes], flat: npt.NDArray[np.bool_], window: int = WINDOW
+) -> dict[int, Samples]:
+    """The tiles in flat windows, by size, of which there are some."""
+    samples = {size: Samples.of(planes, flat, tiles[window]) for size, planes in tiles.items()}
+    return {size: some for size, some in samples.items() if len(some.count) >= FEWEST_WINDOWS // 3}
+
+
+def _depth(planes: TilePlanes) -> Float:
+    """Mean depth of tiles: rmse_metric is d·Z̄·rmse."""
+    mean = planes._reference[:, 2] + planes._moments[:, 3] / np.maximum(planes._moments[:, 0], 1.0)
+    return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
+
+
+def flat_windows(planes: TilePlanes, small: TilePlanes) -> npt.NDArray[np.bool_]:
+    """Windows that are rough as a whole only as far as they are in their parts.
+
+    The residual of the window is compared with the median of those of the small tiles in it: their usual
+    ratio, that of the sensor's errors, is the commonest. So neither a surface that makes more noise than
+    others is missed, nor is a bent one taken for flat. What is far rougher than usual, clutter, is left out.
+    """
+    frames, rows, columns = planes.shape
+    window = planes.tile[0]
+    parts = window // small.tile[0]
+    inside = np.full((frames, rows * parts, columns * parts), np.nan)
+    inside[:, : small.shape[1], : small.shape[2]] = small.rmse
+    inside = np.moveaxis(inside.reshape(frames, rows, parts, columns, parts), 3, 2)
+    good = planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * window * window)
+    good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
+    good &= planes.rmse > 0.0
+    flat = np.zeros(planes.shape, bool)
+    local = np.median(inside[good].reshape(-1, parts * parts), axis=1)
+    residual = planes.rmse[good]
+    usable = local > 0.0  # NaN where a part has no plane
+    if np.count_nonzero(usable) < FEWEST_WINDOWS:
+        return flat
+    ratio = np.log(residual[usable] / local[usable])
+    level = np.log(residual[usable])
+    usable[usable] = (ratio < _mode(ratio) + np.log(_BENT)) & (level < _mode(level) + np.log(_CLUTTERED))
+    flat[good] = usable
+    return flat
+
+
+def bins_of(q: Float, smallest: int) -> list[npt.NDArray[np.intp]]:
+    """Indices of equally many values, by size."""
+    return np.array_split(np.argsort(q, kind="stable"), int(np.clip(len(q) // smallest, 1, 12)))
+
+
+def _mode(values: Float) -> float:
+    """Half-sample mode: the middle of the densest half of the densest half ... (Robertson and Cryer 1974)."""
+    values = np.sort(values)
+    while len(values) > 3:
+        half = (len(values) + 1) // 2
+        start = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))
+        values = values[start : start + half]
+    return float(np.mean(values))
