@@ -1,4 +1,4 @@
-"""``python -m bench.measured``: measure what docs/measured.md shows, and put it there.
+"""``python -m bench.measured``: measure what docs/measured.md and a table of the README show, and put it there.
 
 What was measured is kept in docs/measured.json, from which ``python -m bench.measured --page`` makes the page's tables
 again; names of sections measure these alone.
@@ -9,8 +9,8 @@ import json
 import sys
 from pathlib import Path
 
-from bench import batch_throughput, first_call, peers, real_sensors, uncertainty, user_tasks
-from bench.readme import with_table
+from bench import batch_throughput, first_call, peers, real_sensors, uncertainty_real, user_tasks
+from bench.readme import README, with_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "measured.md"
 RESULTS = PAGE.with_suffix(".json")
@@ -20,7 +20,7 @@ SECTIONS = {
     "first": first_call,
     "batch": batch_throughput,
     "sensors": real_sensors,
-    "uncertainty": uncertainty,
+    "uncertainty": uncertainty_real,
 }
 
 
@@ -29,6 +29,11 @@ def page_of(text: str, results: dict[str, object]) -> str:
     for name, section in SECTIONS.items():
         text = with_table(text, section.table(results[name]), name)
     return text
+
+
+def readme_of(text: str, results: dict[str, object]) -> str:
+    """The README with the table of these results between its markers."""
+    return with_table(text, user_tasks.short_table(results["tasks"]), "tasks")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -51,6 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return 1
     PAGE.write_text(page_of(PAGE.read_text(), results))
+    README.write_text(readme_of(README.read_text(), results))
     return 0
 
 

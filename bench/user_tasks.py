@@ -330,11 +330,29 @@ def table(result):
     for row in result["rows"]:
         ours = row["with"] == "ours"
         task, name = (NAMES[row["task"]], "**ours**") if ours else ("", WITH[row["task"], row["with"]])
-        ratio = f"{row['ratio']:.2g}" if row["ratio"] < 99.5 else f"{row['ratio']:.0f}"
         shown.append(
-            f"| {task} | {name} | {row['lines']} | {ratio} | {row['result']} | {row['without_holes']} |"
+            f"| {task} | {name} | {row['lines']} | {_times(row['ratio'])} | {row['result']} "
+            f"| {row['without_holes']} |"
         )
     shown += ["", ", ".join(f"{name} {version}" for name, version in result["versions"].items()) + "."]
+    return "\n".join(shown)
+
+
+def _times(ratio):
+    """Two digits, or all before the point."""
+    return f"{ratio:.2g}" if ratio < 99.5 else f"{ratio:.0f}"
+
+
+def short_table(result):
+    """The tasks that have a picture, a column for each library, as the README has them."""
+    versions = {"ours": "**rgbd_planes**"} | {
+        name.lower(): f"{name} {version}" for name, version in result["versions"].items()
+    }
+    shown = [f"| | {' | '.join(versions.values())} |", f"|---|{'---|' * len(versions)}"]
+    for task in ("tiles", "segments", "normals"):
+        rows = {row["with"]: row for row in result["rows"] if row["task"] == task}
+        cells = [f"{_times(rows[name]['ratio'])} x, {rows[name]['result']}" for name in versions]
+        shown.append(f"| {NAMES[task]} | {' | '.join(cells)} |")
     return "\n".join(shown)
 
 

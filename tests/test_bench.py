@@ -136,6 +136,8 @@ def test_the_page_is_what_was_measured():
     assert measured.page_of(page, results) == page, "run python -m bench.measured --page"
     with_other = results | {"batch": results["batch"] | {"frames": 1}}
     assert measured.page_of(page, with_other) != page
+    text = readme.README.read_text()
+    assert measured.readme_of(text, results) == text, "run python -m bench.measured --page"
 
 
 def test_a_batch_is_measured():

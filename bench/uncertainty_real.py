@@ -1,0 +1,237 @@
+"""Estimated noise against real frames: ``python -m bench.uncertainty real``."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rgbd_planes as rp
+from rgbd_planes.depth import as_depth_frame
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
+
+
+@dataclass(frozen=True)
+class RealSet:
+    """Frames of one sensor in two halves, and which pixels of the second are known to be flat."""
+
+    name: str
+    camera: rp.Camera
+    first: list[NDArray[Any]]
+    second: list[NDArray[Any]]
+    labels: list[NDArray[Any] | None]
+
+
+SETS = {
+    "kinect1_7scenes_seq": "Kinect v1, 7-Scenes",
+    "tum_fr2_distorted": "Kinect v1, TUM fr2",
+    "primesense_open3d_rgbd": "PrimeSense",
+    "realsense_d4xx_aligned_office": "RealSense D4xx",
+    "abw_segcomp_cal0": "ABW, calibration 0, labelled",
+    "abw_segcomp_cal1": "ABW, calibration 1, labelled",
+    "azure_kinect_nfov": "Azure Kinect, depth camera, one frame",
+    "azure_kinect_color_1280x720": "Azure Kinect, in the colour camera, one frame",
+    "lingbot_active_stereo_a": "active stereo, two frames, resampled",
+}
+
+
+def real_sets() -> list[RealSet]:
+    """The sets of the data folder that are of a real sensor and in metres; each once in either direction."""
+    from rgbd_planes.images import read_depth
+
+    sets = []
+    for folder in SETS:
+        if not (DATA / folder / "camera.json").exists():
+            continue
+        camera = rp.Camera.load(DATA / folder / "camera.json")
+        paths = sorted((DATA / folder / "depth").glob("*.png"))
+        frames = [read_depth(path) for path in paths]
+        labels: list[NDArray[Any] | None] = [
+            read_depth(path.parents[1] / "labels" / path.name)
+            if (path.parents[1] / "labels" / path.name).exists()
+            else None
+            for path in paths
+        ]
+        if len(frames) == 1:
+            # Squares of 192 pixels of the one frame, as on a chessboard.
+            row, column = np.indices(camera.shape) // 192
+            halves = [
+                [np.where((row + column) % 2 == i, frames[0], 0).astype(frames[0].dtype)] for i in (0, 1)
+            ]
+            of = [[None], [None]]
+        else:
+            halves, of = [frames[::2], frames[1::2]], [labels[::2], labels[1::2]]
+        for i in (0, 1):
+            sets.append(RealSet(folder, camera, halves[i], halves[1 - i], of[1 - i]))
+    return sets
+
+
+def flat_regions(depth: NDArray[Any], camera: rp.Camera, labels: NDArray[Any] | None) -> NDArray[np.int64]:
+    """(H, W) int64: flat parts of a frame, from 1; 0 elsewhere.
+
+    The labelled planes; or else windows of 64x64 pixels, at least nine tenths valid, in which no block of 8x8
+    pixels leaves the window's plane by more than one per cent of its distance: what a person would call flat.
+    """
+    if labels is not None:
+        return labels.astype(np.int64)
+    side, block = 64, 8
+    tiles = rp.fit_tiles(depth, camera, side, max_missing=0.1)
+    q = as_depth_frame(depth, camera).inverse_depth
+    regions = np.zeros(camera.shape, np.int64)
+    for row, column in np.argwhere(tiles.fitted):
+        part = np.s_[row * side : (row + 1) * side, column * side : (column + 1) * side]
+        if q[part].shape != (side, side):
+            continue
+        a, b, c = tiles.alpha[row, column]
+        residual = (q[part] / (a * camera.tan_x[part] + b * camera.tan_y[part] + c) - 1.0).reshape(
+            side // block, block, side // block, block
+        )
+        enough = np.isfinite(residual).sum(axis=(1, 3)) >= 16
+        mean = np.nansum(residual, axis=(1, 3)) / np.maximum(np.isfinite(residual).sum(axis=(1, 3)), 1)
+        if enough.all() and np.abs(mean).max() < 0.01:
+            regions[part] = 1 + row * tiles.shape[1] + column
+    return regions
+
+
+@dataclass(frozen=True)
+class RealResult:
+    """Of the second half's flat tiles of one size, by the noise of the first."""
+
+    tiles: int
+    rejected: float
+    rejected_independent: float
+    predicted: float
+    observed: float
+
+
+def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealResult:
+    """Share rejected at 1 %; predicted and observed angle to the plane of the whole flat part (degrees, rms)."""
+    camera = replace(data.camera, noise=noise)
+    plain = replace(data.camera, noise=rp.noise.kinect_v1())
+    p, q, predicted, observed = [], [], [], []
+    for depth, labels in zip(data.second, data.labels, strict=True):
+        regions = flat_regions(depth, data.camera, labels)
+        tiles = rp.fit_tiles(depth, camera, size, max_missing=0.1, significance=0.0)
+        rows, columns = np.arange(0, camera.height, size), np.arange(0, camera.width, size)
+        low = np.minimum.reduceat(np.minimum.reduceat(regions, rows, axis=0), columns, axis=1)
+        high = np.maximum.reduceat(np.maximum.reduceat(regions, rows, axis=0), columns, axis=1)
+        whole = (tiles.tile_heights[:, None] == size) & (tiles.tile_widths == size)
+        region = np.where((low == high) & tiles.fitted & whole, low, 0)
+        inside = region > 0
+        p.append(tiles.p_value[inside])
+        q.append(replace(tiles, camera=plain).p_value[inside])
+        merged = rp.merge(tiles, region, significance=0.0)
+        # Regions of few tiles are mostly the tile itself.
+        enough = np.bincount(region.ravel(), minlength=len(merged.status) + 1)[1:] >= 9
+        chosen = inside & (tiles.p_value >= 0.01)
+        chosen[chosen] = enough[region[chosen] - 1]
+        cosine = np.sum(tiles.planes[chosen, :3] * merged.planes[region[chosen] - 1, :3], axis=-1)
+        observed.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        predicted.append(tiles.angle_std[chosen])
+    p_all, seen = np.concatenate(p), np.concatenate(observed)
+    return RealResult(
+        tiles=len(p_all),
+        rejected=float(np.mean(p_all < 0.01)) if len(p_all) else np.nan,
+        rejected_independent=float(np.mean(np.concatenate(q) < 0.01)) if len(p_all) else np.nan,
+        predicted=float(np.sqrt(np.mean(np.concatenate(predicted) ** 2))) if len(seen) else np.nan,
+        observed=float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan,
+    )
+
+
+SIZES = (8, 16, 24)
+
+
+def measure(folder: Path | None = None) -> list[dict[str, Any]]:
+    """Of each set, direction and size of tile, by the noise of the other half and by its own.
+
+    With a ``folder``, the pictures of the estimates go there.
+    """
+    rows: list[dict[str, Any]] = []
+    for data in real_sets():
+        noise = rp.estimate_noise(data.first, data.camera)
+        own = rp.estimate_noise(data.second, data.camera)
+        if folder is not None and (not rows or rows[-1]["data"] != data.name):
+            noise.evidence.plot().savefig(folder / f"noise_{data.name}.png", dpi=70)
+        for size in SIZES:
+            row: dict[str, Any] = {"data": data.name, "size": size}
+            for name, of in (("", noise), ("own_", own)):
+                result = real_result(data, of, size)
+                ratio = result.predicted / result.observed if result.tiles >= FEWEST_ANGLES else np.nan
+                row |= {
+                    "tiles": result.tiles,
+                    f"{name}rejected": result.rejected if result.tiles >= FEWEST_TILES else None,
+                    f"{name}angle": ratio if np.isfinite(ratio) else None,
+                    "independent": result.rejected_independent,
+                }
+            rows.append(row)
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown: both directions in a cell, what is not right in bold."""
+    ends = {"rejected": (0.003, 0.03), "angle": (0.75, 1.25)}
+
+    def right(kind: str, value: float) -> bool:
+        return ends[kind][0] <= value <= ends[kind][1]
+
+    def count(kind: str, name: str) -> str:
+        values = [row[name] for row in rows if row[name] is not None]
+        return f"{sum(right(kind, value) for value in values)} of {len(values)}"
+
+    def cell(data: str, size: int, kind: str) -> str:
+        values = [row[kind] for row in rows if (row["data"], row["size"]) == (data, size)]
+        if not any(value is not None for value in values):
+            return ""
+        shown = [
+            "–" if value is None else f"{100.0 * value:.1f} %" if kind == "rejected" else f"{value:.2f}"
+            for value in values
+        ]
+        return ", ".join(
+            text if value is None or right(kind, value) else f"**{text}**"
+            for text, value in zip(shown, values, strict=True)
+        )
+
+    kinds = [(kind, size) for kind in ends for size in SIZES]
+    lines = [
+        "| frames | " + " | ".join(f"{kind}, {size} px" for kind, size in kinds) + " |",
+        "|---" + "|---:" * len(kinds) + "|",
+    ]
+    for data in dict.fromkeys(row["data"] for row in rows):
+        lines.append(f"| {SETS[data]} | {' | '.join(cell(data, size, kind) for kind, size in kinds)} |")
+    least, most = (100.0 * end(row["independent"] for row in rows) for end in (min, max))
+    lines += [
+        "",
+        f"Bold is what is not between 0.3 and 3 %, or 0.75 and 1.25. Right are {count('rejected', 'rejected')} shares, "
+        f"of {FEWEST_TILES} tiles or more, and {count('angle', 'angle')} angles, of {FEWEST_ANGLES} or more. With a "
+        f"Kinect v1's noise taken as independent, {least:.0f} to {most:.0f} % are rejected. With the noise of the very "
+        f"half that is tested, {count('rejected', 'own_rejected')} and {count('angle', 'own_angle')} are right. The "
+        "shares that are not, beside what they are then:",
+        "",
+        "| frames | tile | tiles | rejected by the other half's noise | by its own |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    lines += [
+        f"| {SETS[row['data']]} | {row['size']} | {row['tiles']} | {100.0 * row['rejected']:.1f} % "
+        f"| {100.0 * row['own_rejected']:.1f} % |"
+        for row in rows
+        if row["rejected"] is not None and not right("rejected", row["rejected"])
+    ]
+    return "\n".join(lines)
+
+
+def real_report(folder: Path) -> list[str]:
+    """The two halves of every real set, by tile size."""
+    return [
+        "## Real frames",
+        "",
+        "Noise estimated from one half of the frames, tested on the tiles of the other half that lie in one "
+        "labelled plane or, where nothing is labelled, in a part that is flat to the eye. Rejected is the share "
+        "below the 1 % level. Angle: predicted over observed rms angle of the accepted tiles to the plane of the "
+        "whole flat part.",
+        "",
+        table(measure(folder)),
+        "",
+    ]
