@@ -19,8 +19,6 @@ from rgbd_planes.noise import NoiseModel
 
 Array = NDArray[np.float64]
 
-DISTORTION_MODELS = ("brown_conrady", "inverse_brown_conrady")
-
 _tables_lock = threading.Lock()
 
 
@@ -93,25 +91,11 @@ class Camera:
         self._set("invalid_values", tuple(value for value in invalid if math.isfinite(value)))
         if self.noise is not None and not isinstance(self.noise, NoiseModel):
             raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
-        self._check_distortion()
+        distortion.check(self.distortion, self.distortion_model)
         self._check_depth()
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
-
-    def _check_distortion(self) -> None:
-        if self.distortion_model not in DISTORTION_MODELS:
-            raise ValueError(
-                f"expected distortion_model to be one of {', '.join(DISTORTION_MODELS)}, "
-                f"got {self.distortion_model!r}"
-            )
-        allowed = (0, 4, 5, 8) if self.distortion_model == "brown_conrady" else (0, 5)
-        if len(self.distortion) not in allowed:
-            raise ValueError(
-                f"expected {', '.join(map(str, allowed))} distortion coefficients "
-                f"for {self.distortion_model} (k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(self.distortion)}: "
-                f"{self.distortion}"
-            )
 
     def _check_depth(self) -> None:
         if self.depth_scale is not None:
@@ -204,30 +188,8 @@ class Camera:
         x = np.tile(self.tan_x_columns, (self.height, 1))
         y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
         if self.is_distorted:
-            x, y = self._rays(x, y)
+            x, y = distortion.rays_of_image(x, y, self.distortion, self.distortion_model)
         return _read_only(x), _read_only(y)
-
-    def _rays(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Undistort the whole image, or say where it cannot be done."""
-        if self.distortion_model == "inverse_brown_conrady":
-            ray_x, ray_y = distortion.distort(x, y, self.distortion)
-            one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
-            flat_x, flat_y = x, y
-        else:
-            ray_x, ray_y, one_to_one = distortion.undistort(x, y, self.distortion)
-            flat_x, flat_y = ray_x, ray_y
-        # The border's lines to the optical axis sweep the whole image.
-        for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
-            one_to_one[border] &= distortion.unfolded(flat_x[border], flat_y[border], self.distortion)
-        if not one_to_one.all():
-            row, column = np.argwhere(~one_to_one)[0]
-            raise ValueError(
-                f"expected a lens distortion that can be inverted inside the image, got one that folds: "
-                f"{np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels have no single ray, the first "
-                f"at row {row}, column {column}; distortion={self.distortion} ({self.distortion_model}), "
-                f"its radial part folds at radius {distortion.fold_radius(self.distortion):.4g}"
-            )
-        return ray_x, ray_y
 
     def points(self, depth: ArrayLike) -> Array:
         """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z.
@@ -264,15 +226,8 @@ class Camera:
             raise ValueError(f"expected points of shape (..., 3), got {array.shape}")
         z = np.where(array[..., 2] > 0, array[..., 2], np.nan)
         x, y = array[..., 0] / z, array[..., 1] / z
-        if self.is_distorted and self.distortion_model == "inverse_brown_conrady":
-            seen = np.isfinite(x) & np.isfinite(y)
-            x, y, _ = distortion.undistort(np.where(seen, x, 0.0), np.where(seen, y, 0.0), self.distortion)
-            x, y = np.where(seen, x, np.nan), np.where(seen, y, np.nan)
-        elif self.is_distorted:
-            beyond = np.hypot(x, y) >= distortion.fold_radius(self.distortion)
-            x, y = distortion.distort(
-                np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), self.distortion
-            )
+        if self.is_distorted:
+            x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
 
     def to_dict(self) -> dict[str, Any]:

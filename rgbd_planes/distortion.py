@@ -18,12 +18,76 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+MODELS = ("brown_conrady", "inverse_brown_conrady")
+
 TOLERANCE = 1e-10
 """Largest error of an inverted point, in normalised coordinates."""
 
 _MAX_ITERATIONS = 50
 _CHUNK = 32768  # points at a time, so that the temporaries stay in the cache
 _SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is looked at for folds
+
+
+def check(coefficients: Sequence[float], model: str) -> None:
+    """Raise ValueError unless there is such a model, with so many coefficients."""
+    if model not in MODELS:
+        raise ValueError(f"expected distortion_model to be one of {', '.join(MODELS)}, got {model!r}")
+    allowed = (0, 4, 5, 8) if model == "brown_conrady" else (0, 5)
+    if len(coefficients) not in allowed:
+        raise ValueError(
+            f"expected {', '.join(map(str, allowed))} distortion coefficients for {model} "
+            f"(k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(coefficients)}: {coefficients}"
+        )
+
+
+def rays_of_image(x: Array, y: Array, coefficients: Sequence[float], model: str) -> tuple[Array, Array]:
+    """Rays (x, y, 1) of all pixels of an image.
+
+    Parameters
+    ----------
+    x, y : (H, W) float64
+        Normalised coordinates of the pixels, as if there were no distortion.
+    coefficients : sequence of 0, 4, 5 or 8 floats
+    model : str
+        One of `MODELS`; the inverse one takes a pixel to its ray by `distort`.
+
+    Raises
+    ------
+    ValueError
+        Some pixels have no ray, or several, saying where.
+    """
+    if model == "inverse_brown_conrady":
+        ray_x, ray_y = distort(x, y, coefficients)
+        one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
+        flat_x, flat_y = x, y
+    else:
+        ray_x, ray_y, one_to_one = undistort(x, y, coefficients)
+        flat_x, flat_y = ray_x, ray_y
+    # The border's lines to the optical axis sweep the whole image.
+    for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
+        one_to_one[border] &= unfolded(flat_x[border], flat_y[border], coefficients)
+    if not one_to_one.all():
+        row, column = np.argwhere(~one_to_one)[0]
+        raise ValueError(
+            f"expected a lens distortion that can be inverted inside the image, got one that folds: "
+            f"{np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels have no single ray, the first "
+            f"at row {row}, column {column}; distortion={coefficients} ({model}), "
+            f"its radial part folds at radius {fold_radius(coefficients):.4g}"
+        )
+    return ray_x, ray_y
+
+
+def image_of_rays(x: Array, y: Array, coefficients: Sequence[float], model: str) -> tuple[Array, Array]:
+    """Normalised coordinates of the places where rays (x, y, 1) meet the image; NaN where there is none.
+
+    The inverse of `rays_of_image`, for arrays of any shape.
+    """
+    if model == "inverse_brown_conrady":
+        seen = np.isfinite(x) & np.isfinite(y)
+        x, y, _ = undistort(np.where(seen, x, 0.0), np.where(seen, y, 0.0), coefficients)
+        return np.where(seen, x, np.nan), np.where(seen, y, np.nan)
+    beyond = np.hypot(x, y) >= fold_radius(coefficients)
+    return distort(np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), coefficients)
 
 
 def coefficients8(coefficients: Sequence[float]) -> Array:

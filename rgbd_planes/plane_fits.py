@@ -8,9 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import statistics
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rgbd_planes.fit_statistics import FitStatistics
 
 Float = npt.NDArray[np.float64]
@@ -31,7 +34,7 @@ class TileStatus(enum.IntEnum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlaneFits:
-    """Planes n·X + d = 0 fitted to parts of a frame; the base of `TilePlanes` and `WindowPlanes`.
+    """Planes n·X + d = 0 fitted to parts of a frame; the base of every result of a fit.
 
     The arrays' leading shape S is (R, C) for the tiles of a frame, (F, R, C) for a batch and (K,) for
     windows. All are in the camera's frame (x right, y down, z forward) and in metres.
@@ -157,6 +160,41 @@ class PlaneFits:
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.shape}, {self._summary()}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlacedFits(PlaneFits):
+    """Planes fitted to parts of a frame that have a place in its image; the base of `TilePlanes` and `WindowPlanes`."""
+
+    def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """(H', W') int64: the number of the part at these rows and columns of pixels; -1 for none."""
+        raise NotImplementedError
+
+    @property
+    def _title(self) -> str:
+        """What the parts are, above a picture."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import fits_html
+
+        return fits_html(self)
+
+    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
+        """Draw the depth, the normals as colours and the parts by status; see `plotting.plot_fits`.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like, optional
+            The frame that was fitted; without it the fitted planes' own depth is drawn.
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
+        from rgbd_planes.plotting import plot_fits
+
+        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
+        return plot_fits(self, metres, figure)
 
 
 def allocate(leading: tuple[int, ...], cells: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:

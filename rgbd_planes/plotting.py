@@ -5,7 +5,7 @@ when something is drawn, since matplotlib takes a while.
 """
 
 import io
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -16,14 +16,11 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
-from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.plane_fits import PlacedFits, TileStatus
+from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
 
-if TYPE_CHECKING:
-    from rgbd_planes.tile_planes import TilePlanes
-
 Floats = NDArray[np.float64]
-Fits: TypeAlias = "TilePlanes | WindowPlanes"
 
 STATUS_MEANINGS = {
     TileStatus.OK: "plane fitted",
@@ -45,7 +42,7 @@ class NotebookFigure(Figure):
         return buffer.getvalue()
 
 
-def plot_fits(fits: Fits, depth_metres: Floats | None = None, figure: Figure | None = None) -> Figure:
+def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figure | None = None) -> Figure:
     """Draw a fitted frame: depth, normals as colours, and the tiles or windows by status.
 
     Parameters
@@ -93,7 +90,7 @@ def plot_fits(fits: Fits, depth_metres: Floats | None = None, figure: Figure | N
     return figure
 
 
-def _draw_depth(panel: Axes, legend: Axes, fits: Fits, depth: Floats | None) -> None:
+def _draw_depth(panel: Axes, legend: Axes, fits: PlacedFits, depth: Floats | None) -> None:
     fitted = depth is None
     shown = _fitted_depth(fits) if depth is None else np.where(depth > 0.0, depth, np.nan)
     known = shown[np.isfinite(shown)]
@@ -110,7 +107,7 @@ def _draw_depth(panel: Axes, legend: Axes, fits: Fits, depth: Floats | None) -> 
     bar.set_xlabel(note, fontsize=9)
 
 
-def _draw_normals(panel: Axes, legend: Axes, fits: Fits) -> None:
+def _draw_normals(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
     panel.imshow(_to_pixels(normal_colours(_normals_in_image(fits)), fits, MISSING), interpolation="nearest")
     panel.set_title("Normals of the planes")
     # The half ball of normals that face the camera, as the camera sees it.
@@ -130,7 +127,7 @@ def _draw_normals(panel: Axes, legend: Axes, fits: Fits) -> None:
     axes.text(1.3, 0.0, "facing right", **(style | {"ha": "left"}))
 
 
-def _draw_status(panel: Axes, legend: Axes, fits: Fits) -> None:
+def _draw_status(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
     colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
     light = np.clip(_normals_in_image(fits) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
@@ -147,8 +144,12 @@ def _draw_status(panel: Axes, legend: Axes, fits: Fits) -> None:
     legend.legend(handles=handles, loc="upper center", ncols=2, fontsize=9, frameon=False, borderaxespad=0.2)
 
 
-def _draw_outlines(panel: Axes, fits: Fits) -> None:
-    sides = fits.windows[:, 2:].min(axis=1) if isinstance(fits, WindowPlanes) else fits.tile
+def _draw_outlines(panel: Axes, fits: PlacedFits) -> None:
+    sides = (
+        np.array(fits.tile) if isinstance(fits, TilePlanes)
+        else fits.windows[:, 2:].min(axis=1) if isinstance(fits, WindowPlanes)
+        else np.empty(0)
+    )  # fmt: skip
     smallest = float(np.median(sides)) * 640 / fits.camera.width if len(sides) else 0.0
     if smallest < 5:  # lines would hide what they divide
         return
@@ -156,25 +157,25 @@ def _draw_outlines(panel: Axes, fits: Fits) -> None:
     if isinstance(fits, WindowPlanes):
         boxes = [Rectangle((x - 0.5, y - 0.5), width, height) for y, x, height, width in fits.windows]
         panel.add_collection(PatchCollection(boxes, facecolor="none", **style))
-        return
-    bottom, right = fits.camera.height - 0.5, fits.camera.width - 0.5
-    panel.vlines(np.cumsum(fits.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
-    panel.hlines(np.cumsum(fits.tile_heights[:-1]) - 0.5, -0.5, right, **style)
+    if isinstance(fits, TilePlanes):
+        bottom, right = fits.camera.height - 0.5, fits.camera.width - 0.5
+        panel.vlines(np.cumsum(fits.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
+        panel.hlines(np.cumsum(fits.tile_heights[:-1]) - 0.5, -0.5, right, **style)
 
 
-def _normals_in_image(fits: Fits) -> Floats:
+def _normals_in_image(fits: PlacedFits) -> Floats:
     """The normals with x to the right of the image and y down it, also where a focal length is negative."""
     signs = np.sign([fits.camera.fx, fits.camera.fy, 1.0])
     return np.asarray(fits.planes[..., :3] * signs)
 
 
-def _to_pixels(values: Floats, fits: Fits, nothing: tuple[float, ...]) -> Floats:
+def _to_pixels(values: Floats, fits: PlacedFits, nothing: tuple[float, ...]) -> Floats:
     """(H, W, 3): the values (S, 3) of each tile or window on each of its pixels, and `nothing` on others."""
     cells = fits._cells(np.arange(fits.camera.height), np.arange(fits.camera.width))
     return np.asarray(np.vstack([values.reshape(-1, 3), nothing])[cells])  # -1, no window, is the last
 
 
-def _fitted_depth(fits: Fits) -> Floats:
+def _fitted_depth(fits: PlacedFits) -> Floats:
     """(H, W) depth in metres where each pixel's ray meets its tile's or window's plane; NaN where it does not."""
     alpha = _to_pixels(np.where(fits.fitted[..., None], fits.alpha, np.nan), fits, (np.nan,) * 3)
     camera = fits.camera

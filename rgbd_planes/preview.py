@@ -9,20 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
-from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
 
 if TYPE_CHECKING:
     from rgbd_planes.segmentation_result import Segmentation
-    from rgbd_planes.tile_planes import TilePlanes
-    from rgbd_planes.windows import WindowPlanes
 
 _WIDEST = 320  # pixels of a panel
 _GAP = 8
 _LISTED = 4  # planes
 
 
-def fits_picture(fits: "TilePlanes | WindowPlanes") -> NDArray[np.uint8]:
+def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
     """Return the normals as colours and, to the right, the tiles or windows by status.
 
     Parameters
@@ -48,7 +46,7 @@ def fits_picture(fits: "TilePlanes | WindowPlanes") -> NDArray[np.uint8]:
     return np.rint(255.0 * np.concatenate([panels[0], gap, panels[1]], axis=1)).astype(np.uint8)
 
 
-def fits_html(fits: "TilePlanes | WindowPlanes") -> str:
+def fits_html(fits: PlacedFits) -> str:
     """Return a few lines of HTML: what was found, a picture, and what its colours mean."""
     batch = len(fits.shape) == 3
     first = fits[0] if batch else fits  # type: ignore[index]

@@ -5,25 +5,21 @@ import os
 import zipfile
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fitting import RESULTS
-from rgbd_planes.plane_fits import PlaneFits, TileStatus
+from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_grid import tile_sizes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ARRAYS = ("_moments", "_reference", *RESULTS)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TilePlanes(PlaneFits):
+class TilePlanes(PlacedFits):
     """The planes of all tiles of a frame, (R, C), or of a batch of frames, (F, R, C).
 
     Attributes
@@ -81,12 +77,6 @@ class TilePlanes(PlaneFits):
             f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
         )
 
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the counts and a small picture."""
-        from rgbd_planes.preview import fits_html
-
-        return fits_html(self)
-
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
 
@@ -113,21 +103,6 @@ class TilePlanes(PlaneFits):
             "rmse": self.rmse.ravel(),
             "rmse_metric": self.rmse_metric.ravel(),
         }
-
-    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
-        """Draw the depth, the normals as colours and the tiles by status; see `plotting.plot_fits`.
-
-        Parameters
-        ----------
-        depth : (H, W) array_like, optional
-            The frame that was fitted; without it the fitted planes' own depth is drawn.
-        figure : matplotlib Figure, optional
-            Drawn into; a new one by default.
-        """
-        from rgbd_planes.plotting import plot_fits
-
-        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
-        return plot_fits(self, metres, figure)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an NPZ file, camera included, that `load` reads; whole or not at all."""

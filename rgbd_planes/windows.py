@@ -1,7 +1,6 @@
 """Fit planes to arbitrary rectangles of a depth frame."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,15 +11,12 @@ from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, WindowMoments, solve_planes, valid_needed
-from rgbd_planes.plane_fits import PlaneFits, allocate
+from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowPlanes(PlaneFits):
+class WindowPlanes(PlacedFits):
     """The planes of windows of a frame: arrays of shape (K, ...).
 
     Attributes
@@ -42,27 +38,6 @@ class WindowPlanes(PlaneFits):
     @property
     def _title(self) -> str:
         return f"{len(self.windows)} windows"
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the counts and a small picture."""
-        from rgbd_planes.preview import fits_html
-
-        return fits_html(self)
-
-    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
-        """Draw the depth, the normals as colours and the windows by status; see `plotting.plot_fits`.
-
-        Parameters
-        ----------
-        depth : (H, W) array_like, optional
-            The frame that was fitted; without it the fitted planes' own depth is drawn.
-        figure : matplotlib Figure, optional
-            Drawn into; a new one by default.
-        """
-        from rgbd_planes.plotting import plot_fits
-
-        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
-        return plot_fits(self, metres, figure)
 
 
 def fit_windows(
