@@ -23,7 +23,7 @@ def frame_and_camera():
 @pytest.mark.benchmark(group="segment a frame: tables and planes")
 def test_segmentation(benchmark, frame_and_camera, method, implementation):
     frame, camera = frame_and_camera
-    fitter = QuadtreeFitter(camera, method, implementation=implementation)
+    fitter = QuadtreeFitter(camera, method=method, implementation=implementation)
     benchmark(fitter.fit, frame)
 
 

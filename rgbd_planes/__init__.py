@@ -19,6 +19,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Camera": "camera",
     "FitSettings": "batch_parts",
+    "Reason": "segmentation_result",
     "Segmentation": "segmentation_result",
     "TileFitter": "tiles",
     "TilePlanes": "tile_planes",
@@ -41,6 +42,7 @@ _NAMES = {
 }
 _MODULES = (
     "export",
+    "images",
     "metrics",
     "noise",
     "presets",
@@ -55,6 +57,7 @@ __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
     from rgbd_planes import export as export
+    from rgbd_planes import images as images
     from rgbd_planes import metrics as metrics
     from rgbd_planes import noise as noise
     from rgbd_planes import presets as presets
@@ -73,6 +76,7 @@ if TYPE_CHECKING:
     from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation import segment as segment
+    from rgbd_planes.segmentation_result import Reason as Reason
     from rgbd_planes.segmentation_result import Segmentation as Segmentation
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature

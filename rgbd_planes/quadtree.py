@@ -93,7 +93,7 @@ class QuadtreeFitter:
 
     Parameters
     ----------
-    camera, method, tile, max_subdivisions, max_error, max_missing
+    camera, tile, method, max_subdivisions, max_error, max_missing
         As in `segment_quadtree`.
     implementation : {"direct", "integral"}
         Where an element's moments come from: those of the finest tiles, added up, or summed-area tables.
@@ -102,12 +102,12 @@ class QuadtreeFitter:
     def __init__(
         self,
         camera: Camera,
-        method: str = "range_explicit",
         tile: int = 32,
+        method: str = "range_explicit",
+        *,
         max_subdivisions: int = 2,
         max_error: float = 0.02,
         max_missing: float = 0.5,
-        *,
         implementation: str = "direct",
     ) -> None:
         check_camera(camera)
@@ -220,8 +220,9 @@ class QuadtreeFitter:
 def segment_quadtree(
     depth: npt.ArrayLike,
     camera: Camera,
-    method: str = "range_explicit",
     tile: int = 32,
+    method: str = "range_explicit",
+    *,
     max_subdivisions: int = 2,
     max_error: float = 0.02,
     max_missing: float = 0.5,
@@ -239,10 +240,10 @@ def segment_quadtree(
     depth : (H, W) array_like
         Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
     camera : Camera
-    method : str
-        As in `TileFitter`.
     tile : int
         Width and height of the grid's squares in pixels.
+    method : str
+        As in `TileFitter`.
     max_subdivisions : int
         How often a square may be split; ``tile`` must be 2**max_subdivisions times a whole number of at least
         2 pixels.
@@ -274,7 +275,9 @@ def segment_quadtree(
     """
     check_whole("clusters", clusters, 1)
     check_whole("seed", seed, 0)
-    elements = QuadtreeFitter(camera, method, tile, max_subdivisions, max_error, max_missing).fit(depth)
+    elements = QuadtreeFitter(
+        camera, tile, method, max_subdivisions=max_subdivisions, max_error=max_error, max_missing=max_missing
+    ).fit(depth)
     element_labels = _cluster(elements, clusters, seed)
     return QuadtreeSegmentation(elements, element_labels, merge(elements, element_labels).planes)
 

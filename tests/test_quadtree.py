@@ -29,7 +29,7 @@ def frame(camera):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("implementation", ["direct", "integral"])
 def test_elements_equal_oracle(method, implementation, camera, frame):
-    elements = QuadtreeFitter(camera, method, **OPTIONS, implementation=implementation).fit(frame)
+    elements = QuadtreeFitter(camera, method=method, **OPTIONS, implementation=implementation).fit(frame)
     expected = oracle.fit_windows(frame, camera, elements.windows, method, max_missing=0.4, max_error=0.02)
     assert {0, 1, 3} <= set(elements.status.tolist())
     for i, plane in enumerate(expected):
