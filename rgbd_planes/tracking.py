@@ -79,33 +79,38 @@ def segment_sequence(
 
 
 class Tracker:
-    """The planes that were seen, and where each of them was seen last."""
+    """The planes that are remembered, and where each of them was seen last."""
 
     def __init__(self, camera: Camera, memory: int) -> None:
         self.shape = camera.shape
         self._memory = memory
-        # By id, from 1 on; the first entries stand for none.
-        self._planes = np.zeros((1, 4))
-        self._missed = np.zeros(1, np.int64)  # frames since it was seen
-        self._places = [np.zeros(0, np.int64)]  # of every second pixel of every second row
+        self._newest = 0
+        # Of each remembered plane, in the order of the ids.
+        self._ids = np.zeros(0, np.int32)
+        self._planes = np.zeros((0, 4))
+        self._missed = np.zeros(0, np.int64)  # frames since it was seen
+        self._places: list[NDArray[np.intp]] = []  # of every second pixel of every second row
 
     def follow(self, found: Segmentation) -> TrackedSegmentation:
         """Give the planes of the next frame their ids."""
         labels = found.labels[::2, ::2].ravel()
         ids = self._known(found, labels)
         new = np.flatnonzero(ids == 0)
-        ids[new] = len(self._planes) + np.arange(len(new))
-        self._planes = np.vstack([self._planes, found.planes[new]])
-        self._planes[ids] = found.planes
-        self._missed = np.append(self._missed + 1, np.zeros(len(new), np.int64))
-        self._missed[ids] = 0
-        self._places += [self._places[0]] * len(new)
-        order = np.argsort(labels, kind="stable")
-        ends = np.searchsorted(labels[order], np.arange(len(found) + 1), side="right")
-        for label, i in enumerate(ids):
-            self._places[i] = order[ends[label] : ends[label + 1]]
-        for i in np.flatnonzero(self._missed > self._memory):
-            self._places[i] = self._places[0]
+        ids[new] = self._newest + 1 + np.arange(len(new))
+        self._newest += len(new)
+        by_label = np.argsort(labels, kind="stable")
+        ends = np.searchsorted(labels[by_label], np.arange(len(found) + 1), side="right")
+        seen = [by_label[ends[i] : ends[i + 1]] for i in range(len(found))]
+        # Those in sight with any pixel at all, and those that have not been out of it for too long.
+        there = [i for i, place in enumerate(seen) if len(place)]
+        lost = np.flatnonzero(~np.isin(self._ids, ids) & (self._missed < self._memory))
+        places = [seen[i] for i in there] + [self._places[i] for i in lost]
+        every = np.concatenate([ids[there], self._ids[lost]])
+        order = np.argsort(every)
+        self._ids = every[order]
+        self._planes = np.concatenate([found.planes[there], self._planes[lost]])[order]
+        self._missed = np.concatenate([np.zeros(len(there), np.int64), self._missed[lost] + 1])[order]
+        self._places = [places[i] for i in order]
         return TrackedSegmentation(found, ids)
 
     def _known(self, found: Segmentation, labels: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -113,26 +118,26 @@ class Tracker:
         from scipy.optimize import linear_sum_assignment
 
         ids = np.zeros(len(found), np.int32)
-        remembered = [i for i, place in enumerate(self._places) if len(place)]
-        if not remembered or not len(found):
+        if not len(self._ids) or not len(found):
             return ids
         sizes = np.bincount(labels, minlength=len(found) + 1)[1:]
-        places = [self._places[i] for i in remembered]
-        shared = np.array([np.bincount(labels[place], minlength=len(found) + 1)[1:] for place in places])
+        shared = np.array(
+            [np.bincount(labels[place], minlength=len(found) + 1)[1:] for place in self._places]
+        )
         rows, columns = np.nonzero(shared)
-        old = self._planes[remembered][rows]
+        old = self._planes[rows]
         errors = plane_errors(found.planes[columns], old)
-        smaller = np.minimum(np.array([len(place) for place in places])[rows], sizes[columns])
+        smaller = np.minimum(np.array([len(place) for place in self._places])[rows], sizes[columns])
         same = (
             (shared[rows, columns] >= SHARED * smaller)
             & (errors.angle_deg <= TURNED)
             & (np.abs(errors.offset) <= MOVED * old[:, 3])
         )
         # What is in sight goes before what was covered.
-        weight = np.where(same, shared[rows, columns] / (1.0 + self._missed[remembered][rows]), 0.0)
+        weight = np.where(same, shared[rows, columns] / (1.0 + self._missed[rows]), 0.0)
         table = np.zeros(shared.shape)
         table[rows, columns] = weight
         for i, j in zip(*linear_sum_assignment(table, maximize=True), strict=True):
             if table[i, j] > 0.0:
-                ids[j] = remembered[i]
+                ids[j] = self._ids[i]
         return ids

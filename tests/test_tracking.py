@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rgbd_planes import Camera, scenes
+from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.metrics import compare_labels
-from rgbd_planes.tracking import segment_sequence
+from rgbd_planes.tracking import Tracker, segment_sequence
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
 
@@ -49,6 +49,15 @@ def test_a_plane_that_was_covered_comes_back_under_its_id() -> None:
     assert ids == [[1, 2], [1], [1], [1, 2]]
     ids = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=1)]
     assert ids == [[1, 2], [1], [1], [1, 3]]
+
+
+def test_what_is_forgotten_takes_no_room() -> None:
+    tracker = Tracker(CAMERA, memory=2)
+    for i in range(12):
+        frame = np.full(CAMERA.shape, 1.0 + i % 4)  # a new plane each time
+        tracked = tracker.follow(segment(frame, CAMERA))
+        assert tracked.ids.tolist() == [i + 1]
+        assert len(tracker._ids) == min(i + 1, 3)
 
 
 def test_another_plane_in_the_same_place_is_new() -> None:

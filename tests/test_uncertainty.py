@@ -353,7 +353,7 @@ def test_merging_is_fitting_all_pixels(method, rng):
         rp.merge(tiles, labels[1:])
     with pytest.raises(TypeError, match="integers"):
         rp.merge(tiles, labels.astype(float))
-    with pytest.raises(ValueError, match="0 or more"):
+    with pytest.raises(ValueError, match="must be 0 to"):
         rp.merge(tiles, -labels)
 
 
