@@ -38,7 +38,7 @@ UNOWNED, MISSING = -1, -2
 @kernel()
 def own_pixels(
     inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, spread, sigma,
-    reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, last_alpha,
+    reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, number, last_alpha,
     owner, pixel_owner, moments, squares,
 ):  # fmt: skip
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
@@ -66,10 +66,12 @@ def own_pixels(
     pyramid, offsets, shapes
         Moments of the squares of 1, 2, 4, ... blocks: see `segment_blocks.sum_by_fours`.
     is_first : bool
-        Whether the regions are others than in the round before.
+        Whether there was no round before.
     before : (R, C) int32
         ``region`` before the last round; on return, before this one.
-    last_alpha : (N, 3) float64
+    number : (M,) int64
+        Which of the regions each region of the last round has become, or -1.
+    last_alpha : (M, 3) float64
         ``alpha`` in the last round.
     owner : (R, C) int32
         EMPTY or not; on return region that owns all measured pixels of a block, which are most; or EMPTY, or
@@ -110,21 +112,12 @@ def own_pixels(
         squares[:] = 0.0
     else:
         settle_unchanged(
-            region,
-            before,
-            alpha,
-            last_alpha,
-            slope_variance,
-            spread,
-            sigma,
-            centre_u,
-            centre_v,
-            moments,
+            region, before, number, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments,
             around,
-        )
+        )  # fmt: skip
         take_out(
-            inverse_depth, tan_x, tan_y, pyramid, last_alpha, slope_variance, spread, sigma, cut, around, owner,
-            pixel_owner, moments, squares,
+            inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread, sigma, cut, around,
+            owner, pixel_owner, moments, squares,
         )  # fmt: skip
     before[:] = region
     for level in (2, 1):
@@ -166,6 +159,7 @@ def own_pixels(
                     owner[row, column] = a
                     if pixels <= SPARSE:
                         owner[row, column] = MIXED
+                        pixel_owner[row * columns + column, :] = MISSING
                         for y in range(top, bottom):
                             for x in range(left, right):
                                 k = (y - top) * BLOCK + x - left

@@ -3,7 +3,8 @@
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import EMPTY
+from .segment_blocks import BLOCK, EMPTY
+from .segment_growth import grow
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
 from .segment_noise import sensor_variance
@@ -69,18 +70,21 @@ def spread_out(region, owner, pyramid, alpha, slope_variance, spread, sigma, set
 
 @kernel()
 def find_regions(
-    inverse_depth, tan_x, tan_y, centre_u, centre_v, pyramid, offsets, shapes, state,
-    sigma, lateral_x, lateral_y, growth, floor, jump, spread, rough, reach, close, settled, cut, rounds, least,
+    inverse_depth, tan_x, tan_y, centre_u, centre_v, pyramid, rss, slope, offsets, shapes, state,
+    lateral, square_floor, square_spread, sigma, lateral_x, lateral_y, growth, floor, jump, spread, rough,
+    reach, close, settled, cut, rounds, least,
     region, owner, pixel_owner, pairs, contact, table, moments, squares,
 ):  # fmt: skip
-    """Merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
+    """Grow and merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
 
     Parameters
     ----------
     inverse_depth, tan_x, tan_y, centre_u, centre_v, reach, close, settled, cut, owner, pixel_owner
         See `segment_pixels.own_pixels`.
-    pyramid, offsets, shapes, state
+    pyramid, rss, slope, offsets, shapes, state
         See `segment_quadtree.join_blocks`.
+    lateral, square_floor, square_spread
+        See `segment_growth.grow`.
     sigma, lateral_x, lateral_y, growth, floor, jump, spread, pairs, contact, table
         See `segment_merge.merge` and `segment_merge.neighbours`.
     rough : float
@@ -100,7 +104,13 @@ def find_regions(
     count : int
         Regions in the end.
     """
-    count = leaves(offsets, shapes, state, pyramid, region, owner, moments)
+    blocks = region.size
+    node, place = np.empty(blocks, np.int32), np.empty((blocks, 3), np.int32)
+    squares_count = leaves(offsets, shapes, state, pyramid, region, owner, moments, node, place)
+    count = grow(
+        region, node, place, rss, slope, moments[:squares_count], sigma, lateral, square_floor, square_spread,
+        2.0 * (BLOCK << (len(shapes) - 1)) ** 2, np.empty(squares_count, np.int64),
+    )  # fmt: skip
     number = np.empty(0, np.int64)
     before = np.empty_like(region)
     alpha = np.empty((0, 3))
@@ -130,14 +140,13 @@ def find_regions(
         number = np.empty(count, np.int64)
         merged = number_regions(parent, moments, least if trip else 0.0, number)
         renumber(region, number)
+        own_squares = squares[:count].copy()
+        squares[:merged] = 0.0
+        for a in range(count):
+            if number[a] >= 0:
+                squares[number[a]] += own_squares[a]
         if trip == rounds:
-            own_squares = squares[:count].copy()
-            squares[:merged] = 0.0
-            for a in range(count):
-                if number[a] >= 0:
-                    squares[number[a]] += own_squares[a]
             return number, merged
-        is_first = trip == 0 or merged < count
         count = merged
         last_alpha = alpha
         alpha, slope_variance, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
@@ -146,7 +155,7 @@ def find_regions(
             spread_out(region, owner, pyramid, alpha, slope_variance, waves, sigma, settled)
         own_pixels(
             inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, waves, sigma,
-            reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, last_alpha,
+            reach, close, settled, cut, pyramid, offsets, shapes, trip == 0, before, number, last_alpha,
             owner, pixel_owner, moments[:count], squares[:count],
         )  # fmt: skip
     return number, count

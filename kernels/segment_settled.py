@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, EMPTY
+from .segment_blocks import BLOCK, EMPTY, MIXED
 from .segment_moments import add, misfit
 from .segment_noise import sensor_variance
 
@@ -20,7 +20,7 @@ NO_REGION = np.int32(np.iinfo(np.int32).max)
 # A block with more measured pixels than this is a solid one.
 SPARSE = BLOCK * BLOCK // 2
 # Deviations by which planes may move without anything that they own being looked at again.
-STILL = 0.1
+STILL = 0.25
 
 
 @kernel()
@@ -93,20 +93,27 @@ def settle_squares(
 
 @kernel()
 def settle_unchanged(
-    before, last_before, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments, around
+    before, last_before, number, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments, around
 ):  # fmt: skip
     """Let blocks be around which no region has changed since the last round, and no plane has moved.
 
     ``around`` becomes SETTLED for them; the rest is as in `own_pixels`.
     """
     rows, columns = before.shape
-    moved = np.zeros((len(alpha) + 1, 3))  # in deviations; the last row is for blocks of no region
-    for a in range(len(alpha)):
+    regions = len(number)
+    became = np.empty(regions + 1, np.int32)  # the last row is for blocks of no region
+    became[regions] = -1
+    moved = np.zeros((regions + 1, 3))  # in deviations
+    for b in range(regions):
+        a = number[b]
+        became[b] = a
+        if a < 0:
+            continue
         deviation = math.sqrt(
             (sensor_variance(moments[a, 3] / moments[a, 0], sigma) + slope_variance[a]) * spread[a]
         )
         for k in range(3):
-            moved[a, k] = (alpha[a, k] - last_alpha[a, k]) / deviation
+            moved[b, k] = (alpha[a, k] - last_alpha[b, k]) / deviation
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
     for row in range(rows):
         own, last, u, v, line = (
@@ -117,9 +124,9 @@ def settle_unchanged(
             changed[row + 1, 1:],
         )
         for c in range(columns):
-            a = own[c] if own[c] >= 0 else len(alpha)
-            d = moved[a, 0] * u[c] + moved[a, 1] * v[c] + moved[a, 2]
-            line[c] = (own[c] != last[c]) | (abs(d) > STILL)
+            b = last[c] if last[c] >= 0 else regions
+            d = moved[b, 0] * u[c] + moved[b, 1] * v[c] + moved[b, 2]
+            line[c] = (own[c] != became[b]) | (abs(d) > STILL)
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
         above, here, below, line = changed[row], changed[row + 1], changed[row + 2], around[row]
@@ -132,31 +139,42 @@ def settle_unchanged(
 
 @kernel()
 def take_out(
-    inverse_depth, tan_x, tan_y, pyramid, alpha, slope_variance, spread, sigma, cut, around, owner, pixel_owner,
-    moments, squares,
+    inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread, sigma, cut, around, owner,
+    pixel_owner, moments, squares,
 ):  # fmt: skip
-    """Subtract what the blocks that are not SETTLED gave to the regions, whose planes then were ``alpha``."""
+    """Subtract what the blocks that are not SETTLED gave to the regions, and rename the owners of the others."""
     height, width = inverse_depth.shape
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     rows, columns = around.shape
     for row in range(rows):
         for column in range(columns):
+            b = owner[row, column]
+            i = row * columns + column
             if around[row, column] == SETTLED:
+                if b >= 0:
+                    owner[row, column] = number[b]
+                elif b == MIXED:
+                    for k in range(BLOCK * BLOCK):
+                        b = pixel_owner[i, k]
+                        pixel_owner[i, k] = number[b] if b >= 0 else b
                 continue
-            m = pyramid[:, row * columns + column]
+            m = pyramid[:, i]
             sensor = sensor_variance(m[3] / m[0], sigma)
-            a = owner[row, column]
-            if a >= 0:
-                for k in range(10):
-                    moments[a, k] -= m[k]
-                squares[a] -= max(misfit(m, alpha[a]), 0.0) / ((sensor + slope_variance[a]) * spread[a])
+            if b >= 0:
+                a = number[b]
+                if a >= 0:
+                    for k in range(10):
+                        moments[a, k] -= m[k]
+                    total = (sensor + slope_variance[a]) * spread[a]
+                    squares[a] -= max(misfit(m, last_alpha[b]), 0.0) / total
                 continue
             for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
                 for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
-                    a = pixel_owner[row * columns + column, y % BLOCK * BLOCK + x % BLOCK]
+                    b = pixel_owner[i, y % BLOCK * BLOCK + x % BLOCK]
+                    a = number[b] if b >= 0 else -1
                     if a < 0:
                         continue
                     u, v, q = tan_x[y * step_y, x], tan_y[y, x * step_x], inverse_depth[y, x]
                     add(moments[a], u, v, q, -1.0)
-                    e = q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])
+                    e = q - (last_alpha[b, 0] * u + last_alpha[b, 1] * v + last_alpha[b, 2])
                     squares[a] -= min(e * e / ((sensor + slope_variance[a]) * spread[a]), cut * cut)
