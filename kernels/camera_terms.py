@@ -1,26 +1,26 @@
 """What the camera alone determines of a tile's moments: the sums of 1, u, v, uu, uv and vv over its valid pixels.
 
-A_valid = A_full - Σ_missing m mᵀ: the sums over all pixels of a tile are computed once for a camera, and those over
-its missing pixels are taken off in every frame.
+Without lens distortion tanθx and tanθy are linear in a tile's column j, counted from its last, and row k, and the sums
+follow from those of 1, j, k, jj, jk and kk over the valid pixels, which are whole numbers: a column adds up 1, k and kk
+in three fields of one number, and a tile that number times 1, j and jj.
 
-Without lens distortion tanθx and tanθy are linear in a tile's column j and row k, and the sums over missing pixels
-follow from those of 1, j, k, jj, jk and kk, which are whole numbers: a column adds up 1, k and kk in three fields of
-one number, and a tile that number times 1, j and jj.
+With it, A_valid = A_full - Σ_missing m mᵀ: the sums over all pixels of a tile are computed once for a camera, and those
+over its missing pixels are taken off in every frame.
 """
 
 import numpy as np
 
 from ._jit import kernel
 
-# Rows and columns whose missing pixels are counted at a time: so few that Σ1, Σjj, Σk and Σjk fit into fields of 22
+# Rows and columns whose valid pixels are counted at a time: so few that Σ1, Σjj, Σk and Σjk fit into fields of 22
 # bits and Σkk into one of 20. What a field has no room for is not used.
 BAND_ROWS = 32
 BAND_COLUMNS = 64
 FIELD = np.uint64(22)
 LAST_FIELD = np.uint64(44)
 FIELD_MASK = np.uint64((1 << 22) - 1)
-# What a missing pixel in row k of a band adds. The last is for no row: nothing.
-ROW_CODES = np.array([*(1 + (k << 22) + (k * k << 44) for k in range(BAND_ROWS)), 0], np.uint64)
+# What a valid pixel in row k of a band adds.
+ROW_CODES = np.array([1 + (k << 22) + (k * k << 44) for k in range(BAND_ROWS)], np.uint64)
 NO_CODE = np.uint64(0)
 # Entries of the moments that the camera alone determines, in the order of `full_tile_moments`.
 CAMERA_TERMS = np.array([0, 1, 2, 4, 5, 7])
@@ -69,8 +69,8 @@ def full_tile_moments(tan_x, tan_y, tile_height, tile_width, centre, full):
 
 
 @kernel(inline=True)
-def add_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
-    """Add the missing pixels of a band of rows to the sums of 1, u, v, uu, uv and vv of its tiles.
+def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
+    """Add the valid pixels of a band of rows to the sums of 1, u, v, uu, uv and vv of its tiles.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def add_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
         Of ``span`` columns a tile.
     u, step_u, v
         tanθx of the columns, its step, and tanθy of the rows, relative to their tile's centre.
-    counts, first_u : (3, TILES) uint64 and (TILES,) float64
+    counts, last_u : (3, TILES) uint64 and (TILES,) float64
         Room.
     """
     v_0 = v[0]
@@ -87,41 +87,38 @@ def add_missing(codes, u, step_u, v, tiles, span, counts, first_u, moments):
         size = min(span - part, BAND_COLUMNS)
         for tile in range(tiles):
             start = tile * span + part
-            once = by_j = by_jj = NO_CODE
-            for column in range(size):
-                j = np.uint64(column)
-                code = codes[start + column]
-                once += code
-                by_j += code * j
-                by_jj += code * (j * j)
+            # What a column adds to a sum goes into the next as many times as there are columns to come.
+            once = by_j = by_triangle = NO_CODE
+            for column in range(start, start + size):
+                by_triangle += by_j
+                by_j += once
+                once += codes[np.uintp(column)]  # unsigned: no test for an index from the end
             counts[0, tile] = once
             counts[1, tile] = by_j
-            counts[2, tile] = by_jj
-            first_u[tile] = u[start]
+            counts[2, tile] = by_triangle
+            last_u[tile] = u[start] + (size - 1) * step_u  # the image may end before the tile
         for tile in range(tiles):
             n = np.float64(counts[0, tile] & FIELD_MASK)
             k = np.float64((counts[0, tile] >> FIELD) & FIELD_MASK)
             kk = np.float64(counts[0, tile] >> LAST_FIELD)
             j = np.float64(counts[1, tile] & FIELD_MASK)
             jk = np.float64((counts[1, tile] >> FIELD) & FIELD_MASK)
-            jj = np.float64(counts[2, tile] & FIELD_MASK)
-            u_0 = first_u[tile]
+            # The triangle's j-th number is j(j - 1)/2.
+            jj = 2.0 * np.float64(counts[2, tile] & FIELD_MASK) + j
+            u_0 = last_u[tile]
             n_v = n * v_0 + k * step_v
             moments[0, tile] += n
-            moments[1, tile] += n * u_0 + j * step_u
+            moments[1, tile] += n * u_0 - j * step_u
             moments[2, tile] += n_v
-            moments[4, tile] += n * (u_0 * u_0) + j * (2.0 * u_0 * step_u) + jj * (step_u * step_u)
-            moments[5, tile] += u_0 * n_v + step_u * (j * v_0 + jk * step_v)
+            moments[4, tile] += n * (u_0 * u_0) - j * (2.0 * u_0 * step_u) + jj * (step_u * step_u)
+            moments[5, tile] += u_0 * n_v - step_u * (j * v_0 + jk * step_v)
             moments[7, tile] += n * (v_0 * v_0) + k * (2.0 * v_0 * step_v) + kk * (step_v * step_v)
 
 
 @kernel(inline=True)
-def add_camera_terms(centre, full, count, reference, moments):
-    """Give tiles their central rays, and the camera terms of all their pixels less the missing ones."""
-    for axis in range(2):
-        for i in range(count):
-            reference[axis, i] = centre[axis, i]
+def subtract_missing(full, first, last, moments):
+    """Make sums over the missing pixels of tiles ``first`` to ``last`` those of the camera terms of the valid ones."""
     for term in range(6):
-        sums = moments[CAMERA_TERMS[term]]
-        for i in range(count):
-            sums[i] = full[term, i] - sums[i]
+        of_all, sums = full[term][first:last], moments[CAMERA_TERMS[term]]
+        for i in range(last - first):
+            sums[i] = of_all[i] - sums[i]

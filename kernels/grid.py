@@ -42,8 +42,9 @@ def fit_range_tiles(
     height = raw.shape[0]
     tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
-    room = np.zeros((13 + solve.WORK, TILES))
+    room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    block_moments[:] = 0.0
     sums_room = strip_room(raw)
     flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
     flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
@@ -74,15 +75,11 @@ def fit_range_tiles(
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
-                camera_terms.add_camera_terms(
-                    flat_centre[:, first:last],
-                    flat_full[:, first:last],
-                    filled,
-                    block_reference,
-                    block_moments,
-                )
-                solve.copy(block_moments, filled, flat_moments[:, first:last])
-                solve.copy(block_reference, filled, flat_reference[:, first:last])
+                solve.copy(flat_centre, first, last, block_reference)
+                if tan_x.ndim == 2:
+                    camera_terms.subtract_missing(flat_full, first, last, block_moments)
+                solve.copy_back(block_moments, first, last, flat_moments)
+                solve.copy_back(block_reference, first, last, flat_reference)
                 solve.range_planes(
                     method == solve.RANGE_IMPLICIT,
                     block_moments,
@@ -114,10 +111,12 @@ def fit_standard_tiles(
     height = raw.shape[0]
     tile_columns = centre.shape[2]
     tiles_at_once = tiles_in_strip(tile_width)
-    room = np.zeros((25 + solve.WORK, TILES))
+    room = np.empty((25 + solve.WORK, TILES))
     block_moments, block_sums, block_reference, work = room[:10], room[10:22], room[22:25], room[25:]
+    block_moments[:] = 0.0
+    block_sums[:] = 0.0
     sums_room = strip_room(raw)
-    flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
+    flat_centre = centre.reshape(2, len(needed))
     flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
     flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
     flat_rmse, flat_rmse_metric = rmse.ravel(), rmse_metric.ravel()
@@ -147,16 +146,10 @@ def fit_standard_tiles(
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 if tan_x.ndim == 1:
-                    camera_terms.add_camera_terms(
-                        flat_centre[:, first:last],
-                        flat_full[:, first:last],
-                        filled,
-                        block_reference,
-                        block_moments,
-                    )
+                    solve.copy(flat_centre, first, last, block_reference)
                     standard_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
-                solve.copy(block_moments, filled, flat_moments[:, first:last])
-                solve.copy(block_reference, filled, flat_reference[:, first:last])
+                solve.copy_back(block_moments, first, last, flat_moments)
+                solve.copy_back(block_reference, first, last, flat_reference)
                 solve.standard_planes(
                     method - solve.STANDARD_EXPLICIT, block_moments, block_reference, filled, work
                 )

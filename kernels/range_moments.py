@@ -13,13 +13,13 @@ two depths, 1/a = b/(ab) and 1/b = a/(ab).
 import numpy as np
 
 from ._jit import kernel
-from .camera_terms import BAND_ROWS, NO_CODE, ROW_CODES, add_missing
+from .camera_terms import BAND_ROWS, NO_CODE, ROW_CODES, add_valid
 from .strips import (
     COLUMNS,
+    clip,
     columns_in_strip,
     find_references,
     fold_columns,
-    last_of_rows,
     spread_to_columns,
     step_of_columns,
 )
@@ -35,20 +35,15 @@ def inverse_depths(a, b, scale, offset):
 
 
 @kernel(inline=True)
-def range_pair(
-    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_q
-):  # fmt: skip
-    """Σq, Σqv, Σqq and the codes of the missing ones of two pixels of a column."""
-    valid_a = (a >= lowest) & (a <= highest)
-    valid_b = (b >= lowest_b) & (b <= highest_b)
-    # Any number that is not 0 will do for a missing pixel.
-    qa, qb = inverse_depths(
-        np.float64(a if valid_a else lowest), np.float64(b if valid_b else lowest), scale, offset
-    )
+def range_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q):
+    """Σq, Σqv, Σqq and the codes of the valid ones of two pixels of a column, or of the first alone."""
+    clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
+    valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
+    qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
     qa = qa - reference_q if valid_a else 0.0
     qb = qb - reference_q if valid_b else 0.0
-    missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
-    return qa + qb, qa * va + qb * vb, qa * qa + qb * qb, missing
+    valid = (code_a if valid_a else NO_CODE) + (code_b if valid_b else NO_CODE)
+    return qa + qb, qa * va + qb * vb, qa * qa + qb * qb, valid
 
 
 @kernel(reduction=True, inline=True)
@@ -58,47 +53,42 @@ def add_two_range_rows(
 ):  # fmt: skip
     """Add two image rows, see `add_range_rows`; the second may be missing."""
     sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
-    last, low, high = last_of_rows(raw, row + 1, row_stop, lowest, highest)
-    a, b = raw[row, left : left + count], raw[last, left : left + count]
-    va, vb = v[row], v[last]
-    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1 if row + 1 < row_stop else BAND_ROWS]
+    is_pair = row + 1 < row_stop
+    other = row + 1 if is_pair else row
+    a, b = raw[row, left : left + count], raw[other, left : left + count]
+    va, vb = v[row], v[other]
+    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1]
     for i in range(count):
-        q, qv, qq, missing = range_pair(
-            a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
-            reference_q[i],
-        )  # fmt: skip
+        q, qv, qq, valid = range_pair(
+            a[i], b[i], is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q[i]
+        )
         sum_q[i] += q
         sum_qv[i] += qv
         sum_qq[i] += qq
-        codes[i] += missing
+        codes[i] += valid
 
 
 @kernel(reduction=True, inline=True)
 def add_four_range_rows(
-    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
-    reference_q, sums, codes,
-):  # fmt: skip
-    """Add four image rows, see `add_range_rows`; the fourth may be missing."""
+    raw, lowest, highest, scale, offset, v, row, k, left, count, reference_q, sums, codes
+):
+    """Add four image rows, see `add_range_rows`."""
     sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
-    last, low, high = last_of_rows(raw, row + 3, row_stop, lowest, highest)
     a, b = raw[row, left : left + count], raw[row + 1, left : left + count]
-    c, d = raw[row + 2, left : left + count], raw[last, left : left + count]
-    va, vb, vc, vd = v[row], v[row + 1], v[row + 2], v[last]
-    code_a, code_b, code_c = ROW_CODES[k], ROW_CODES[k + 1], ROW_CODES[k + 2]
-    code_d = ROW_CODES[k + 3 if row + 3 < row_stop else BAND_ROWS]
+    c, d = raw[row + 2, left : left + count], raw[row + 3, left : left + count]
+    va, vb, vc, vd = v[row], v[row + 1], v[row + 2], v[row + 3]
+    code_a, code_b, code_c, code_d = ROW_CODES[k], ROW_CODES[k + 1], ROW_CODES[k + 2], ROW_CODES[k + 3]
     for i in range(count):
-        q, qv, qq, missing = range_pair(
-            a[i], b[i], lowest, highest, lowest, highest, scale, offset, va, vb, code_a, code_b,
-            reference_q[i],
-        )  # fmt: skip
-        q_, qv_, qq_, missing_ = range_pair(
-            c[i], d[i], lowest, highest, low, high, scale, offset, vc, vd, code_c, code_d,
-            reference_q[i],
-        )  # fmt: skip
+        q, qv, qq, valid = range_pair(
+            a[i], b[i], True, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q[i]
+        )
+        q_, qv_, qq_, valid_ = range_pair(
+            c[i], d[i], True, lowest, highest, scale, offset, vc, vd, code_c, code_d, reference_q[i]
+        )
         sum_q[i] += q + q_
         sum_qv[i] += qv + qv_
         sum_qq[i] += qq + qq_
-        codes[i] += missing + missing_
+        codes[i] += valid + valid_
 
 
 @kernel(inline=True)
@@ -117,22 +107,34 @@ def add_range_rows(
     sums : (3, COLUMNS) float64, added to
         Σq, Σqv, Σqq of the valid pixels.
     codes : (COLUMNS,) uint64, added to
-        The band's missing pixels.
+        The band's valid pixels, see `ROW_CODES`.
     """
+    if lowest > highest:
+        return  # no value is valid
     row = row_start
+    while row + 4 <= row_stop:
+        add_four_range_rows(
+            raw,
+            lowest,
+            highest,
+            scale,
+            offset,
+            v,
+            row,
+            row - row_start,
+            left,
+            count,
+            reference_q,
+            sums,
+            codes,
+        )
+        row += 4
     while row < row_stop:
-        if row + 2 < row_stop:
-            add_four_range_rows(
-                raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
-                reference_q, sums, codes,
-            )  # fmt: skip
-            row += 4
-        else:
-            add_two_range_rows(
-                raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
-                reference_q, sums, codes,
-            )  # fmt: skip
-            row += 2
+        add_two_range_rows(
+            raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+            reference_q, sums, codes,
+        )  # fmt: skip
+        row += 2
 
 
 @kernel(reduction=True, inline=True)
@@ -161,7 +163,7 @@ def range_strip_separable(
     """Range-space sums of a strip of tiles, for a camera without lens distortion.
 
     Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). The
-    other entries are summed over the missing pixels: A_valid = A_full - Σ_missing m mᵀ, see `add_camera_terms`.
+    other entries need no more of it than which pixels are valid.
 
     Parameters
     ----------
@@ -202,7 +204,7 @@ def range_strip_separable(
                 raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
                 columns[0], sums, codes,
             )  # fmt: skip
-            add_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
+            add_valid(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
         fold_range_columns(sums, u[left:], tiles, span, moments)
 
 

@@ -19,6 +19,9 @@ import math
 
 from ._jit import kernel
 
+# Tiles that take steps until the last of them has converged: several vectors, but few tiles that wait.
+TOGETHER = 64
+
 
 @kernel(inline=True)
 def newton_step(
@@ -31,19 +34,21 @@ def newton_step(
     """
     # (A' - λB) by LDLᵀ, eliminating the constant first: its pivot n is the largest.
     d1 = n - eigenvalue
+    inverse_1 = 1.0 / d1
     m_u = s_u + eigenvalue * u0
     m_v = s_v + eigenvalue * v0
-    l_u = m_u / d1
-    l_v = m_v / d1
+    l_u = m_u * inverse_1
+    l_v = m_v * inverse_1
     e_uu = s_uu - eigenvalue * (1.0 + u0 * u0) - l_u * m_u
     e_uv = s_uv - eigenvalue * (u0 * v0) - l_u * m_v
     e_vv = s_vv - eigenvalue * (1.0 + v0 * v0) - l_v * m_v
     determinant = e_uu * e_vv - e_uv * e_uv
+    inverse = 1.0 / determinant
     f_u = right_u - l_u * right_1
     f_v = right_v - l_v * right_1
-    a = (e_vv * f_u - e_uv * f_v) / determinant
-    b = (e_uu * f_v - e_uv * f_u) / determinant
-    p = right_1 / d1 - l_u * a - l_v * b
+    a = (e_vv * f_u - e_uv * f_v) * inverse
+    b = (e_uu * f_v - e_uv * f_u) * inverse
+    p = right_1 * inverse_1 - l_u * a - l_v * b
     value = rss - eigenvalue * (1.0 + a * ba + b * bb + p * bc)
     c = p - u0 * a - v0 * b
     step = value / (1.0 + a * a + b * b + c * c)
@@ -70,33 +75,44 @@ def smallest_eigenvectors(moments, reference, count, work, solution, eigenvalue)
         The explicit solution's sum of squared residuals on entry, λ on return: NaN, and α meaningless, where
         the plane passes through the camera's centre or NaN came in.
     """
-    u0, v0, q0 = reference[0], reference[1], reference[2]
-    n, s_u, s_v, s_q = moments[0], moments[1], moments[2], moments[3]
-    s_uu, s_uv, s_uq, s_vv, s_vq = moments[4], moments[5], moments[6], moments[7], moments[8]
-    rss, ba, bb, bc = work[0], work[1], work[2], work[3]
-    for i in range(count):
-        # B α₀' with p the value at the reference: centred coordinates have c' = c + a·u0 + b·v0.
-        a, b = solution[0, i], solution[1, i]
-        p = solution[2, i] + a * u0[i] + b * v0[i]
-        ba[i] = (1.0 + u0[i] * u0[i]) * a + u0[i] * v0[i] * b - u0[i] * p
-        bb[i] = u0[i] * v0[i] * a + (1.0 + v0[i] * v0[i]) * b - v0[i] * p
-        bc[i] = p - u0[i] * a - v0[i] * b
-        rss[i] = eigenvalue[i]
-        # The Rayleigh quotient of (α₀, -1).
-        eigenvalue[i] = rss[i] / (1.0 + a * ba[i] + b * bb[i] + p * bc[i])
-    for _ in range(20):
-        moving = 0
-        for i in range(count):
-            a, b, p, step = newton_step(
-                eigenvalue[i], n[i], s_u[i], s_v[i], s_uu[i], s_uv[i], s_vv[i], u0[i], v0[i],
-                s_uq[i] + q0[i] * s_u[i], s_vq[i] + q0[i] * s_v[i], s_q[i] + q0[i] * n[i],
-                ba[i], bb[i], bc[i], rss[i],
-            )  # fmt: skip
-            solution[0, i] = a
-            solution[1, i] = b
-            solution[2, i] = p - u0[i] * a - v0[i] * b
-            # Comparisons with NaN are false: a tile without a solution is NaN and does not move.
-            moving += 1 if abs(step) > 1e-14 * eigenvalue[i] else 0
-            eigenvalue[i] += 0.0 if abs(step) <= 1e-14 * eigenvalue[i] else step
-        if moving == 0:
-            break
+    for first in range(0, count, TOGETHER):
+        last = min(first + TOGETHER, count)
+        # In one dimension, whose stride the compiler knows.
+        u0, v0, q0 = reference[0][first:last], reference[1][first:last], reference[2][first:last]
+        n, s_u, s_v, s_q = (
+            moments[0][first:last],
+            moments[1][first:last],
+            moments[2][first:last],
+            moments[3][first:last],
+        )
+        s_uu, s_uv, s_uq = moments[4][first:last], moments[5][first:last], moments[6][first:last]
+        s_vv, s_vq = moments[7][first:last], moments[8][first:last]
+        rss, ba, bb, bc = work[0], work[1], work[2], work[3]
+        alpha_0, alpha_1, alpha_2 = solution[0][first:last], solution[1][first:last], solution[2][first:last]
+        root = eigenvalue[first:last]
+        for i in range(last - first):
+            # B α₀' with p the value at the reference: centred coordinates have c' = c + a·u0 + b·v0.
+            a, b = alpha_0[i], alpha_1[i]
+            p = alpha_2[i] + a * u0[i] + b * v0[i]
+            ba[i] = (1.0 + u0[i] * u0[i]) * a + u0[i] * v0[i] * b - u0[i] * p
+            bb[i] = u0[i] * v0[i] * a + (1.0 + v0[i] * v0[i]) * b - v0[i] * p
+            bc[i] = p - u0[i] * a - v0[i] * b
+            rss[i] = root[i]
+            # The Rayleigh quotient of (α₀, -1).
+            root[i] = rss[i] / (1.0 + a * ba[i] + b * bb[i] + p * bc[i])
+        for _ in range(20):
+            moving = 0
+            for i in range(last - first):
+                a, b, p, step = newton_step(
+                    root[i], n[i], s_u[i], s_v[i], s_uu[i], s_uv[i], s_vv[i], u0[i], v0[i],
+                    s_uq[i] + q0[i] * s_u[i], s_vq[i] + q0[i] * s_v[i], s_q[i] + q0[i] * n[i],
+                    ba[i], bb[i], bc[i], rss[i],
+                )  # fmt: skip
+                alpha_0[i] = a
+                alpha_1[i] = b
+                alpha_2[i] = p - u0[i] * a - v0[i] * b
+                # Comparisons with NaN are false: a tile without a solution is NaN and does not move.
+                moving += 1 if abs(step) > 1e-14 * root[i] else 0
+                root[i] += 0.0 if abs(step) <= 1e-14 * root[i] else step
+            if moving == 0:
+                break

@@ -232,8 +232,8 @@ def fit_moments(
     for first in range(start, stop, TILES):
         last = min(first + TILES, stop)
         count = last - first
-        copy(moments[:, first:last], count, block_moments)
-        copy(reference[:, first:last], count, block_reference)
+        copy(moments, first, last, block_moments)
+        copy(reference, first, last, block_reference)
         if method <= RANGE_IMPLICIT:
             range_planes(
                 method == RANGE_IMPLICIT, block_moments, block_reference, needed[first:last], count, work
@@ -249,8 +249,19 @@ def fit_moments(
 
 
 @kernel(inline=True)
-def copy(values, count, where):
-    """Copy the first ``count`` columns of all rows."""
+def copy(values, first, last, where):
+    """Copy columns ``first`` to ``last`` of all rows to the first columns."""
     for row in range(len(values)):
-        for i in range(count):
-            where[row, i] = values[row, i]
+        # In one dimension, whose stride the compiler knows.
+        source, target = values[row][first:last], where[row]
+        for i in range(last - first):
+            target[i] = source[i]
+
+
+@kernel(inline=True)
+def copy_back(where, first, last, values):
+    """The reverse of `copy`."""
+    for row in range(len(values)):
+        source, target = where[row], values[row][first:last]
+        for i in range(last - first):
+            target[i] = source[i]

@@ -7,14 +7,14 @@ As `range_moments`, but a pixel is the point (X, Y, Z) and a tile's moments are 
 import numpy as np
 
 from ._jit import kernel
-from .camera_terms import BAND_ROWS, NO_CODE, ROW_CODES, add_missing
+from .camera_terms import BAND_ROWS, NO_CODE, ROW_CODES, add_valid
 from .strips import (
     COLUMNS,
+    clip,
     columns_in_strip,
     find_references,
     fold,
     fold_columns,
-    last_of_rows,
     spread_to_columns,
     step_of_columns,
 )
@@ -33,17 +33,15 @@ def depths(a, b, scale, offset):
 
 
 @kernel(inline=True)
-def standard_pair(
-    a, b, lowest, highest, lowest_b, highest_b, scale, offset, va, vb, code_a, code_b, reference_z
-):  # fmt: skip
-    """Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv and the codes of the missing ones of two pixels of a column."""
-    valid_a = (a >= lowest) & (a <= highest)
-    valid_b = (b >= lowest_b) & (b <= highest_b)
-    za, zb = depths(np.float64(a if valid_a else lowest), np.float64(b if valid_b else lowest), scale, offset)
+def standard_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_z):
+    """Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv and the codes of the valid ones of two pixels of a column, or of the first."""
+    clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
+    valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
+    za, zb = depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
     za = za - reference_z if valid_a else 0.0
     zb = zb - reference_z if valid_b else 0.0
     zva, zvb = za * va, zb * vb
-    missing = (NO_CODE if valid_a else code_a) + (NO_CODE if valid_b else code_b)
+    valid = (code_a if valid_a else NO_CODE) + (code_b if valid_b else NO_CODE)
     return (
         za + zb,
         zva + zvb,
@@ -51,7 +49,7 @@ def standard_pair(
         za * za + zb * zb,
         za * zva + zb * zvb,
         zva * zva + zvb * zvb,
-        missing,
+        valid,
     )
 
 
@@ -62,22 +60,22 @@ def add_two_standard_rows(
 ):  # fmt: skip
     """Add two image rows, see `add_standard_rows`; the second may be missing."""
     sum_z, sum_zv, sum_zvv, sum_zz, sum_zzv, sum_zzvv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    last, low, high = last_of_rows(raw, row + 1, row_stop, lowest, highest)
-    a, b = raw[row, left : left + count], raw[last, left : left + count]
-    va, vb = v[row], v[last]
-    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1 if row + 1 < row_stop else BAND_ROWS]
+    is_pair = row + 1 < row_stop
+    other = row + 1 if is_pair else row
+    a, b = raw[row, left : left + count], raw[other, left : left + count]
+    va, vb = v[row], v[other]
+    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1]
     for i in range(count):
-        z, zv, zvv, zz, zzv, zzvv, missing = standard_pair(
-            a[i], b[i], lowest, highest, low, high, scale, offset, va, vb, code_a, code_b,
-            reference_z[i],
-        )  # fmt: skip
+        z, zv, zvv, zz, zzv, zzvv, valid = standard_pair(
+            a[i], b[i], is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_z[i]
+        )
         sum_z[i] += z
         sum_zv[i] += zv
         sum_zvv[i] += zvv
         sum_zz[i] += zz
         sum_zzv[i] += zzv
         sum_zzvv[i] += zzvv
-        codes[i] += missing
+        codes[i] += valid
 
 
 @kernel(inline=True)
@@ -89,6 +87,8 @@ def add_standard_rows(
 
     ``sums`` (6, COLUMNS) are Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv; z is relative to ``reference_z``.
     """
+    if lowest > highest:
+        return  # no value is valid
     for row in range(row_start, row_stop, 2):
         add_two_standard_rows(
             raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
@@ -177,8 +177,8 @@ def standard_strip_separable(
     """Sums of a strip of tiles for the moments of (X, Y, Z), for a camera without lens distortion.
 
     As `range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every entry depends
-    on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the sums over missing pixels, and ``tile_sums``
-    (12, N) those of which `standard_from_sums` makes the rest.
+    on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the camera terms, and ``tile_sums`` (12, N) the
+    sums of which `standard_from_sums` makes the rest.
     """
     sums, columns, references_raw, codes, counts = room
     tiles = tile_stop - tile_start
@@ -202,7 +202,7 @@ def standard_strip_separable(
                 raw, lowest, highest, scale, offset, v, band, band_stop, left, count,
                 columns[0], sums, codes,
             )  # fmt: skip
-            add_missing(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
+            add_valid(codes, u[left:], step_u, v[band:band_stop], tiles, span, counts, columns[1], moments)
         fold_thrice(sums[0], u[left:], tiles, span, tile_sums[0:])
         fold_thrice(sums[3], u[left:], tiles, span, tile_sums[3:])
         fold_twice(sums[1], u[left:], tiles, span, tile_sums[6:])

@@ -95,11 +95,10 @@ def find_references(
 
 
 @kernel(inline=True)
-def last_of_rows(raw, row, row_stop, lowest, highest):
-    """An image row's number and its least and largest valid value; from ``row_stop`` on no value is valid."""
-    if row < row_stop:
-        return row, lowest, highest
-    return row_stop - 1, raw.dtype.type(1), raw.dtype.type(0)
+def clip(value, lowest, highest):
+    """The nearest valid raw value, for NaN the lowest: a value is valid if and only if it is its own."""
+    above = value if value > lowest else lowest
+    return above if above < highest else highest
 
 
 @kernel(inline=True)

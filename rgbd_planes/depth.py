@@ -10,8 +10,7 @@ import struct
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +25,7 @@ _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
 
 
-@dataclass(frozen=True, eq=False)
-class DepthFrame:
+class DepthFrame(NamedTuple):
     """A depth frame as the kernels read it.
 
     Attributes
@@ -123,7 +121,9 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     else:
         raise TypeError(f"expected a depth frame of integers or floats, got dtype {array.dtype}")
 
-    raw = np.require(array, dtype, ["C", "A"])
+    raw, flags = array, array.flags
+    if array.dtype != dtype or not (flags.c_contiguous and flags.aligned):
+        raw = np.require(array, dtype, ["C", "A"])
     depth_scale = camera.depth_scale if kind in "ui" else 1.0
     disparity = camera.disparity
     if disparity is None:
@@ -139,7 +139,7 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     if holes:
         raw, lowest, highest = _without(raw, holes, lowest, highest, missing)
     raw = raw.view()
-    raw.flags.writeable = False  # one type for the kernels, and the caller's frame is safe
+    raw.setflags(write=False)  # one type for the kernels, and the caller's frame is safe
     if disparity is not None:
         return DepthFrame(raw, lowest, highest, disparity[0], disparity[1], True)
     assert depth_scale is not None

@@ -1,5 +1,6 @@
 """Fit a plane to every tile of a depth frame."""
 
+import operator
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
@@ -21,6 +22,8 @@ from rgbd_planes.tile_grid import camera_terms, check_tile, relative_rays, tile_
 from rgbd_planes.tile_planes import ARRAYS, TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
+
+_arrays_of, _in_order = operator.attrgetter(*ARRAYS), operator.itemgetter(*ARRAYS)
 
 
 class TileFitter:
@@ -210,7 +213,7 @@ class TileFitter:
             or out.method != self.method
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
-        arrays = {name: getattr(out, name) for name in ARRAYS}
+        arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
         if "_made" in out.__dict__:
             arrays["_statistics"] = out._statistics.rows
         return arrays
@@ -236,7 +239,7 @@ class TileFitter:
     def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         # Numba compiles for a depth image or for a disparity image.
         offset = frame.offset if frame.is_disparity else None
-        results = [arrays[name] for name in ARRAYS]
+        results = _in_order(arrays)
 
         def fit(start: int, stop: int) -> None:
             self._kernel(

@@ -286,6 +286,17 @@ def test_nothing_valid_is_no_error():
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_range_without_a_raw_value(method):
+    """Nothing of a frame that ends before the nearest depth is valid, not even the ends of the empty interval."""
+    camera = make_camera(depth_range=(70.0, 80.0))
+    depth = np.zeros(camera.shape, np.uint16)
+    depth[1::2], depth[:, ::3] = 1, 65535
+    tiles = rp.fit_tiles(depth, camera, (9, 16), method)
+    assert (tiles.valid_count == 0).all()
+    assert (tiles.status == rp.TileStatus.TOO_FEW).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_real_frame_equals_oracle(real_frame, method):
     """The changes that a well-posed problem survives are larger here than above.
 
