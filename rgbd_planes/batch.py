@@ -173,6 +173,10 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": asdict(settings)}
     about = json.loads(json.dumps(about))
     file = folder / _ABOUT
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(
+            f"{folder}: expected a folder for the table, got a file; choose another name"
+        )
     if file.is_file():
         try:
             found = json.loads(file.read_text(encoding="utf-8"))

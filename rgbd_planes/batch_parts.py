@@ -126,7 +126,7 @@ def fit_part(
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
-            reason = " ".join(str(error).split()) or type(error).__name__
+            reason = " ".join(str(error).removeprefix(f"{entry.location}: ").split()) or type(error).__name__
             problems.append(Problem(first + i, entry.name, reason))
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
 from rgbd_planes.checks import number, numbers
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.depth import as_depth_frame, warn_caller
 from rgbd_planes.files import write_beside
 from rgbd_planes.noise import NoiseModel
 
 Array = NDArray[np.float64]
+
+_WIDEST = 150.0  # degrees; no lens of these models sees more
 
 _tables_lock = threading.Lock()
 
@@ -57,6 +59,12 @@ class Camera:
     TypeError, ValueError
         For a value that cannot be, saying what was expected and what came.
 
+    Warns
+    -----
+    UserWarning
+        The field of view is above 150 degrees, or the principal point farther outside the image than that is
+        large: most likely intrinsics in other units, or of another image size.
+
     Notes
     -----
     The tables hold tanθx = (x + δx - cx) / fx and tanθy = (y + δy - cy) / fy of the paper's eq.
@@ -93,9 +101,28 @@ class Camera:
             raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
         distortion.check(self.distortion, self.distortion_model)
         self._check_depth()
+        self._warn_of_intrinsics()
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
+
+    def _warn_of_intrinsics(self) -> None:
+        """Warn of what can be, but most likely is a focal length in millimetres, or as a share of the width."""
+        for size, focal, centre, names in (
+            (self.width, self.fx, self.cx, ("width", "fx", "cx")),
+            (self.height, self.fy, self.cy, ("height", "fy", "cy")),
+        ):
+            angle = math.degrees(2.0 * math.atan(0.5 * size / abs(focal)))
+            if angle > _WIDEST:
+                warn_caller(
+                    f"{names[1]} = {focal:g} pixels with a {names[0]} of {size} is a field of view of {angle:.0f} "
+                    "degrees: is the focal length in pixels, and of this image size?"
+                )
+            if not -size <= centre <= 2 * size:
+                warn_caller(
+                    f"{names[2]} = {centre:g} is far outside an image with a {names[0]} of {size} pixels: is the "
+                    "principal point in pixels, and of this image size?"
+                )
 
     def _check_depth(self) -> None:
         if self.depth_scale is not None:
@@ -270,7 +297,7 @@ class Camera:
         missing = [name for name in known[:6] if name not in values]
         if missing:
             raise ValueError(
-                f"expected the camera keys {', '.join(known[:6])}, got all but {', '.join(missing)}"
+                f"expected the camera keys {', '.join(known[:6])}; missing: {', '.join(missing)}"
             )
         made = dict(values)
         if isinstance(made.get("noise"), Mapping):

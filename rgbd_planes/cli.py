@@ -19,7 +19,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 1 if frames of a batch were skipped; 2 after an error.
+        0; 1 if a frame has no measurement or frames of a batch were skipped; 2 after an error.
     """
     parser = _Parser(
         prog="rgbd-planes",

@@ -172,7 +172,7 @@ def _warn_of_units(
     if dtype == np.uint16 and 2.0 * farthest > 65535:
         return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
     if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and depth_range is None:
-        _warn(
+        warn_caller(
             f"a frame of 8 bits with a depth_scale of {depth_scale:g} per metre ends at {255 / depth_scale:.2g} m: "
             "is it a picture of the depth?"
         )
@@ -188,18 +188,19 @@ def _warn_of_units(
     if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf))):
         return
     if dtype.kind == "f":
-        _warn(
+        warn_caller(
             f"float depth is in metres, but most of this frame is beyond {_PLAINLY_NOT_METRES:g} m: "
             "millimetres? depth_scale applies to integer frames only; divide the frame by it"
         )
     else:
-        _warn(
+        warn_caller(
             f"with a depth_scale of {depth_scale:g} per metre most of this frame is beyond "
             f"{_PLAINLY_NOT_METRES:g} m: is it in millimetres, depth_scale=1000?"
         )
 
 
-def _warn(message: str) -> None:
+def warn_caller(message: str) -> None:
+    """Warn at the line that called this library."""
     warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
 
 

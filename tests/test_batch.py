@@ -186,6 +186,7 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     ]  # fmt: skip
     for problem, words in zip(report.problems, ("no such file", "truncated PNG", "(60, 80)"), strict=True):
         assert words in problem.reason
+        assert str(recording) not in problem.reason  # the name says which
     check_rows(tmp_path / "out", sequence, bad=(0, 7, 29))
     # An interrupted table has them, too.
     again = rp.fit_sequence(sequence, tmp_path / "out")
@@ -258,6 +259,12 @@ def test_arguments_that_cannot_be_used(recording, tmp_path):
     with pytest.raises(ValueError, match="expected a sequence with frames"):
         rp.fit_sequence(sequence[:0], out)
     assert not out.exists()
+    out.write_text("mine")
+    with pytest.raises(
+        NotADirectoryError, match="expected a folder for the table, got a file; choose another"
+    ):
+        rp.fit_sequence(sequence, out)
+    assert out.read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", ["pyarrow", "pyarrow.parquet"])

@@ -3,6 +3,7 @@
 import copy
 import json
 import pickle
+import re
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -103,13 +104,14 @@ def test_a_distortion_that_folds_inside_the_image(model):
 
 def test_a_fold_between_the_axis_and_an_image_beside_it():
     # All of the image lies where the model grows again, past its fold.
-    camera = small(
-        fx=500.0,
-        fy=500.0,
-        cx=-700.0,
-        distortion=(-2.0, 1.2, 0, 0, 0),
-        distortion_model="inverse_brown_conrady",
-    )
+    with pytest.warns(UserWarning, match="far outside"):
+        camera = small(
+            fx=500.0,
+            fy=500.0,
+            cx=-700.0,
+            distortion=(-2.0, 1.2, 0, 0, 0),
+            distortion_model="inverse_brown_conrady",
+        )
     with pytest.raises(ValueError, match="of 3072 pixels"):
         _ = camera.tan_x
 
@@ -242,6 +244,7 @@ cameras = st.builds(
 )
 
 
+@pytest.mark.filterwarnings("ignore:[fc][xy] =:UserWarning")  # of lenses that nobody has
 @given(camera=cameras)
 @settings(deadline=None)
 def test_json_gives_the_same_camera_back(camera):
@@ -277,7 +280,7 @@ def test_save_where_nothing_can_be_written(tmp_path):
         ("", "expected a JSON file, got .*camera.json"),
         ("[1]", "expected a JSON object in .*camera.json, got list"),
         ('{"width": 1', "expected a JSON file"),
-        ('{"width": 1, "height": 2, "fx": 3, "cx": 5}', "got all but fy, cy"),
+        ('{"width": 1, "height": 2, "fx": 3, "cx": 5}', "missing: fy, cy"),
         (
             '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "scale": 7, "k1": 0}',
             "also k1, scale$",
@@ -501,3 +504,23 @@ def test_real_frames_give_points_in_their_stated_range(path):
     valid = np.isfinite(z)
     assert 0.5 < valid.mean() <= 1
     assert 0.1 < z[valid].min() < np.median(z[valid]) < z[valid].max() < 20
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"fx": 3.6}, "fx = 3.6 pixels with a width of 640 is a field of view of 179 degrees"),
+        ({"fy": -0.9}, "fy = -0.9 pixels with a height of 480"),
+        ({"cx": 3195.0}, "cx = 3195 is far outside an image with a width of 640"),
+        ({"cy": -500.0}, "cy = -500 is far outside"),
+    ],
+)
+def test_intrinsics_that_no_camera_has_are_doubted(change, words):
+    values = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5}
+    with pytest.warns(UserWarning, match=re.escape(words)) as warned:
+        Camera(**values | change)
+    assert len(warned) == 1
+    assert warned[0].filename == __file__
+    # Wide lenses, narrow ones, and crops beside the principal point are no reason.
+    for other in ({"fx": 90.0}, {"fx": 1e6}, {"cx": -300.0}, {"cy": 900.0}):
+        Camera(**values | other)

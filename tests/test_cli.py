@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -196,8 +197,16 @@ def test_bad_input_is_one_line_and_nothing_written(folder, capsys, spoil, option
 
 def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
     np.save("depth.npy", np.full((60, 80), np.nan))
-    assert cli.main(["fit", "depth.npy", "--camera", "camera.json", "--figure", "p.png"]) == 0
-    assert "20 TOO_FEW; 0% of the pixels are measured." in capsys.readouterr().out
+    assert cli.main(["fit", "depth.npy", "--camera", "camera.json", "--figure", "p.png"]) == 1
+    out, err = capsys.readouterr()
+    assert "20 TOO_FEW; 0% of the pixels are measured." in out
+    assert os.path.exists("p.png")
+    assert err == "rgbd-planes fit: depth.npy: no pixel is a measurement: the values are nan to nan\n"
+    replace(CAMERA, depth_range=(20.0, 30.0)).save("far.json")
+    for command in ("segment", "normals"):
+        assert cli.main([command, "depth.png", "--camera", "far.json"]) == 1
+        err = capsys.readouterr().err
+        assert re.search(r"the values are 0 to \d{4}, the camera's depth_range is 20 to 30 m\n$", err)
 
 
 def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, monkeypatch):

@@ -1,11 +1,15 @@
 """What commands share: arguments, checks of what is to be written, and what is said about tiles."""
 
 import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from rgbd_planes.camera import Camera
     from rgbd_planes.tile_planes import TilePlanes
 
 Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
@@ -50,6 +54,33 @@ def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
     if path.suffix.lower() not in suffixes:
         raise CommandError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
     check_writable(path)
+
+
+def add_frame(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that `read_frame` reads."""
+    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
+    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+
+
+def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, int]":
+    """The depth image, the camera, and what the command exits with: 1 if there is nothing measured, said on stderr."""
+    from rgbd_planes.camera import Camera
+    from rgbd_planes.depth import as_depth_frame
+    from rgbd_planes.images import read_depth
+
+    camera = Camera.load(arguments.camera)
+    depth = read_depth(arguments.depth)
+    if as_depth_frame(depth, camera).valid.any():
+        return depth, camera, 0
+    reason = f"the values are {depth.min():g} to {depth.max():g}"
+    if camera.depth_range is not None:
+        nearest, farthest = camera.depth_range
+        reason += f", the camera's depth_range is {nearest:g} to {farthest:g} m"
+    print(
+        f"rgbd-planes {arguments.command}: {arguments.depth}: no pixel is a measurement: {reason}",
+        file=sys.stderr,
+    )
+    return depth, camera, 1
 
 
 def write_figure(figure: Any, path: Path) -> None:

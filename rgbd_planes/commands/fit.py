@@ -3,7 +3,15 @@
 import argparse
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import Run, add_fit_options, check_output, describe_tiles, write_figure
+from rgbd_planes.commands.arguments import (
+    Run,
+    add_fit_options,
+    add_frame,
+    check_output,
+    describe_tiles,
+    read_frame,
+    write_figure,
+)
 
 
 def fit(parser: argparse.ArgumentParser) -> Run:
@@ -11,8 +19,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
 
     example: rgbd-planes fit depth.png --camera camera.json --tile 16 --out planes.npz --figure planes.png
     """
-    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
-    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    add_frame(parser)
     add_fit_options(parser)
     parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
     parser.add_argument(
@@ -20,14 +27,12 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     )
     parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and tiles")
 
-    def run(arguments: argparse.Namespace) -> None:
-        from rgbd_planes import Camera, fit_tiles
-        from rgbd_planes.images import read_depth
+    def run(arguments: argparse.Namespace) -> int:
+        from rgbd_planes import fit_tiles
 
         check_output(arguments.out, (".npz",))
         check_output(arguments.figure, (".png", ".pdf", ".svg"))
-        camera = Camera.load(arguments.camera)
-        depth = read_depth(arguments.depth)
+        depth, camera, status = read_frame(arguments)
         tiles = fit_tiles(
             depth,
             camera,
@@ -44,5 +49,6 @@ def fit(parser: argparse.ArgumentParser) -> Run:
         if arguments.figure is not None:
             write_figure(tiles.plot(depth), arguments.figure)
             print(f"Wrote {arguments.figure}")
+        return status
 
     return run

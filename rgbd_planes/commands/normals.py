@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import Run, check_output, write_figure
+from rgbd_planes.commands.arguments import Run, add_frame, check_output, read_frame, write_figure
 
 
 def normals(parser: argparse.ArgumentParser) -> Run:
@@ -11,8 +11,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
 
     example: rgbd-planes normals depth.png --camera camera.json --window 7 --out normals.npy --figure normals.png
     """
-    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
-    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    add_frame(parser)
     parser.add_argument("--window", type=int, default=7, metavar="N", help="odd, 3 to 31 pixels (7)")
     parser.add_argument(
         "--avoid-edges", action="store_true", help="move windows that an edge runs through off it"
@@ -28,17 +27,15 @@ def normals(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument("--out", type=Path, metavar="NPY", help="write them, (H, W, 3) float32")
     parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and curvature")
 
-    def run(arguments: argparse.Namespace) -> None:
+    def run(arguments: argparse.Namespace) -> int:
         import numpy as np
 
         import rgbd_planes as rp
         from rgbd_planes.files import write_beside
-        from rgbd_planes.images import read_depth
 
         check_output(arguments.out, (".npy",))
         check_output(arguments.figure, (".png", ".pdf", ".svg"))
-        camera = rp.Camera.load(arguments.camera)
-        depth = read_depth(arguments.depth)
+        depth, camera, status = read_frame(arguments)
         options = {
             "avoid_edges": arguments.avoid_edges,
             "max_missing": arguments.max_missing,
@@ -61,5 +58,6 @@ def normals(parser: argparse.ArgumentParser) -> Run:
             curvature = rp.curvature(depth, camera, arguments.window, **options)
             write_figure(plot_surfaces(depth, camera, found, curvature), arguments.figure)
             print(f"Wrote {arguments.figure}")
+        return status
 
     return run

@@ -3,7 +3,14 @@
 import argparse
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import CommandError, Run, check_output, write_figure
+from rgbd_planes.commands.arguments import (
+    CommandError,
+    Run,
+    add_frame,
+    check_output,
+    read_frame,
+    write_figure,
+)
 
 
 def segment(parser: argparse.ArgumentParser) -> Run:
@@ -11,8 +18,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
 
     example: rgbd-planes segment depth.png --camera camera.json --out planes.json --labels labels.png
     """
-    parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
-    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    add_frame(parser)
     parser.add_argument(
         "--noise", type=float, metavar="SIGMA", help="of inverse depth, 1/m; from the frame, if not given"
     )
@@ -26,10 +32,9 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument("--points", type=Path, metavar="PLY", help="write the points, coloured by plane")
     parser.add_argument("--mesh", type=Path, metavar="PLY", help="write the outlines; needs shapely")
 
-    def run(arguments: argparse.Namespace) -> None:
-        from rgbd_planes import Camera, plane_polygons, segmentation_export
+    def run(arguments: argparse.Namespace) -> int:
+        from rgbd_planes import plane_polygons, segmentation_export
         from rgbd_planes import segment as segment_depth
-        from rgbd_planes.images import read_depth
 
         check_output(arguments.out, (".json",))
         check_output(arguments.labels, (".png",))
@@ -38,8 +43,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         check_output(arguments.mesh, (".ply",))
         if arguments.polygons and arguments.out is None:
             raise CommandError("--polygons goes into the JSON: give --out, too")
-        camera = Camera.load(arguments.camera)
-        depth = read_depth(arguments.depth)
+        depth, camera, status = read_frame(arguments)
         found = segment_depth(depth, camera, noise=arguments.noise, min_size=arguments.min_size)
         print(f"{len(found)} planes on {found.share:.1%} of the measured pixels.")
         polygons = plane_polygons(found) if arguments.polygons or arguments.mesh else []
@@ -57,5 +61,6 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         for path in (arguments.out, arguments.labels, arguments.points, arguments.mesh, arguments.figure):
             if path is not None:
                 print(f"Wrote {path}")
+        return status
 
     return run
