@@ -59,7 +59,14 @@ def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
 def add_frame(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that `read_frame` reads."""
     parser.add_argument("depth", type=Path, help="depth image: integers in the camera's units, or metres")
-    parser.add_argument("--camera", type=Path, required=True, metavar="JSON", help="the camera's file")
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        required=True,
+        metavar="JSON",
+        help="the camera's file: width, height, fx, fy, cx, cy in pixels, depth_scale in units per metre; "
+        "Camera.save writes it",
+    )
 
 
 def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, int]":
