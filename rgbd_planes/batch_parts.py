@@ -126,8 +126,7 @@ def fit_part(
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
-            reason = " ".join(str(error).removeprefix(f"{entry.location}: ").split()) or type(error).__name__
-            problems.append(Problem(first + i, entry.name, reason))
+            problems.append(Problem(first + i, entry.name, _reason(error, entry.name)))
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle
     begin = time.perf_counter()
@@ -144,6 +143,13 @@ def fit_part(
             rows.write(file, first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), seconds)
+
+
+def _reason(error: Exception, name: str) -> str:
+    """What an error says, in one line, without the path of the frame, whose name is beside it."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    folder, _, rest = text.partition(f"{name}: ")
+    return rest if rest and folder[-1:] in ("", "/") else text
 
 
 @lru_cache(maxsize=4)
