@@ -1,10 +1,14 @@
 """Every code block of the documentation runs, in the order of its page."""
 
+import ast
 import contextlib
+import importlib
 import io
+import json
 import re
 import shlex
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -128,3 +132,28 @@ def test_every_public_name_is_in_the_reference():
     functions = {f"sequences.{name}" for name in rp.sequences.FORMATS}
     shown = entries | {".".join(entry.split(".")[::2]) for entry in entries if entry.startswith("sequences.")}
     assert set(rp.__all__) - {"__version__", "sequences"} | functions <= shown
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_what_notebooks_take_from_the_library_is_there(path):
+    # They run elsewhere, which takes minutes; a name that is gone shows at once.
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = ast.parse("\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"))
+    names = {}
+    for node in ast.walk(code):
+        if isinstance(node, ast.Import):
+            names |= {
+                a.asname: importlib.import_module(a.name) for a in node.names if a.name == "rgbd_planes"
+            }
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("rgbd_planes"):
+            module = importlib.import_module(node.module)
+            names |= {a.asname or a.name: getattr(module, a.name) for a in node.names}
+    chains = [ast.unparse(node).split(".") for node in ast.walk(code) if isinstance(node, ast.Attribute)]
+    chains = [chain for chain in chains if chain[0] in names and all(part.isidentifier() for part in chain)]
+    assert chains
+    for first, *rest in chains:
+        value = names[first]
+        for name in rest:
+            if not isinstance(value, ModuleType | type):
+                break
+            value = getattr(value, name)
