@@ -9,6 +9,7 @@ not enough. Only the caller's process writes, so that no row is lost or doubled 
 import hashlib
 import json
 import os
+import re
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -294,6 +295,8 @@ def _workers(scheduler: str | None, num_threads: int | None) -> Iterator[_Thread
     if scheduler is None:
         yield _Threads(num_threads)
         return
+    if not re.fullmatch(r"\w+://.+:\d+", scheduler):
+        raise ValueError(f"expected the scheduler's address as tcp://host:port, got {scheduler!r}")
     with needs("distributed", "dask"):
         from distributed import Client
     try:

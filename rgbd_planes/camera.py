@@ -19,7 +19,7 @@ from rgbd_planes.noise import NoiseModel
 
 Array = NDArray[np.float64]
 
-_WIDEST = 150.0  # degrees; no lens of these models sees more
+_FARTHEST = 75.0  # degrees from the optical axis; no lens of these models sees more
 
 _tables_lock = threading.Lock()
 
@@ -62,8 +62,8 @@ class Camera:
     Warns
     -----
     UserWarning
-        The field of view is above 150 degrees, or the principal point farther outside the image than that is
-        large: most likely intrinsics in other units, or of another image size.
+        The image reaches farther than 75 degrees from the optical axis: most likely intrinsics in other units,
+        or of another image size.
 
     Notes
     -----
@@ -109,19 +109,14 @@ class Camera:
     def _warn_of_intrinsics(self) -> None:
         """Warn of what can be, but most likely is a focal length in millimetres, or as a share of the width."""
         for size, focal, centre, names in (
-            (self.width, self.fx, self.cx, ("width", "fx", "cx")),
-            (self.height, self.fy, self.cy, ("height", "fy", "cy")),
+            (self.width, self.fx, self.cx, ("fx", "cx", "width")),
+            (self.height, self.fy, self.cy, ("fy", "cy", "height")),
         ):
-            angle = math.degrees(2.0 * math.atan(0.5 * size / abs(focal)))
-            if angle > _WIDEST:
+            angle = math.degrees(math.atan(max(abs(centre), abs(size - 1 - centre)) / abs(focal)))
+            if angle > _FARTHEST:
                 warn_caller(
-                    f"{names[1]} = {focal:g} pixels with a {names[0]} of {size} is a field of view of {angle:.0f} "
-                    "degrees: is the focal length in pixels, and of this image size?"
-                )
-            if not -size <= centre <= 2 * size:
-                warn_caller(
-                    f"{names[2]} = {centre:g} is far outside an image with a {names[0]} of {size} pixels: is the "
-                    "principal point in pixels, and of this image size?"
+                    f"{names[0]} = {focal:g} and {names[1]} = {centre:g} take an image with a {names[2]} of {size} "
+                    f"to {angle:.0f} degrees from the optical axis: are they in pixels, and of this image size?"
                 )
 
     def _check_depth(self) -> None:

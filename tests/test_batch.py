@@ -476,6 +476,8 @@ def test_no_cluster_at_the_address(recording, tmp_path, monkeypatch, capsys):
     arguments = ["batch", str(recording), "--out", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
     assert cli.main(arguments) == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
+    assert cli.main([*arguments[:-1], "127.0.0.1"]) == 2
+    assert "address as tcp://host:port, got '127.0.0.1'" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert cli.main(arguments) == 2
     assert 'pip install "rgbd-planes[dask]"' in capsys.readouterr().err
