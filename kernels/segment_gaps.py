@@ -78,12 +78,12 @@ def sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x):
 
 @kernel()
 def gaps_across(
-    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, gaps
+    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, look, gaps
 ):  # fmt: skip
     """Gaps between labels a and b along the rows.
 
     ``gaps`` (G,) int64 is written: how many gaps of 0, 1, 2, ... pixels one does not see through. Returns how many
-    one sees through, and does not.
+    one sees through, and does not. Unless told to ``look`` it takes it that one sees through none.
     """
     closed = opened = 0
     gaps[:] = 0
@@ -94,7 +94,7 @@ def gaps_across(
                 continue
             if last >= 0 and run_label[last] != run_label[i]:
                 through = False
-                for x in range(run_stop[last], run_start[i]):
+                for x in range(run_stop[last], run_start[i] if look else 0):
                     if sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x):
                         through = True
                         break
@@ -109,7 +109,7 @@ def gaps_across(
 
 @kernel()
 def gaps_down(
-    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, gaps
+    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, look, gaps
 ):  # fmt: skip
     """The same along the columns."""
     closed = opened = 0
@@ -130,7 +130,7 @@ def gaps_down(
                     if other[k] <= own[k]:
                         continue
                     through = False
-                    for r in range(other[k] + 1, y):
+                    for r in range(other[k] + 1, y if look else 0):
                         if sees_through(inverse_depth, tan_x, tan_y, alpha, reach, r, k + first):
                             through = True
                             break
@@ -186,17 +186,20 @@ def join_across(
             if thin or widest < LEAST:
                 continue
             gaps = np.empty(widest + 1, np.int64)
-            if side == 0:
-                opened, closed = gaps_across(
-                    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
-                    alpha[a], reach, box, gaps,
-                )  # fmt: skip
-            else:
-                opened, closed = gaps_down(
-                    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
-                    alpha[a], reach, box, gaps,
-                )  # fmt: skip
-            thin = is_thin(gaps, opened, closed)
+            for look in (False, True):  # into the gaps only if they are not too wide anyway
+                if side == 0:
+                    opened, closed = gaps_across(
+                        row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
+                        alpha[a], reach, box, look, gaps,
+                    )  # fmt: skip
+                else:
+                    opened, closed = gaps_down(
+                        row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
+                        alpha[a], reach, box, look, gaps,
+                    )  # fmt: skip
+                thin = is_thin(gaps, opened, closed)
+                if not thin:
+                    break
         if thin:
             while parent[a] != a:
                 a = parent[a]
