@@ -3,9 +3,6 @@
 Without lens distortion tanθx and tanθy are linear in a tile's column j, counted from its last, and row k, and the sums
 follow from those of 1, j, k, jj, jk and kk over the valid pixels, which are whole numbers: a column adds up 1, k and kk
 in three fields of one number, and a tile that number times 1, j and jj.
-
-With it, A_valid = A_full - Σ_missing m mᵀ: the sums over all pixels of a tile are computed once for a camera, and those
-over its missing pixels are taken off in every frame.
 """
 
 import numpy as np
@@ -22,50 +19,6 @@ FIELD_MASK = np.uint64((1 << 22) - 1)
 # What a valid pixel in row k of a band adds.
 ROW_CODES = np.array([1 + (k << 22) + (k * k << 44) for k in range(BAND_ROWS)], np.uint64)
 NO_CODE = np.uint64(0)
-# Entries of the moments that the camera alone determines, in the order of `full_tile_moments`.
-CAMERA_TERMS = np.array([0, 1, 2, 4, 5, 7])
-
-
-@kernel(reduction=True)
-def full_tile_moments(tan_x, tan_y, tile_height, tile_width, centre, full):
-    """Camera terms of every tile, as if no pixel were missing: computed once for a camera.
-
-    Parameters
-    ----------
-    tan_x, tan_y : (H, W) float64
-    centre : (2, R, C) float64, written
-        The mean ray of each tile, its reference point.
-    full : (6, R, C) float64, written
-        n, Σu, Σv, Σuu, Σuv, Σvv of u = tanθx - u0, v = tanθy - v0 (the paper's
-        eq. tan_theta_scattermatrix-1).
-    """
-    height, width = tan_x.shape
-    for tile_row in range(full.shape[1]):
-        row_start = tile_row * tile_height
-        row_stop = min(row_start + tile_height, height)
-        for tile in range(full.shape[2]):
-            column_start = tile * tile_width
-            column_stop = min(column_start + tile_width, width)
-            u0 = tan_x[row_start:row_stop, column_start:column_stop].mean()
-            v0 = tan_y[row_start:row_stop, column_start:column_stop].mean()
-            s_u = s_v = s_uu = s_uv = s_vv = 0.0
-            for row in range(row_start, row_stop):
-                for column in range(column_start, column_stop):
-                    u = tan_x[row, column] - u0
-                    v = tan_y[row, column] - v0
-                    s_u += u
-                    s_v += v
-                    s_uu += u * u
-                    s_uv += u * v
-                    s_vv += v * v
-            centre[0, tile_row, tile] = u0
-            centre[1, tile_row, tile] = v0
-            full[0, tile_row, tile] = (row_stop - row_start) * (column_stop - column_start)
-            full[1, tile_row, tile] = s_u
-            full[2, tile_row, tile] = s_v
-            full[3, tile_row, tile] = s_uu
-            full[4, tile_row, tile] = s_uv
-            full[5, tile_row, tile] = s_vv
 
 
 @kernel(inline=True)
@@ -113,12 +66,3 @@ def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
             moments[4, tile] += n * (u_0 * u_0) - j * (2.0 * u_0 * step_u) + jj * (step_u * step_u)
             moments[5, tile] += u_0 * n_v - step_u * (j * v_0 + jk * step_v)
             moments[7, tile] += n * (v_0 * v_0) + k * (2.0 * v_0 * step_v) + kk * (step_v * step_v)
-
-
-@kernel(inline=True)
-def subtract_missing(full, first, last, moments):
-    """Make sums over the missing pixels of tiles ``first`` to ``last`` those of the camera terms of the valid ones."""
-    for term in range(6):
-        of_all, sums = full[term][first:last], moments[CAMERA_TERMS[term]]
-        for i in range(last - first):
-            sums[i] = of_all[i] - sums[i]

@@ -5,14 +5,14 @@ Everything between the frame and the planes stays in the nearest caches.
 
 import numpy as np
 
-from . import camera_terms, range_moments, solve, standard_moments
+from . import range_moments, solve, standard_moments
 from ._jit import kernel
 from .strips import TILES, strip_room, tiles_in_strip
 
 
 @kernel()
 def fit_range_tiles(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, full, needed,
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, needed,
     method, max_error, tile_row_start, tile_row_stop,
     moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
@@ -29,8 +29,6 @@ def fit_range_tiles(
         column and row relative to its tile's centre.
     centre : (2, R, C) float64
         The ray (tanθx, tanθy) that each tile's moments are relative to.
-    full : (6, R, C) float64
-        n, Σu, Σv, Σuu, Σuv, Σvv of the full tiles.
     needed : (R * C,) float64
     method
         `solve.RANGE_EXPLICIT` or `solve.RANGE_IMPLICIT`.
@@ -46,7 +44,7 @@ def fit_range_tiles(
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
     block_moments[:] = 0.0
     sums_room = strip_room(raw)
-    flat_centre, flat_full = centre.reshape(2, len(needed)), full.reshape(6, len(needed))
+    flat_centre = centre.reshape(2, len(needed))
     flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
     flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
     flat_rmse, flat_rmse_metric = rmse.ravel(), rmse_metric.ravel()
@@ -76,8 +74,6 @@ def fit_range_tiles(
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 solve.copy(flat_centre, first, last, block_reference)
-                if tan_x.ndim == 2:
-                    camera_terms.subtract_missing(flat_full, first, last, block_moments)
                 solve.copy_back(block_moments, first, last, flat_moments)
                 solve.copy_back(block_reference, first, last, flat_reference)
                 solve.range_planes(
@@ -100,7 +96,7 @@ def fit_range_tiles(
 
 @kernel()
 def fit_standard_tiles(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, full, needed,
+    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, needed,
     method, max_error, tile_row_start, tile_row_stop,
     moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip

@@ -2,7 +2,7 @@
 
 A pixel is a triple (u, v, q): (tanθx, tanθy, 1/Z). A tile's moments are the ten sums [n, Σu, Σv, Σq, Σuu, Σuv, Σuq,
 Σvv, Σvq, Σqq] over its valid pixels, of coordinates taken relative to a reference point of the tile, so that nothing
-cancels later. Only those with q come from the frame; the others are in `camera_terms`.
+cancels later. Without lens distortion only those with q come from the frame; the others are in `camera_terms`.
 
 For a camera without lens distortion tanθx depends on the column alone and tanθy on the row alone: columns are
 multiplied by tanθx once, when they are folded into tiles. Four rows are read at a time, two at the end: the
@@ -208,55 +208,115 @@ def range_strip_separable(
         fold_range_columns(sums, u[left:], tiles, span, moments)
 
 
+@kernel(inline=True)
+def range_pair_of_rays(
+    a, b, is_pair, lowest, highest, scale, offset, tan_xa, tan_xb, tan_ya, tan_yb, u0, v0, q0
+):  # fmt: skip
+    """The ten sums of the valid ones of two pixels of a column, or of the first alone."""
+    clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
+    valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
+    qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
+    one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
+    qa, qb = qa - q0 if valid_a else 0.0, qb - q0 if valid_b else 0.0
+    ua, ub = tan_xa - u0 if valid_a else 0.0, tan_xb - u0 if valid_b else 0.0
+    va, vb = tan_ya - v0 if valid_a else 0.0, tan_yb - v0 if valid_b else 0.0
+    return (
+        one_a + one_b,
+        ua + ub,
+        va + vb,
+        qa + qb,
+        ua * ua + ub * ub,
+        ua * va + ub * vb,
+        qa * ua + qb * ub,
+        va * va + vb * vb,
+        qa * va + qb * vb,
+        qa * qa + qb * qb,
+    )
+
+
 @kernel(reduction=True, inline=True)
+def add_two_range_rows_of_rays(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, row, row_stop, left, count, columns, sums
+):
+    """Add two image rows, see `add_range_rows_of_rays`; the second may be missing."""
+    is_pair = row + 1 < row_stop
+    other = row + 1 if is_pair else row
+    a, b = raw[row, left : left + count], raw[other, left : left + count]
+    tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
+    tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
+    u0, v0, q0 = columns[0], columns[1], columns[2]
+    for i in range(count):
+        n, u, v, q, uu, uv, qu, vv, qv, qq = range_pair_of_rays(
+            a[i], b[i], is_pair, lowest, highest, scale, offset,
+            tan_xa[i], tan_xb[i], tan_ya[i], tan_yb[i], u0[i], v0[i], q0[i],
+        )  # fmt: skip
+        sums[0, i] += n
+        sums[1, i] += u
+        sums[2, i] += v
+        sums[3, i] += q
+        sums[4, i] += uu
+        sums[5, i] += uv
+        sums[6, i] += qu
+        sums[7, i] += vv
+        sums[8, i] += qv
+        sums[9, i] += qq
+
+
+@kernel(reduction=True, inline=True)
+def add_four_range_rows_of_rays(
+    raw, lowest, highest, scale, offset, tan_x, tan_y, row, left, count, columns, sums
+):
+    """Add four image rows, see `add_range_rows_of_rays`."""
+    a, b = raw[row, left : left + count], raw[row + 1, left : left + count]
+    c, d = raw[row + 2, left : left + count], raw[row + 3, left : left + count]
+    tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[row + 1, left : left + count]
+    tan_xc, tan_xd = tan_x[row + 2, left : left + count], tan_x[row + 3, left : left + count]
+    tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[row + 1, left : left + count]
+    tan_yc, tan_yd = tan_y[row + 2, left : left + count], tan_y[row + 3, left : left + count]
+    u0, v0, q0 = columns[0], columns[1], columns[2]
+    for i in range(count):
+        n, u, v, q, uu, uv, qu, vv, qv, qq = range_pair_of_rays(
+            a[i], b[i], True, lowest, highest, scale, offset,
+            tan_xa[i], tan_xb[i], tan_ya[i], tan_yb[i], u0[i], v0[i], q0[i],
+        )  # fmt: skip
+        n_, u_, v_, q_, uu_, uv_, qu_, vv_, qv_, qq_ = range_pair_of_rays(
+            c[i], d[i], True, lowest, highest, scale, offset,
+            tan_xc[i], tan_xd[i], tan_yc[i], tan_yd[i], u0[i], v0[i], q0[i],
+        )  # fmt: skip
+        sums[0, i] += n + n_
+        sums[1, i] += u + u_
+        sums[2, i] += v + v_
+        sums[3, i] += q + q_
+        sums[4, i] += uu + uu_
+        sums[5, i] += uv + uv_
+        sums[6, i] += qu + qu_
+        sums[7, i] += vv + vv_
+        sums[8, i] += qv + qv_
+        sums[9, i] += qq + qq_
+
+
+@kernel(inline=True)
 def add_range_rows_of_rays(
     raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
 ):
     """Add image rows to the sums of their columns, for rays that differ from pixel to pixel.
 
     ``columns`` (3, COLUMNS) holds each column's reference point; ``sums`` (10, COLUMNS) are in the order of the
-    moments, those without q over the missing pixels.
+    moments.
     """
-    lost, lost_u, lost_v, sum_q, lost_uu = sums[0], sums[1], sums[2], sums[3], sums[4]
-    lost_uv, sum_qu, lost_vv, sum_qv, sum_qq = sums[5], sums[6], sums[7], sums[8], sums[9]
-    u0, v0, q0 = columns[0], columns[1], columns[2]
-    for row in range(row_start, row_stop, 2):
-        is_pair = row + 1 < row_stop
-        other = row + 1 if is_pair else row
-        a = raw[row, left : left + count]
-        b = raw[other, left : left + count]
-        tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
-        tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
-        for i in range(count):
-            valid_a = (a[i] >= lowest) & (a[i] <= highest)
-            valid_b = (b[i] >= lowest) & (b[i] <= highest)
-            if offset is None:
-                za = np.float64(a[i] if valid_a else lowest)
-                zb = np.float64(b[i] if valid_b else lowest)
-                inverse = scale / (za * zb)
-                qa = zb * inverse
-                qb = za * inverse
-            else:
-                qa = scale * a[i] + offset
-                qb = scale * b[i] + offset
-            qa = qa - q0[i] if valid_a else 0.0
-            qb = qb - q0[i] if valid_b & is_pair else 0.0
-            ua, ub = tan_xa[i] - u0[i], tan_xb[i] - u0[i]
-            va, vb = tan_ya[i] - v0[i], tan_yb[i] - v0[i]
-            sum_q[i] += qa + qb
-            sum_qu[i] += qa * ua + qb * ub
-            sum_qv[i] += qa * va + qb * vb
-            sum_qq[i] += qa * qa + qb * qb
-            lost_a = 0.0 if valid_a else 1.0
-            lost_b = 0.0 if valid_b | (not is_pair) else 1.0
-            lost[i] += lost_a + lost_b
-            lost_ua, lost_ub = lost_a * ua, lost_b * ub
-            lost_va, lost_vb = lost_a * va, lost_b * vb
-            lost_u[i] += lost_ua + lost_ub
-            lost_v[i] += lost_va + lost_vb
-            lost_uu[i] += lost_ua * ua + lost_ub * ub
-            lost_uv[i] += lost_ua * va + lost_ub * vb
-            lost_vv[i] += lost_va * va + lost_vb * vb
+    if lowest > highest:
+        return  # no value is valid
+    row = row_start
+    while row + 4 <= row_stop:
+        add_four_range_rows_of_rays(
+            raw, lowest, highest, scale, offset, tan_x, tan_y, row, left, count, columns, sums
+        )
+        row += 4
+    while row < row_stop:
+        add_two_range_rows_of_rays(
+            raw, lowest, highest, scale, offset, tan_x, tan_y, row, row_stop, left, count, columns, sums
+        )
+        row += 2
 
 
 @kernel(inline=True)

@@ -6,8 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.compilation import announced
-from rgbd_planes.kernels.camera_terms import full_tile_moments
 
 
 def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int, int]:
@@ -57,25 +55,20 @@ def tile_windows(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.int64]
 
 
 @lru_cache(maxsize=4)
-def camera_terms(
-    camera: Camera, tile: tuple[int, int]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The mean ray of each tile, (2, R, C), and the six camera terms of the full tile about it, (6, R, C)."""
+def central_rays(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.float64]:
+    """(2, R, C): the mean of tanθx and tanθy over each tile, the reference point of its moments."""
     heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
     centre = np.empty((2, len(heights), len(widths)))
-    full = np.empty((6, len(heights), len(widths)))
     if camera.is_separable:
-        u0, s_u, s_uu = _sums(camera.tan_x_columns, widths)
-        v0, s_v, s_vv = _sums(camera.tan_y_rows, heights)
-        centre[0], centre[1] = u0, v0[:, None]
-        sums = ((heights, widths), (heights, s_u), (s_v, widths), (heights, s_uu), (s_v, s_u), (s_vv, widths))
-        for term, (of_row, of_column) in zip(full, sums, strict=True):
-            np.multiply(of_row[:, None], of_column, out=term)
+        centre[0], centre[1] = (
+            _means(camera.tan_x_columns, widths),
+            _means(camera.tan_y_rows, heights)[:, None],
+        )
     else:
-        with announced("full_tile_moments"):
-            full_tile_moments(camera.tan_x, camera.tan_y, *tile, centre, full)
-    centre.flags.writeable = full.flags.writeable = False
-    return centre, full
+        centre[0] = _means(_means(camera.tan_x, widths).T, heights).T
+        centre[1] = _means(_means(camera.tan_y, widths).T, heights).T
+    centre.flags.writeable = False
+    return centre
 
 
 def relative_rays(
@@ -90,9 +83,7 @@ def relative_rays(
     return columns, camera.tan_y_rows - np.repeat(centre[1, :, 0], tile[0])[: camera.height]
 
 
-def _sums(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-    """Mean of each run of ``sizes`` values, and the sums of the deviations from it and of their squares."""
-    starts = np.cumsum(sizes) - sizes
-    mean = np.add.reduceat(values, starts) / sizes
-    deviation = values - np.repeat(mean, sizes)
-    return np.stack([mean, np.add.reduceat(deviation, starts), np.add.reduceat(deviation**2, starts)])
+def _means(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """Mean of each run of ``sizes`` values along the last axis."""
+    means: npt.NDArray[np.float64] = np.add.reduceat(values, np.cumsum(sizes) - sizes, axis=-1) / sizes
+    return means

@@ -18,7 +18,7 @@ from rgbd_planes.fitting import METHODS, Arrays, WindowMoments, solve_planes, va
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import camera_terms, check_tile, relative_rays, tile_sizes, tile_windows
+from rgbd_planes.tile_grid import central_rays, check_tile, relative_rays, tile_sizes, tile_windows
 from rgbd_planes.tile_planes import ARRAYS, TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
@@ -83,22 +83,23 @@ class TileFitter:
         self._max_error = check_error(max_error)
         self._num_threads = num_threads
 
-        self._grid = len(tile_sizes(camera.height, self.tile[0])), len(tile_sizes(camera.width, self.tile[1]))
-        self._centre, self._full = camera_terms(camera, self.tile)
-        self._needed = valid_needed(self._full[0], max_missing).ravel()
+        sizes = tile_sizes(camera.height, self.tile[0]), tile_sizes(camera.width, self.tile[1])
+        self._grid = len(sizes[0]), len(sizes[1])
+        self._needed = valid_needed(np.outer(*sizes), max_missing).ravel()
         self._compiled_for = method, implementation, camera.is_separable
         self._assess = Assessment(camera, method, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             self._kernel: Any = (
                 grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
             )
+            centre = central_rays(camera, self.tile)
             rays = (
-                relative_rays(camera, self.tile, self._centre)
+                relative_rays(camera, self.tile, centre)
                 if camera.is_separable
                 else (camera.tan_x, camera.tan_y)
             )
             self._of_camera = (
-                *rays, *self.tile, self._centre, self._full, self._needed, METHODS.index(method), self._max_error
+                *rays, *self.tile, centre, self._needed, METHODS.index(method), self._max_error
             )  # fmt: skip
         else:
             self._windows = tile_windows(camera, self.tile)
