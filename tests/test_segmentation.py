@@ -461,6 +461,20 @@ def test_covariance_of_correlated_noise_is_honest(pixels):
     assert 0.4 < np.mean(errors) < 2.0
 
 
+def test_plane_covariance_is_that_of_alpha_carried_over(room):
+    found = segment(room[1], CAMERA)
+
+    def plane(alpha):
+        return np.append(-alpha, 1.0) / np.linalg.norm(alpha)
+
+    for i, alpha in enumerate(found.alpha):
+        np.testing.assert_allclose(plane(alpha), found.planes[i], rtol=1e-12, atol=1e-12)
+        steps = 1e-6 * np.eye(3)
+        slope = np.array([plane(alpha + step) - plane(alpha - step) for step in steps]).T / 2e-6
+        expected = slope @ found.alpha_covariance[i] @ slope.T
+        np.testing.assert_allclose(found.plane_covariance[i], expected, atol=1e-6 * expected.max())
+
+
 def test_plot_draws(room):
     found = segment(room[1], CAMERA)
     figure = found.plot(room[1])
