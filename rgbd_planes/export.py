@@ -19,7 +19,9 @@ from rgbd_planes.checks import check_camera
 from rgbd_planes.colours import normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
+from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
 from rgbd_planes.tile_planes import TilePlanes
 
 if TYPE_CHECKING:
@@ -109,7 +111,14 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
 
 
 def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
-    """Write `to_dict` of a frame's planes as JSON; whole or not at all."""
+    """Write a frame's planes as JSON; whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    tiles : TilePlanes
+        Of one frame; what is written is their `to_dict`.
+    """
     with write_beside(path) as beside:
         beside.write_text(json.dumps(to_dict(tiles), allow_nan=False) + "\n", encoding="utf-8")
 
@@ -172,7 +181,14 @@ def write_ply(
 
 
 def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
-    """Write the fitted tiles of a frame as a PLY mesh of quadrilaterals, coloured by their normals."""
+    """Write the fitted tiles of a frame as a PLY mesh of quadrilaterals, coloured by their normals.
+
+    Parameters
+    ----------
+    path : path
+    tiles : TilePlanes
+        Of one frame; the quadrilaterals are their `tile_polygons`.
+    """
     points, normals, colours = _tile_mesh(tiles)
     faces = np.arange(len(points)).reshape(-1, 4)
     write_ply(path, points, normals=normals, colours=colours, faces=faces)
@@ -180,6 +196,11 @@ def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
 
 def to_open3d(tiles: TilePlanes) -> "open3d.geometry.TriangleMesh":
     """Return the fitted tiles of a frame as an Open3D mesh, two triangles a tile, coloured by their normals.
+
+    Parameters
+    ----------
+    tiles : TilePlanes
+        Of one frame.
 
     Raises
     ------
@@ -191,22 +212,14 @@ def to_open3d(tiles: TilePlanes) -> "open3d.geometry.TriangleMesh":
     return triangle_mesh(points, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), normals, colours)
 
 
-def triangle_mesh(
-    points: Floats, triangles: NDArray[np.int_], normals: Floats, colours: Floats
-) -> "open3d.geometry.TriangleMesh":
-    """Return an Open3D mesh of (P, 3) points, with their normals and colours, and (T, 3) triangles of them."""
-    with needs("open3d", None):
-        import open3d
-    vector = open3d.utility.Vector3dVector
-    mesh = open3d.geometry.TriangleMesh(
-        vector(points), open3d.utility.Vector3iVector(triangles.astype(np.int32))
-    )
-    mesh.vertex_normals, mesh.vertex_colors = vector(normals), vector(colours)
-    return mesh
-
-
 def points_to_open3d(depth: ArrayLike, camera: Camera) -> "open3d.geometry.PointCloud":
     """Return the measured points of a depth frame as an Open3D point cloud, missing ones left out.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        As `rgbd_planes.fit_tiles` takes it.
+    camera : Camera
 
     Raises
     ------
@@ -242,13 +255,6 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> 
     return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)
 
 
-def ros_planes(planes: Floats, frame_id: str, stamp: float) -> dict[str, Any]:
-    """(N, 4) planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray."""
-    header = ros_header(frame_id, stamp)
-    coefficients = [{"header": header, "values": plane} for plane in planes.tolist()]
-    return {"header": header, "coefficients": coefficients}
-
-
 def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
     """Return the fitted tiles of a frame in the shape of jsk_recognition_msgs/PolygonArray.
 
@@ -264,16 +270,6 @@ def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -
     """
     polygons = tile_polygons(tiles)
     return ros_polygons(list(polygons), list(range(1, len(polygons) + 1)), frame_id, stamp)
-
-
-def ros_polygons(rings: list[Floats], labels: list[int], frame_id: str, stamp: float) -> dict[str, Any]:
-    """Polygons of (K, 3) corners each in the shape of jsk_recognition_msgs/PolygonArray."""
-    header = ros_header(frame_id, stamp)
-    polygons = [
-        {"header": header, "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in ring.tolist()]}}
-        for ring in rings
-    ]
-    return {"header": header, "polygons": polygons, "labels": labels, "likelihood": []}
 
 
 def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
@@ -305,13 +301,6 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: f
         "data": points.tobytes(),
         "is_dense": bool(np.isfinite(points).all()),
     }
-
-
-def ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
-    """std_msgs/Header; a time that is not known is 0."""
-    nanoseconds = round(stamp * 1e9) if math.isfinite(stamp) else 0
-    time = {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
-    return {"stamp": time, "frame_id": frame_id}
 
 
 def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:

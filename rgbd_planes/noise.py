@@ -66,6 +66,11 @@ def axial(constant: float = 0.0, linear: float = 0.0, quadratic: float = 0.0) ->
     """Noise published as that of the depth: σZ = constant + linear·Z + quadratic·Z², metres.
 
     In 1/Z it is σq = constant·q² + linear·q + quadratic.
+
+    Parameters
+    ----------
+    constant, linear, quadratic : float
+        Metres, metres per metre and metres per square metre.
     """
     if not (constant or linear or quadratic):
         raise ValueError("expected at least one coefficient of the noise that is not 0, got none")
@@ -93,7 +98,7 @@ def table(inverse_depth: ArrayLike, sigma: ArrayLike) -> NoiseModel:
     Parameters
     ----------
     inverse_depth, sigma : (K,) array_like
-        1/m, the inverse depths growing.
+        1/m, the inverse depths growing, the standard deviations above 0.
     """
     q, s = np.atleast_1d(inverse_depth), np.atleast_1d(sigma)
     if q.shape != s.shape or q.ndim != 1:
@@ -102,7 +107,13 @@ def table(inverse_depth: ArrayLike, sigma: ArrayLike) -> NoiseModel:
 
 
 def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
-    """Noise by a function of your own: σq of an array of inverse depths, 1/m. It cannot be saved."""
+    """Noise by a function of your own. It cannot be saved.
+
+    Parameters
+    ----------
+    sigma : callable
+        Takes an array of inverse depths above 0, 1/m, returns the standard deviation of each, 1/m.
+    """
     if not callable(sigma):
         raise TypeError(f"expected a function of the inverse depth, got {type(sigma).__name__}")
     return NoiseModel(formula=sigma)

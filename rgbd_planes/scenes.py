@@ -328,6 +328,11 @@ def room(eye: Sequence[float] = (0.35, -1.5, -0.2), target: Sequence[float] = (-
 def look_at(eye: Sequence[float], target: Sequence[float]) -> Floats:
     """The (4, 4) motion from camera to scene coordinates of a camera held level (scene y points down).
 
+    Parameters
+    ----------
+    eye, target : (3,) float
+        Where the camera stands and what it looks at, in metres, scene coordinates.
+
     Raises
     ------
     ValueError

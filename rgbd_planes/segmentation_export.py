@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.export import Floats, ros_header, ros_planes, ros_polygons, triangle_mesh, write_ply
+from rgbd_planes.export import Floats, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
+from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours
+from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
 from rgbd_planes.segmentation_result import Segmentation
 
 if TYPE_CHECKING:
@@ -67,14 +69,28 @@ def write_json(
     segmentation: Segmentation,
     polygons: "Sequence[PlanePolygon] | None" = None,
 ) -> None:
-    """Write `to_dict` as JSON; whole or not at all."""
+    """Write the planes as JSON; whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    segmentation, polygons
+        As in `to_dict`, which is what is written.
+    """
     with write_beside(path) as beside:
         text = json.dumps(to_dict(segmentation, polygons), allow_nan=False)
         beside.write_text(text + "\n", encoding="utf-8")
 
 
 def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> None:
-    """Write the labels as a 16-bit PNG, 0 for none."""
+    """Write the labels as a 16-bit PNG, 0 for none; whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .png.
+    segmentation : Segmentation
+    """
     write_png(path, segmentation.labels.astype(np.uint16))
 
 
@@ -82,6 +98,13 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
     """Write the measured points as a PLY file, each in the colour of its plane and with its normal.
 
     Points on no plane are grey and their normals zero.
+
+    Parameters
+    ----------
+    path : path
+    segmentation : Segmentation
+    depth : (H, W) array_like
+        The frame that was segmented.
     """
     measured = segmentation.camera.points(depth).reshape(-1, 3)
     labels = segmentation.labels.ravel()
@@ -92,7 +115,14 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
 
 
 def write_polygons_ply(path: str | os.PathLike[str], polygons: "Sequence[PlanePolygon]") -> None:
-    """Write the outlines as a PLY mesh of triangles, each plane in its colour; holes are holes."""
+    """Write the outlines as a PLY mesh of triangles, each plane in its colour; holes are holes.
+
+    Parameters
+    ----------
+    path : path
+    polygons : sequence of PlanePolygon
+        Of `plane_polygons`.
+    """
     points, normals, colours = _mesh(polygons)
     faces = np.arange(len(points)).reshape(-1, 3)
     write_ply(path, points, normals=normals, colours=colours, faces=faces)
@@ -100,6 +130,11 @@ def write_polygons_ply(path: str | os.PathLike[str], polygons: "Sequence[PlanePo
 
 def to_open3d(polygons: "Sequence[PlanePolygon]") -> "open3d.geometry.TriangleMesh":
     """Return the outlines as an Open3D mesh, each plane in its colour; holes are holes.
+
+    Parameters
+    ----------
+    polygons : sequence of PlanePolygon
+        Of `plane_polygons`.
 
     Raises
     ------
@@ -151,7 +186,13 @@ def to_ros_polygons(
 
 
 def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
-    """Return the labels in the shape of sensor_msgs/Image, 32SC1; 0 is none."""
+    """Return the labels in the shape of sensor_msgs/Image, 32SC1; 0 is none.
+
+    Parameters
+    ----------
+    segmentation, frame_id, stamp
+        As in `to_ros_planes`.
+    """
     labels = segmentation.labels.astype("<i4")
     height, width = labels.shape
     return {

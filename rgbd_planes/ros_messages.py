@@ -1,0 +1,33 @@
+"""ROS messages as dictionaries: what the exports of tiles and of segments share."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
+    """std_msgs/Header; a time that is not known is 0."""
+    nanoseconds = round(stamp * 1e9) if math.isfinite(stamp) else 0
+    time = {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
+    return {"stamp": time, "frame_id": frame_id}
+
+
+def ros_planes(planes: Floats, frame_id: str, stamp: float) -> dict[str, Any]:
+    """(N, 4) planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray."""
+    header = ros_header(frame_id, stamp)
+    coefficients = [{"header": header, "values": plane} for plane in planes.tolist()]
+    return {"header": header, "coefficients": coefficients}
+
+
+def ros_polygons(rings: list[Floats], labels: list[int], frame_id: str, stamp: float) -> dict[str, Any]:
+    """Polygons of (K, 3) corners each in the shape of jsk_recognition_msgs/PolygonArray."""
+    header = ros_header(frame_id, stamp)
+    polygons = [
+        {"header": header, "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in ring.tolist()]}}
+        for ring in rings
+    ]
+    return {"header": header, "polygons": polygons, "labels": labels, "likelihood": []}
