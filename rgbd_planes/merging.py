@@ -63,7 +63,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     largest_label = np.iinfo(np.int32).max
     if array.size and not 0 <= array.min() <= array.max() <= largest_label:
         raise ValueError(f"labels must be 0 to {largest_label}, got {array.min()} to {array.max()}")
-    flat = np.ascontiguousarray(array, np.int32).ravel()
+    flat = np.array(array, np.int32, order="C").ravel()  # which the result keeps
     count = int(flat.max(initial=0))
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
 

@@ -102,7 +102,7 @@ def fit_windows(
 
 
 def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
-    """Return the windows as a contiguous (K, 4) int64 array."""
+    """Return the windows as a contiguous (K, 4) int64 array of its own."""
     array = np.asarray(windows)
     if array.size == 0:
         array = np.empty((0, 4), np.int64)
@@ -119,4 +119,4 @@ def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int
             f"windows must lie inside the frame of {camera.height} x {camera.width} pixels (height x width), "
             f"got {array[first].tolist()} (row, column, height, width) as window {first}"
         )
-    return np.ascontiguousarray(array, np.int64)
+    return np.array(array, np.int64, order="C")

@@ -74,6 +74,17 @@ def test_labels_that_int32_cannot_hold():
             rp.merge(tiles, np.full(tiles.shape, label))
 
 
+def test_results_keep_what_was_asked():
+    """Also when the caller goes on to change it."""
+    windows = np.array([[0, 0, 8, 8], [8, 8, 16, 16]])
+    fits = rp.fit_windows(DEPTH, CAMERA, windows)
+    labels = np.ones(2, np.int32)
+    merged = rp.merge(fits, labels)
+    windows[:], labels[:] = 0, 0
+    assert fits.windows.tolist() == [[0, 0, 8, 8], [8, 8, 16, 16]]
+    assert merged.labels.tolist() == [1, 1]
+
+
 def test_faces_of_points_that_are_not_there(tmp_path):
     for faces in ([[0, 1, 3]], [[0, 1, -1]], [[0, 1]], [[0.0, 1.0, 2.0]]):
         with pytest.raises(ValueError, match="faces must be"):

@@ -339,6 +339,8 @@ def test_merging_is_fitting_all_pixels(method, rng):
     some = [0, 1, 3]
     np.testing.assert_array_equal(merged.valid_count[some], windows.valid_count[some])
     np.testing.assert_allclose(merged.planes[some], windows.planes[some], rtol=1e-7, atol=1e-9)
+    # About the mean of the union, where nothing cancels.
+    assert np.abs(merged._moments[1:4, some]).max() < 1e-9
     np.testing.assert_allclose(merged.rmse[some], windows.rmse[some], rtol=1e-6)
     np.testing.assert_allclose(merged.p_value[some], windows.p_value[some], rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(
