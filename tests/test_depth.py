@@ -14,7 +14,8 @@ from rgbd_planes.depth import as_depth_frame
 
 
 def camera(shape=(4, 6), **depth):
-    return Camera(shape[1], shape[0], 100.0, 100.0, 2.5, 1.5, **depth)
+    height, width = shape
+    return Camera(width, height, 100.0, 100.0, 0.5 * (width - 1), 0.5 * (height - 1), **depth)
 
 
 def expected_valid(depth, cam):
