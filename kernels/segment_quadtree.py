@@ -68,50 +68,29 @@ def join_blocks(
 
 
 @kernel()
-def leaves(offsets, shapes, state, moments, region, owner, region_moments, node, place):
-    """Number the largest planar node over each planar block, the largest first.
+def leaves(offsets, shapes, state, moments, region, owner, region_moments):
+    """Number the largest planar node over each planar block, in the order of their first blocks.
 
-    Parameters
-    ----------
-    offsets, shapes, state, moments
-        Of `join_blocks`.
-    region : (R, C) int32, written
-        The node's number, -1 where the block is not planar or has too few pixels.
-    owner : (R, C) int32, written
-        EMPTY or MIXED.
-    region_moments : (R·C, 10) float64, written
-    node, place : (R·C,), (R·C, 3) int32, written
-        Where its moments are, and its first row, first column, and blocks along a side.
-
-    Returns
-    -------
-    int
-        How many there are.
+    ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or MIXED; ``region_moments`` (R·C, 10) is written.
+    Returns how many there are.
     """
-    top = shapes.shape[0] - 1
-    number = np.empty(len(state), np.int32)
+    levels = shapes.shape[0]
+    number = np.full(len(state), -1, np.int64)
     count = 0
-    for level in range(top, -1, -1):
-        columns = shapes[level, 1]
-        for row in range(shapes[level, 0]):
-            for column in range(columns):
-                i = offsets[level] + row * columns + column
-                a = -1
-                if level < top:
-                    a = number[offsets[level + 1] + (row >> 1) * (columns >> 1) + (column >> 1)]
-                if a < 0 and state[i] == 1:
-                    a = count
-                    for k in range(10):
-                        region_moments[count, k] = moments[k, i]
-                    node[count] = i
-                    place[count, 0], place[count, 1], place[count, 2] = (
-                        row << level,
-                        column << level,
-                        1 << level,
-                    )
-                    count += 1
-                number[i] = a
-                if level == 0:
-                    region[row, column] = a if state[i] == 1 else -1
-                    owner[row, column] = EMPTY if moments[0, i] == 0.0 else MIXED
+    for row in range(shapes[0, 0]):
+        for column in range(shapes[0, 1]):
+            region[row, column] = -1
+            owner[row, column] = EMPTY if moments[0, row * shapes[0, 1] + column] == 0.0 else MIXED
+            if state[row * shapes[0, 1] + column] != 1:
+                continue
+            for level in range(levels - 1, -1, -1):
+                i = offsets[level] + (row >> level) * shapes[level, 1] + (column >> level)
+                if state[i] == 1:
+                    if number[i] < 0:
+                        number[i] = count
+                        region_moments[count] = moments[:, i]
+                        count += 1
+                    region[row, column] = number[i]
+                    break
     return count

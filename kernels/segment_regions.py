@@ -3,8 +3,7 @@
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, EMPTY
-from .segment_growth import grow
+from .segment_blocks import EMPTY
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
 from .segment_noise import sensor_variance
@@ -70,21 +69,18 @@ def spread_out(region, owner, pyramid, alpha, slope_variance, spread, sigma, set
 
 @kernel()
 def find_regions(
-    inverse_depth, tan_x, tan_y, centre_u, centre_v, pyramid, rss, slope, offsets, shapes, state,
-    lateral, square_floor, square_spread, sigma, lateral_x, lateral_y, growth, floor, jump, spread, rough,
-    reach, close, settled, cut, rounds, least,
+    inverse_depth, tan_x, tan_y, centre_u, centre_v, pyramid, offsets, shapes, state,
+    sigma, lateral_x, lateral_y, growth, floor, jump, spread, rough, reach, close, settled, cut, rounds, least,
     region, owner, pixel_owner, pairs, contact, table, moments, squares,
 ):  # fmt: skip
-    """Grow and merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
+    """Merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
 
     Parameters
     ----------
     inverse_depth, tan_x, tan_y, centre_u, centre_v, reach, close, settled, cut, owner, pixel_owner
         See `segment_pixels.own_pixels`.
-    pyramid, rss, slope, offsets, shapes, state
+    pyramid, offsets, shapes, state
         See `segment_quadtree.join_blocks`.
-    lateral, square_floor, square_spread
-        See `segment_growth.grow`.
     sigma, lateral_x, lateral_y, growth, floor, jump, spread, pairs, contact, table
         See `segment_merge.merge` and `segment_merge.neighbours`.
     rough : float
@@ -104,13 +100,7 @@ def find_regions(
     count : int
         Regions in the end.
     """
-    blocks = region.size
-    node, place = np.empty(blocks, np.int32), np.empty((blocks, 3), np.int32)
-    squares_count = leaves(offsets, shapes, state, pyramid, region, owner, moments, node, place)
-    count = grow(
-        region, node, place, rss, slope, moments[:squares_count], sigma, lateral, square_floor, square_spread,
-        2.0 * (BLOCK << (len(shapes) - 1)) ** 2, np.empty(squares_count, np.int64),
-    )  # fmt: skip
+    count = leaves(offsets, shapes, state, pyramid, region, owner, moments)
     number = np.empty(0, np.int64)
     before = np.empty_like(region)
     alpha = np.empty((0, 3))

@@ -150,9 +150,7 @@ def segment_frame(
     )  # fmt: skip
     region = np.empty(grid.shapes[0], np.int32)
     number, count = segment_regions.find_regions(
-        work.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v,
-        work.pyramid, work.rss, work.slope, grid.offsets, grid.shapes, state,
-        noise.lateral**2, rules.square_floor, 0.5 * rules.square_spread,
+        work.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v, *squares_of, state,
         *spread, noise.growth, rules.region_floor, rules.region_jump, rules.region_spread, rules.rough,
         rules.reach, rules.close, rules.settled, CUT, rules.trips, float(min_size),
         region, work.owner, work.pixel_owner, work.pairs, work.contact, work.table, work.moments, work.squares,

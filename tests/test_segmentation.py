@@ -11,7 +11,7 @@ from scipy.ndimage import convolve, gaussian_filter
 
 from rgbd_planes import Camera, fit_tiles, scenes, segment, segmentation_workspace
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import segment_blocks, segment_growth, segment_quadtree
+from rgbd_planes.kernels import segment_blocks
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation_result import Reason
@@ -526,44 +526,6 @@ def test_moments_of_blocks_and_squares(distortion):
     rays = np.stack([first[1], first[2], first[0]], axis=1)
     residual = first[3] - rays @ np.linalg.lstsq(rays, first[3], rcond=None)[0]
     np.testing.assert_allclose(rss[0], residual @ residual, rtol=1e-6)
-
-
-def test_squares_grow_together_on_one_plane_only():
-    # A roof: q rises to column 80 and falls from there, with noise of 1e-3 per metre.
-    grid = segmentation_workspace.grid_of(CAMERA)
-    rows, columns = grid.shapes[0]
-    u, v = CAMERA.tan_x, CAMERA.tan_y
-    noise = np.random.default_rng(3).normal(0.0, 1e-3, CAMERA.shape)
-    q = (0.7 - 0.4 * np.abs(u - u[0, 80]) + 0.1 * v + noise).astype(np.float32)
-    moments, (rss, slope) = np.empty((10, grid.offsets[-1])), np.empty((2, grid.offsets[-1]))
-    segment_blocks.block_moments(
-        q, np.float32(0.1), np.float32(9.0), 1.0, 0.0, True, grid.tan_x, grid.tan_y, *grid.pitch, rows, columns,
-        np.empty_like(q), moments, rss, slope,
-    )  # fmt: skip
-    squares_of = moments, grid.offsets, grid.shapes
-    segment_blocks.sum_by_fours(*squares_of, *grid.pitch, rss, slope)
-    sigma, state = np.array([0.1, 1e-3, 1e-3]), np.empty(len(rss), np.int8)
-    segment_quadtree.join_blocks(*squares_of, rss, slope, sigma, 0.0, 3.0, 0.6, 1.0, 30.0, state)
-
-    region, owner = np.empty((2, rows, columns), np.int32)
-    own, place = np.empty((rows * columns, 10)), np.empty((rows * columns, 3), np.int32)
-    node = np.empty(rows * columns, np.int32)
-    squares = segment_quadtree.leaves(
-        grid.offsets, grid.shapes, state, moments, region, owner, own, node, place
-    )
-    assert np.all(np.diff(place[:squares, 2]) <= 0)  # the largest first
-    most, number = 20000.0, np.empty(squares, np.int64)
-    count = segment_growth.grow(
-        region, node, place, rss, slope, own[:squares], sigma, 0.0, 1.0, 15.0, most, number
-    )
-    assert count < squares / 2
-    assert set(number) == set(range(count))
-    assert np.all((own[:count, 0] <= most) | (np.bincount(number) == 1))
-    for k in range(10):
-        of_blocks = np.bincount(region[region >= 0], moments[k, : rows * columns][region.ravel() >= 0], count)
-        np.testing.assert_allclose(own[:count, k], of_blocks, rtol=1e-9, atol=1e-9)
-    left, right = set(region[:, :19].ravel()), set(region[:, 21:40].ravel())
-    assert not (left & right) - {-1}
 
 
 def test_planes_of_a_room_are_the_fit_of_their_pixels(room):
