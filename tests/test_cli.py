@@ -108,6 +108,22 @@ def test_fit_writes_what_fit_tiles_returns(folder, capsys, method):
     assert "Wrote p.npz" in out
 
 
+def test_noise_is_a_name_or_a_number(folder, capsys):
+    arguments = ["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz", "--noise"]
+    depth = images.read_depth("depth.png")
+    for given, model in [("kinect_v1", rp.noise.kinect_v1()), ("2e-3", rp.noise.NoiseModel((2e-3,)))]:
+        assert cli.main([*arguments, given]) == 0
+        wanted = rp.fit_tiles(depth, replace(CAMERA, noise=model))
+        np.testing.assert_array_equal(rp.TilePlanes.load("p.npz").p_value, wanted.p_value)
+    capsys.readouterr()
+    for command in (["fit", "depth.png"], ["segment", "depth.png"], ["batch", "here", "--out", "table"]):
+        for given in ("kinect", "-1", "0", "nan"):
+            message = fails(capsys, *command, "--camera", "camera.json", "--noise", given)
+            assert (
+                f"expected kinect_v1, kinect_v1_nguyen or a positive number in 1/m, got '{given}'" in message
+            )
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
 def test_fit_reads_every_format(folder, capsys, suffix):
     frame = images.read_depth("depth.png")

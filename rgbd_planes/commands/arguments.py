@@ -1,6 +1,7 @@
 """What commands share: arguments, checks of what is to be written, and what is said about tiles."""
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rgbd_planes.camera import Camera
+    from rgbd_planes.noise import NoiseModel
     from rgbd_planes.tile_planes import TilePlanes
 
 Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
@@ -34,6 +36,35 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-error", type=float, metavar="METRES", help="call a tile with a larger residual rough"
     )
+
+
+def add_noise(parser: argparse.ArgumentParser, what_for: str) -> None:
+    """Add the sensor's noise."""
+    parser.add_argument(
+        "--noise",
+        type=noise_model,
+        metavar="NAME or SIGMA",
+        help="of the sensor: kinect_v1, kinect_v1_nguyen or the standard deviation of 1/Z in 1/m, instead of the "
+        f"camera's own; {what_for}",
+    )
+
+
+def noise_model(text: str) -> "NoiseModel":
+    """Parse the name of a published model, or a standard deviation."""
+    from rgbd_planes import noise
+
+    published = {"kinect_v1": noise.kinect_v1, "kinect_v1_nguyen": noise.kinect_v1_nguyen}
+    if text in published:
+        return published[text]()
+    try:
+        sigma = float(text)
+    except ValueError:
+        sigma = 0.0
+    if not 0.0 < sigma < math.inf:
+        raise argparse.ArgumentTypeError(
+            f"expected {', '.join(published)} or a positive number in 1/m, got {text!r}"
+        )
+    return noise.NoiseModel((sigma,))
 
 
 def tile_size(text: str) -> tuple[int, int]:

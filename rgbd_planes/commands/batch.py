@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import Run, add_fit_options
+from rgbd_planes.commands.arguments import Run, add_fit_options, add_noise
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
@@ -29,16 +29,12 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         "--segments", action="store_true", help="one row a segment, not a tile; no options of tiles"
     )
     add_fit_options(parser)
-    parser.add_argument(
-        "--noise",
-        choices=("kinect_v1", "kinect_v1_nguyen"),
-        help="of the sensor: adds covariances and p-values",
-    )
+    add_noise(parser, "adds covariances and p-values")
     parser.add_argument("--threads", type=int, metavar="N", help="one for each core, if not given")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:port")
 
     def run(arguments: argparse.Namespace) -> int:
-        from rgbd_planes import Camera, FitSettings, fit_sequence, noise, open_sequence, sequences
+        from rgbd_planes import Camera, FitSettings, fit_sequence, open_sequence, sequences
         from rgbd_planes.batch import Progress
         from rgbd_planes.extras import needs
 
@@ -50,7 +46,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         else:
             sequence = sequences.rosbag(arguments.sequence, camera, arguments.topic)
         if arguments.noise is not None:
-            sequence = sequence.with_noise(getattr(noise, arguments.noise)())
+            sequence = sequence.with_noise(arguments.noise)
         settings = FitSettings(
             segments=arguments.segments,
             tile=arguments.tile,

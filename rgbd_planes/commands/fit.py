@@ -1,12 +1,14 @@
 """``rgbd-planes fit``."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import (
     Run,
     add_fit_options,
     add_frame,
+    add_noise,
     check_output,
     describe_tiles,
     read_frame,
@@ -21,6 +23,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     """
     add_frame(parser)
     add_fit_options(parser)
+    add_noise(parser, "adds covariances and p-values")
     parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
     parser.add_argument(
         "--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them"
@@ -33,6 +36,8 @@ def fit(parser: argparse.ArgumentParser) -> Run:
         check_output(arguments.out, (".npz",))
         check_output(arguments.figure, (".png", ".pdf", ".svg"))
         depth, camera, status = read_frame(arguments)
+        if arguments.noise is not None:
+            camera = replace(camera, noise=arguments.noise)
         tiles = fit_tiles(
             depth,
             camera,

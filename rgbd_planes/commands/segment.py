@@ -7,6 +7,7 @@ from rgbd_planes.commands.arguments import (
     CommandError,
     Run,
     add_frame,
+    add_noise,
     check_output,
     read_frame,
     write_figure,
@@ -19,9 +20,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes segment depth.png --camera camera.json --out planes.json --labels labels.png
     """
     add_frame(parser)
-    parser.add_argument(
-        "--noise", type=float, metavar="SIGMA", help="of inverse depth, 1/m; from the frame, if not given"
-    )
+    add_noise(parser, "from the frame, if nothing says it")
     parser.add_argument("--min-size", type=int, default=60, metavar="N", help="pixels of a plane (60)")
     parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
     parser.add_argument(
