@@ -47,7 +47,7 @@ OF_RESULTS = np.array(
 )
 
 
-@kernel()
+@kernel(reduction=True)
 def assess(
     moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, limits, start, stop,
     status, rough, results,
@@ -227,10 +227,12 @@ def residual_ratio(half_spread, room):
         half_variance = shared * shared * room[OF_COUNT + 1, i] + independent * (
             2.0 * of_shared + of_independent
         )
-        # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly.
-        rmse = room[ERROR, i] * room[MEAN_Q, i] / room[D, i]
-        share = 1.0 / expected
-        room[RATIO, i] = (n if n > 3.0 else 0.0) * rmse * rmse * share
+        # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly. One division for two.
+        square = room[D, i] * room[D, i]
+        inverse = 1.0 / (expected * square)
+        error = room[ERROR, i] * room[MEAN_Q, i]
+        room[RATIO, i] = (n if n > 3.0 else 0.0) * error * error * inverse
+        share = inverse * square
         inverse = half_variance * share * share + half_spread
         room[ROOT, i] = math.sqrt(min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM))
 

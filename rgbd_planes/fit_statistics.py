@@ -60,21 +60,16 @@ class FitStatistics:
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
-        self._shown: dict[int, Float] = {}
 
     def row(self, first: int) -> Float:
         """Return one value a tile: S."""
-        if first not in self._shown:
-            self._shown[first] = self._by_row[first]
-        return self._shown[first]
+        return np.asarray(self._by_row[first])
 
     def matrix(self, first: int, side: int) -> Float:
         """Return one matrix a tile: S + (side, side). Its entries are apart in memory: each is a row."""
-        if first not in self._shown:
-            rows = self._by_row[first : first + side * side]
-            matrix = rows.reshape(side, side, *rows.shape[1:])
-            self._shown[first] = matrix.transpose(*range(2, matrix.ndim), 0, 1)
-        return self._shown[first]
+        rows = self._by_row[first : first + side * side]
+        matrix = rows.reshape(side, side, *rows.shape[1:])
+        return matrix.transpose(*range(2, matrix.ndim), 0, 1)
 
 
 @functools.lru_cache(maxsize=32)

@@ -1,7 +1,8 @@
 """What a fit returns: planes, their residuals, and the reason where there is none."""
 
 import enum
-from dataclasses import dataclass
+import functools
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,14 +76,14 @@ class PlaneFits:
 
     def __getstate__(self) -> dict[str, Any]:
         # Without the statistics: in a copy, what is shown would no longer be what a fit writes.
-        return {name: value for name, value in self.__dict__.items() if name != "_made"}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Leading shape of the arrays."""
         return self.status.shape
 
-    @property
+    @functools.cached_property
     def p_value(self) -> Float:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
@@ -98,7 +99,7 @@ class PlaneFits:
         """
         return self._statistics.row(statistics.P_VALUE)
 
-    @property
+    @functools.cached_property
     def alpha_covariance(self) -> Float:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
@@ -107,30 +108,27 @@ class PlaneFits:
         """
         return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
-    @property
+    @functools.cached_property
     def plane_covariance(self) -> Float:
         """S + (4, 4) float64: covariance of (n, d), from that of α to first order; its rank is 3."""
         return self._statistics.matrix(statistics.PLANE_COVARIANCE, 4)
 
-    @property
+    @functools.cached_property
     def angle_std(self) -> Float:
         """S float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
         return self._statistics.row(statistics.ANGLE_STD)
 
-    @property
+    @functools.cached_property
     def offset_std(self) -> Float:
         """S float64, metres: standard deviation of d."""
         return self._statistics.row(statistics.OFFSET_STD)
 
-    @property
+    @functools.cached_property
     def _statistics(self) -> "FitStatistics":
         """What the camera's noise says of these planes, computed when first asked for."""
-        if "_made" not in self.__dict__:
-            from rgbd_planes.fit_statistics import FitStatistics
+        from rgbd_planes.fit_statistics import FitStatistics
 
-            self.__dict__["_made"] = FitStatistics(self)
-        made: FitStatistics = self.__dict__["_made"]
-        return made
+        return FitStatistics(self)
 
     @property
     def _cell_dimensions(self) -> int:

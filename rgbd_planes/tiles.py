@@ -215,7 +215,7 @@ class TileFitter:
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
         arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
-        if "_made" in out.__dict__:
+        if "_statistics" in out.__dict__:
             arrays["_statistics"] = out._statistics.rows
         return arrays
 
