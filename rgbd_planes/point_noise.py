@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def measurement_noise(
-    depth: npt.ArrayLike, camera: "Camera", sigma_inverse_depth: float = KINECT_V1
+    depth: npt.ArrayLike, camera: "Camera", sigma_inverse_depth: float | None = None
 ) -> npt.NDArray[np.float64]:
     """Standard deviations of X, Y and Z of each pixel's point.
 
@@ -23,9 +23,9 @@ def measurement_noise(
     depth : (H, W) array_like
         Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
     camera : Camera
-    sigma_inverse_depth : float
-        Standard deviation of 1/Z in 1/m: half the disparity's step over focal length times baseline. The
-        default is a Kinect v1's.
+    sigma_inverse_depth : float, optional
+        Standard deviation of 1/Z in 1/m: half the disparity's step over focal length times baseline. By default
+        that of ``camera.noise`` at each pixel's depth, and a Kinect v1's for a camera without a noise model.
 
     Returns
     -------
@@ -41,14 +41,23 @@ def measurement_noise(
     -----
     σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. noise_models of the paper, after
     Khoshelham and Oude Elberink 2012, lens distortion included. The three are one error along the ray, seen
-    from three sides: fully correlated, and constant in 1/Z.
+    from three sides: fully correlated. A noise model's lateral error, which depends on the slope of the surface,
+    is not among it.
     """
     check_camera(camera)
-    if not 0.0 <= number("sigma_inverse_depth", sigma_inverse_depth, finite=False) < np.inf:
+    if sigma_inverse_depth is None and camera.noise is None:
+        sigma_inverse_depth = KINECT_V1
+    frame = as_depth_frame(depth, camera)
+    along_axis = frame.metres**2
+    if sigma_inverse_depth is None:
+        assert camera.noise is not None
+        along_axis[frame.valid] *= camera.noise.sigma(frame.inverse_depth[frame.valid])
+    elif 0.0 <= number("sigma_inverse_depth", sigma_inverse_depth, finite=False) < np.inf:
+        along_axis *= sigma_inverse_depth
+    else:
         raise ValueError(
             f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}"
         )
-    along_axis = sigma_inverse_depth * as_depth_frame(depth, camera).metres ** 2
     return np.stack(
         [np.abs(camera.tan_x) * along_axis, np.abs(camera.tan_y) * along_axis, along_axis], axis=-1
     )

@@ -1,5 +1,7 @@
 """The paper's noise model per pixel, against its formula and against noise drawn by the scenes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,20 @@ def test_missing_is_nan_and_coefficient_scales(camera):
     assert np.isnan(sigma[3, 4]).all()
     assert np.isfinite(np.delete(sigma.reshape(-1, 3), 3 * 640 + 4, axis=0)).all()
     np.testing.assert_allclose(sigma[0, 0], 2.0 * rp.measurement_noise(depth, camera)[0, 0])
+
+
+def test_the_noise_of_the_camera_is_taken_unless_another_is_given(camera):
+    def sigma(q):
+        assert (q > 0.0).all()  # a user's function need not know missing pixels
+        return 1e-3 * q
+
+    depth = np.linspace(0.5, 4.0, 640 * 480).reshape(480, 640)
+    depth[3, 4] = np.nan
+    noisy = replace(camera, noise=rp.noise.function(sigma))
+    made = rp.measurement_noise(depth, noisy)
+    np.testing.assert_allclose(made[..., 2], 1e-3 * depth)  # σ_Z = σ_q·Z²
+    np.testing.assert_allclose(made[..., 0], np.abs(camera.tan_x) * 1e-3 * depth)
+    np.testing.assert_allclose(rp.measurement_noise(depth, noisy, 2e-3)[..., 2], 2e-3 * depth**2)
 
 
 @pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf])
