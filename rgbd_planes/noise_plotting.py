@@ -42,7 +42,7 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     bias = 1e3 * np.where(evidence.flatness_count >= 16, evidence.flatness, np.nan)
     seen = np.abs(bias[np.isfinite(bias)])
     limit = float(np.quantile(seen, 0.98)) if len(seen) else 1.0
-    title = "Bias over the image: mean residual of large planes, 1e-3 / m"
+    title = "Bias over the image, of 1/Z: what all large planes have in common, 1e-3 / m"
     _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
     return figure
 

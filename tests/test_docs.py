@@ -105,6 +105,15 @@ def test_what_the_page_on_calibration_says_comes_out(files, monkeypatch):
     assert 0.5 < bent < 1.0
 
 
+def test_what_the_page_on_bent_floors_says_comes_out(files, monkeypatch):
+    text = printed("howto/bent-floors.md", 3, files, monkeypatch)
+    assert float(re.search(r"two maps: ([\d.]+)", text)[1]) > 0.85
+    flat = [float(value) for value in re.findall(r"flat to ([\d.]+) mm", text)]
+    tilt = [float(value) for value in re.findall(r"up to ([\d.]+) degrees", text)]
+    assert flat[1] < 0.35 * flat[0]
+    assert tilt[1] < 0.45 * tilt[0]
+
+
 def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
     ours, explicit, pca = (
         float(value)

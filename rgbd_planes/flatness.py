@@ -1,0 +1,159 @@
+"""Where in the image a sensor bends what is flat: its bias, from all the planes that frames show large."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.merging import merge
+from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.tile_planes import TilePlanes
+from rgbd_planes.tiles import TileFitter
+from rgbd_planes.uncertainty import same_plane
+
+Float = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+CELL = 8
+"""Side in pixels of the cells of the flatness map."""
+_TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
+_LARGE = 60
+_STEPS = 300
+
+
+def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, Index]:
+    """The bias over the image, and how many pixels each cell's is from: see `NoiseEvidence`.
+
+    A plane that sees a part of the image takes up what of the bias is planar there. So bias and planes are found
+    together, as the least squares of q = α·m + bias(cell) over all pixels of all large planes. A bias is expected
+    to be of the size of a pixel's noise: without that, one that only few cells determine could be anything.
+    """
+    shape = -(-camera.height // CELL), -(-camera.width // CELL)
+    cells = shape[0] * shape[1]
+    cell_of = (np.arange(camera.height) // CELL * shape[1])[:, None] + np.arange(camera.width) // CELL
+    fitter = TileFitter(camera, _TILE, significance=1e-3)
+    numbers = np.zeros(cells, np.int64)
+    planes, parts = 0, []
+    noise = camera.noise
+    assert noise is not None
+    # Errors that the pixels of a cell share are one error of the cell.
+    together = max(float(noise.statistics(CELL * CELL).offset) / (1.0 + noise.floor**2), 1.0)
+    for depth in frames:
+        labels, alpha = _large_planes(fitter.fit(depth))
+        pixels = labels.repeat(_TILE, axis=0).repeat(_TILE, axis=1)[: camera.height, : camera.width]
+        a, b, c = np.moveaxis(np.vstack([np.full((1, 3), np.nan), alpha])[pixels], -1, 0)
+        fitted = a * camera.tan_x + b * camera.tan_y + c
+        residual = as_depth_frame(depth, camera).inverse_depth - fitted
+        usual = np.hypot(1.0, noise.floor) * noise.sigma(fitted)
+        seen = np.abs(residual) < 6.0 * usual  # also False where missing
+        numbers += np.bincount(cell_of[seen], minlength=cells)
+        # By plane and cell: weight, and weighted means of the residual and of the ray.
+        key = (pixels[seen] - 1) * cells + cell_of[seen]
+        weight = 1.0 / (together * usual[seen] ** 2)
+        total = np.bincount(key, weight)
+        some = np.flatnonzero(total)
+        means = [
+            np.bincount(key, weight * of[seen])[some] / total[some]
+            for of in (residual, camera.tan_x, camera.tan_y)
+        ]
+        parts.append((planes + some // cells, some % cells, total[some], *means))
+        planes += len(alpha)
+    plane, cell, weight, residual, x, y = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not planes:
+        return np.full(shape, np.nan), numbers.reshape(shape)
+    rays = np.stack([x, y, np.ones(len(x))], axis=1)
+    prior = together * weight.sum() / numbers.sum()
+    bias = _bias(plane, cell, weight, residual, rays, prior, planes, cells)
+    return bias.reshape(shape), numbers.reshape(shape)
+
+
+def _bias(
+    plane: Index,
+    cell: Index,
+    weight: Float,
+    residual: Float,
+    rays: Float,
+    prior: float,
+    planes: int,
+    cells: int,
+) -> Float:
+    """Least squares of residual = δα(plane)·ray + bias(cell), with a weight for bias = 0; NaN where no plane is.
+
+    The biases follow from δα, of which a system is left that conjugate gradients solve. Of a bias that is planar
+    over the image planes tell nothing: it is left out.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    total = np.bincount(cell, weight, cells)
+    share = 1.0 / (total + prior)
+    mean = np.bincount(cell, weight * residual, cells) * share
+    # In these coordinates the normal equations of each plane alone are the identity.
+    scatter = np.zeros((planes, 3, 3))
+    np.add.at(scatter, plane, (weight[:, None] * rays)[:, :, None] * rays[:, None, :])
+    scatter += 1e-12 * np.trace(scatter, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    white = np.linalg.solve(np.linalg.cholesky(scatter)[plane], rays[:, :, None])[:, :, 0]
+    unknown = 3 * plane[:, None] + np.arange(3)
+    where = cell.repeat(3), unknown.ravel()
+    shared = csr_array(((weight[:, None] * white).ravel(), where), shape=(cells, 3 * planes))
+    wanted = np.zeros(3 * planes)
+    np.add.at(wanted, unknown, (weight * (residual - mean[cell]))[:, None] * white)
+    system = LinearOperator(
+        (3 * planes, 3 * planes), lambda v: v - shared.T @ (share * (shared @ v)), dtype=np.float64
+    )
+    bias = mean - share * (shared @ cg(system, wanted, rtol=1e-4, maxiter=_STEPS)[0])
+    some = np.flatnonzero(total)
+    centre = np.stack([np.bincount(cell, weight * of, cells)[some] / total[some] for of in rays.T], axis=1)
+    root = np.sqrt(total[some])
+    planar = np.linalg.lstsq(root[:, None] * centre, root * bias[some], rcond=None)[0]
+    seen = np.full(cells, np.nan)
+    seen[some] = bias[some] - centre @ planar
+    return seen
+
+
+def _large_planes(tiles: TilePlanes) -> tuple[Index, Float]:
+    """(R, C) which of the large planes that are seen each tile is of, from 1, 0 for none; their α, (K, 3)."""
+    labels = _connected(tiles)
+    merged = merge(tiles, labels)
+    # Links from tile to tile can lead around a bend: what is not on the common plane is left out.
+    on_plane = labels > 0
+    of = labels[on_plane] - 1
+    on_plane[on_plane] = (
+        same_plane(
+            tiles.alpha[on_plane],
+            tiles.alpha_covariance[on_plane],
+            merged.alpha[of],
+            merged.alpha_covariance[of],
+        )
+        > 1e-3
+    )
+    labels[~on_plane] = 0
+    merged = merge(tiles, labels, significance=1e-3)
+    large = np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:] >= _LARGE
+    large &= merged.status == TileStatus.OK
+    number = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
+    return number[labels], merged.alpha[large]
+
+
+def _connected(tiles: TilePlanes) -> Index:
+    """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    flat = tiles.status == TileStatus.OK
+    alpha, covariance = tiles.alpha, tiles.alpha_covariance
+    index = np.arange(flat.size).reshape(flat.shape)
+    links = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        same = same_plane(alpha[a], covariance[a], alpha[b], covariance[b]) > 0.05
+        same &= flat[a] & flat[b]
+        links.append((index[a][same], index[b][same]))
+    first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(flat.size, flat.size))
+    component = connected_components(graph, directed=False)[1].reshape(flat.shape)
+    labels = np.zeros(flat.shape, np.int64)
+    labels[flat] = np.unique(component[flat], return_inverse=True)[1] + 1
+    return labels
