@@ -10,8 +10,9 @@ from .segment_moments import solve
 
 # Pixels along a block's side.
 BLOCK = 4
-# Owner of a block: EMPTY where no pixel is measured; MIXED where each pixel has an owner of its own.
-EMPTY, MIXED = -1, -2
+# Owner of a block: EMPTY where no pixel is measured; MIXED where each pixel has an owner of its own; UNSEEN before
+# the first round.
+EMPTY, MIXED, UNSEEN = -1, -2, -3
 # Blocks of a row that are worked on together.
 CHUNK = 84
 

@@ -4,19 +4,21 @@ Joining regions a and b raises the sum of squared residuals by Δ = RSS(a ∪ b)
 moments give exactly. Were the noise independent, Δ/σ² would follow χ²(3); real noise is correlated and has a
 systematic part, so Δ is measured against the pixels of the smaller region: a bend of so many standard
 deviations is still one plane. Pairs that are each other's best join in every round, best first in effect,
-and small regions join the large one that they fit best.
+and small regions join the large one that they fit best; so do those that even independent noise would explain.
 """
 
 import numpy as np
 
 from ._jit import kernel
 from .segment_moments import fit, residual, solve
-from .segment_noise import variance, waviness
+from .segment_noise import sensor_variance, variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
 MUCH_LARGER = 4.0
 # Pairs that are looked at together, which the processor's vectors do.
 TOGETHER = 64
+# Variances by which joining two halves of one plane raises the sum of squared residuals in 95 cases of 100: χ²(3).
+CHANCE = 7.8
 FEW_SLOTS = 1 << 12
 # Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
 DOWN, RIGHT = (0, 1, 1, 1), (1, 0, 1, -1)
@@ -163,11 +165,16 @@ def disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floo
 
 
 @kernel(inline=True)
-def describe(m, sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves):
-    """Plane, residual and noise of region ``a``, whose moments are ``m``."""
-    rss[a] = residual(m)
-    noise[a] = variance(m, alpha[a], sigma, lateral_x, lateral_y) if fit(m, alpha[a]) else 0.0
-    waves[a] = waviness(m[0], growth) ** 2
+def describe(moments, a, sigma, lateral_x, lateral_y, growth, alpha, rss, noise, waves):
+    """Plane, residual and noise of region ``a``."""
+    n, mean_q = moments[a, 0], moments[a, 3] / moments[a, 0]
+    rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
+        n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4],
+        moments[a, 5], moments[a, 6], moments[a, 7], moments[a, 8], moments[a, 9],
+    )  # fmt: skip
+    slope = lateral_x * alpha[a, 0] ** 2 + lateral_y * alpha[a, 1] ** 2
+    noise[a] = sensor_variance(mean_q, sigma) + slope if rss[a] >= 0.0 else 0.0
+    waves[a] = waviness(n, growth) ** 2
 
 
 @kernel()
@@ -205,7 +212,7 @@ def merge(
     slots = table[:]
     for a in range(regions):
         parent[a] = a
-        describe(moments[a], sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves)
+        describe(moments, a, sigma, lateral_x, lateral_y, growth, alpha, rss, noise, waves)
     while count > 0:
         disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floor, jump, spread, cost)
         agreed = 0
@@ -218,8 +225,9 @@ def merge(
             i = agreeing[k]
             for side in range(2):
                 c = pairs[i, side]
-                j = max(best[c], 0)
-                better = (cost[i] < least[c]) | ((cost[i] == least[c]) & (scrambled(i) < scrambled(j)))
+                better = cost[i] < least[c]
+                if cost[i] == least[c]:
+                    better = scrambled(i) < scrambled(best[c])
                 best[c] = i if better else best[c]
                 least[c] = cost[i] if better else least[c]
         changed[:] = False
@@ -229,10 +237,18 @@ def merge(
             a, b = pairs[i, 0], pairs[i, 1]
             if moments[a, 0] < moments[b, 0]:
                 a, b = b, a
-            # Each other's best; or the best of a region too small to change the larger one much.
-            chosen = best[b] == i and (best[a] == i or moments[a, 0] >= MUCH_LARGER * moments[b, 0])
-            if not chosen or changed[b] or parent[a] != a:
+            if best[b] != i:
                 continue
+            root = a
+            while parent[root] != root:
+                root = parent[root]
+            # Each other's best; or the best of a region too small to change the larger one much; or a pair that
+            # only chance tells apart, even if one of them has been joined with others meanwhile.
+            mutual = best[a] == i or moments[a, 0] >= MUCH_LARGER * moments[b, 0]
+            allowed = floor * floor * min(waves[a], waves[b]) * moments[b, 0] + spread
+            if root == b or not ((mutual and root == a and not changed[b]) or cost[i] * allowed <= CHANCE):
+                continue
+            a = root
             parent[b] = a
             for j in range(10):
                 moments[a, j] += moments[b, j]
@@ -242,12 +258,16 @@ def merge(
             break
         for a in range(regions):
             if changed[a]:
-                describe(moments[a], sigma, lateral_x, lateral_y, growth, a, alpha, rss, noise, waves)
+                describe(moments, a, sigma, lateral_x, lateral_y, growth, alpha, rss, noise, waves)
         while len(slots) >= 4 * count and len(slots) > 2:
             slots = slots[: len(slots) // 2]
         kept = 0
         for i in range(count):
             a, b = parent[pairs[i, 0]], parent[pairs[i, 1]]
+            while parent[a] != a:
+                a = parent[a]
+            while parent[b] != b:
+                b = parent[b]
             if a == b:
                 continue
             # Pairs that disagree stay: one of the two may change yet.

@@ -65,27 +65,27 @@ def fit(m, alpha):
 
 
 @kernel(inline=True)
-def misfit(m, alpha):
-    """Sum of squared residuals of the pixels in some moments about a given plane."""
-    a, b, c = alpha[0], alpha[1], alpha[2]
+def misfit(m, i, alpha, region):
+    """Sum of squared residuals of the pixels of square ``i``, of moments m (10, T), about a region's plane."""
+    a, b, c = alpha[region, 0], alpha[region, 1], alpha[region, 2]
     return (
-        m[9] - 2.0 * (a * m[6] + b * m[8] + c * m[3])
-        + a * (a * m[4] + 2.0 * (b * m[5] + c * m[1]))
-        + b * (b * m[7] + 2.0 * c * m[2])
-        + c * c * m[0]
+        m[9, i] - 2.0 * (a * m[6, i] + b * m[8, i] + c * m[3, i])
+        + a * (a * m[4, i] + 2.0 * (b * m[5, i] + c * m[1, i]))
+        + b * (b * m[7, i] + 2.0 * c * m[2, i])
+        + c * c * m[0, i]
     )  # fmt: skip
 
 
 @kernel(inline=True)
-def add(m, u, v, q, sign):
-    """Add a pixel to moments, or subtract it."""
-    m[0] += sign
-    m[1] += sign * u
-    m[2] += sign * v
-    m[3] += sign * q
-    m[4] += sign * u * u
-    m[5] += sign * u * v
-    m[6] += sign * u * q
-    m[7] += sign * v * v
-    m[8] += sign * v * q
-    m[9] += sign * q * q
+def add(m, u, v, q):
+    """Add a pixel to moments."""
+    m[0] += 1.0
+    m[1] += u
+    m[2] += v
+    m[3] += q
+    m[4] += u * u
+    m[5] += u * v
+    m[6] += u * q
+    m[7] += v * v
+    m[8] += v * q
+    m[9] += q * q

@@ -75,7 +75,7 @@ def measure_parts(
                 u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
                 e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
                 squares[k] += min(e * e, cut * cut)
-                add(moments[k], u, v, q, 1.0)
+                add(moments[k], u, v, q)
     for k in range(count):
         a = owner[k]
         if largest[a] != k:

@@ -5,15 +5,16 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, MIXED
+from .segment_blocks import BLOCK, MIXED, UNSEEN
 from .segment_contest import (
-    SIDE,
+    AREA,
+    NEIGHBOURS,
     add_owned,
     contend,
     contenders,
-    find_lines,
+    find_centres,
     gather,
-    is_undisputed,
+    line_between,
     misfits,
     sums_of_nine,
     take_middle,
@@ -21,18 +22,16 @@ from .segment_contest import (
 from .segment_moments import misfit
 from .segment_noise import sensor_variance
 from .segment_settled import (
-    OTHERS,
-    SETTLED,
-    SPARSE,
+    MISSING,
+    UNOWNED,
+    decide,
+    list_unsettled,
     look_around,
+    rename_owners,
+    settle,
     settle_squares,
     settle_unchanged,
-    take_out,
 )
-
-NEIGHBOURS = 9
-# Owner of a pixel: measured but nobody's; not measured.
-UNOWNED, MISSING = -1, -2
 
 
 @kernel()
@@ -83,29 +82,9 @@ def own_pixels(
     squares : (N,) float64
         Sum of each region's squared residuals, in variances: after the last round, and on return.
     """
-    height, width = inverse_depth.shape
     rows, columns = region.shape
-    limit = np.float32(reach * reach)
-    close_square = np.float32(close * close)
-    candidate = np.empty(NEIGHBOURS, np.int64)
-    centre = np.empty((NEIGHBOURS, 3))
-    square = np.empty((NEIGHBOURS, SIDE * SIDE), np.float32)
-    sums = np.zeros((NEIGHBOURS, BLOCK * BLOCK), np.float32)
-    penalty = np.zeros(NEIGHBOURS, np.float32)
-    near = np.empty(NEIGHBOURS, np.int64)
-    owned = np.empty(NEIGHBOURS, np.int64)
-    line = np.zeros((NEIGHBOURS, NEIGHBOURS, 4), np.float32)
-    within = np.empty((NEIGHBOURS, BLOCK * BLOCK), np.int32)
-    winner = np.empty(BLOCK * BLOCK, np.int32)
-    middle_q, middle_u = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
-    middle_v, middle_square = np.empty(BLOCK * BLOCK, np.float32), np.empty(BLOCK * BLOCK, np.float32)
-    cut_square = np.float32(cut * cut)
-    q, u, v, measured, room = (
-        np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32),
-        np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32),
-    )  # fmt: skip
-    n = np.zeros(BLOCK * BLOCK, np.float32)
     around = np.empty((rows, columns), np.int8)
+    block = np.empty((rows * columns, 3), np.int32)
     look_around(region, owner, around)
     if is_first:
         moments[:] = 0.0
@@ -115,112 +94,168 @@ def own_pixels(
             region, before, number, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments,
             around,
         )  # fmt: skip
-        take_out(
-            inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread, sigma, cut, around,
-            owner, pixel_owner, moments, squares,
-        )  # fmt: skip
+        rename_owners(around, number, owner, pixel_owner)
     before[:] = region
+    count = 0
     for level in (2, 1):
-        settle_squares(
-            pyramid, offsets, shapes, level, region, around, alpha, slope_variance, spread, sigma, settled,
-            owner, moments, squares,
+        count = settle_squares(
+            pyramid, offsets, shapes, level, region, alpha, slope_variance, spread, sigma, settled,
+            number, around, owner, moments, squares, block, count,
         )  # fmt: skip
-    for row in range(rows):
-        top = row * BLOCK
-        bottom = min(top + BLOCK, height)
-        for column in range(columns):
-            if around[row, column] == SETTLED:
-                continue
-            a = before[row, column]
-            m = pyramid[:, row * columns + column]
-            pixels = m[0]
-            left = column * BLOCK
-            right = min(left + BLOCK, width)
-            count = 1
-            candidate[0] = a
-            if around[row, column] == OTHERS:
-                count = contenders(before, row, column, centre_u, centre_v, candidate, centre)
-                if count == 1:
-                    a = candidate[0]
-            elif a < 0:
-                count = 0
-            sensor = sensor_variance(m[3] / pixels, sigma)
-            if a >= 0:
-                total = (sensor + slope_variance[a]) * spread[a]
-                error = misfit(m, alpha[a])
-                if error <= settled * settled * pixels * total and is_undisputed(
-                    a, count, candidate, centre, alpha, tan_x, tan_y, top, left, bottom, right,
-                    reach * math.sqrt(total),
-                ):  # fmt: skip
-                    for k in range(10):
-                        moments[a, k] += m[k]
-                    squares[a] += max(error, 0.0) / total
-                    region[row, column] = a
-                    owner[row, column] = a
-                    if pixels <= SPARSE:
-                        owner[row, column] = MIXED
-                        pixel_owner[row * columns + column, :] = MISSING
-                        for y in range(top, bottom):
-                            for x in range(left, right):
-                                k = (y - top) * BLOCK + x - left
-                                own = a if inverse_depth[y, x] > 0.0 else MISSING
-                                pixel_owner[row * columns + column, k] = own
-                    continue
+    count = list_unsettled(around, block, count)
+    decide(
+        block, count, tan_x, tan_y, centre_u, centre_v, before, around, pyramid, alpha, slope_variance, spread,
+        sigma, reach, settled,
+    )  # fmt: skip
+    if not is_first:
+        take_out(
+            block, count, inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread,
+            sigma, cut, owner, pixel_owner, moments, squares,
+        )  # fmt: skip
+    count = settle(
+        block, count, inverse_depth, pyramid, alpha, slope_variance, spread, sigma, region, owner, pixel_owner,
+        moments, squares,
+    )  # fmt: skip
+    contest(
+        block, count, inverse_depth, tan_x, tan_y, centre_u, centre_v, before, pyramid, alpha, slope_variance,
+        spread, sigma, reach, close, cut, region, owner, pixel_owner, moments, squares,
+    )  # fmt: skip
 
-            gather(inverse_depth, tan_x, tan_y, top, left, q, u, v)
-            take_middle(q, middle_q)
-            take_middle(u, middle_u)
-            take_middle(v, middle_v)
-            near_count = 0
-            winner[:] = -1
-            for i in range(count):
-                a = candidate[i]
-                total = (sensor + slope_variance[a]) * spread[a]
-                owned[i] = 0
-                if misfits(q, u, v, alpha[a], math.sqrt(total), limit, square[i], within[i]):
-                    near[near_count] = i
-                    near_count += 1
-                    penalty[i] = total
-            if near_count > 1:
-                find_lines(count, candidate, centre, alpha, line)
-                for k in range(near_count):
-                    i = near[k]
-                    penalty[i] = math.log(penalty[i])
-                    sums_of_nine(square[i], room, sums[i])
-                for p in range(SIDE * SIDE):
-                    measured[p] = 1.0 if q[p] > 0.0 else 0.0
-                sums_of_nine(measured, room, n)
-            for k in range(near_count):
-                j = near[k]
-                for other in range(k):
-                    i = near[other]
-                    contend(
-                        i, j, within[j], middle_u, middle_v, n, line[i, j], sums[i], sums[j],
-                        penalty[i], penalty[j], close_square, winner,
-                    )  # fmt: skip
-                for p in range(BLOCK * BLOCK):
-                    winner[p] = j if (winner[p] < 0) & (within[j, p] == 1) else winner[p]
+
+@kernel()
+def take_out(
+    block, count, inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread, sigma,
+    cut, owner, pixel_owner, moments, squares,
+):  # fmt: skip
+    """Subtract what the blocks that get another owner gave to the regions in the last round: see `decide`.
+
+    Their owner becomes UNSEEN, that of the others what it was, by its new number.
+    """
+    around = np.empty((3, AREA), np.float32)
+    middle = np.empty((4, BLOCK * BLOCK), np.float32)
+    own = np.empty(BLOCK * BLOCK, np.int32)
+    owners = np.empty(NEIGHBOURS, np.int64)
+    for k in range(count):
+        row, column = block[k, 0], block[k, 1]
+        i = row * owner.shape[1] + column
+        b = owner[row, column]
+        a = number[b] if b >= 0 else -1
+        if a >= 0 and a == block[k, 2]:
+            owner[row, column] = a
+            continue
+        owner[row, column] = UNSEEN
+        sensor = sensor_variance(pyramid[3, i] / pyramid[0, i], sigma)
+        if a >= 0:
+            for j in range(10):
+                moments[a, j] -= pyramid[j, i]
+            total = (sensor + slope_variance[a]) * spread[a]
+            squares[a] -= max(misfit(pyramid, i, last_alpha, b), 0.0) / total
+        if b != MIXED:
+            continue
+        found = 0
+        for p in range(BLOCK * BLOCK):
+            own[p] = pixel_owner[i, p]
+            j = 0
+            while j < found and owners[j] != own[p]:
+                j += 1
+            if j == found and own[p] >= 0 and number[own[p]] >= 0:
+                owners[j] = own[p]
+                found += 1
+        if found == 0:
+            continue
+        gather(inverse_depth, tan_x, tan_y, row, column, around)
+        for c in range(3):
+            take_middle(around, c, middle, c)
+        for j in range(found):
+            b = owners[j]
+            a = number[b]
+            share = 1.0 / ((sensor + slope_variance[a]) * spread[a])
             for p in range(BLOCK * BLOCK):
-                if winner[p] >= 0:
-                    owned[winner[p]] += 1
+                e = middle[0, p] - (
+                    last_alpha[b, 0] * middle[1, p] + last_alpha[b, 1] * middle[2, p] + last_alpha[b, 2]
+                )
+                middle[3, p] = e * e * share
+            squares[a] += add_owned(b, own, middle, cut * cut, -1.0, moments, a)
+
+
+@kernel()
+def contest(
+    block, count, inverse_depth, tan_x, tan_y, centre_u, centre_v, before, pyramid, alpha, slope_variance, spread,
+    sigma, reach, close, cut, region, owner, pixel_owner, moments, squares,
+):  # fmt: skip
+    """Give each pixel of the first ``count`` blocks to one of the regions around its block, or to none.
+
+    ``block`` (R·C, 2) int32 has their rows and columns; the rest is as in `own_pixels`.
+    """
+    columns = region.shape[1]
+    limit, close_square = np.float32(reach * reach), np.float32(close * close)
+    candidate, near = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS, np.int64)
+    owned = np.empty(NEIGHBOURS, np.int64)
+    centre, penalty = np.empty((NEIGHBOURS, 3)), np.empty(NEIGHBOURS, np.float32)
+    # Few arrays, of sizes that are known beforehand: so the compiler sees which rows are apart.
+    room = np.zeros((5 + NEIGHBOURS, AREA), np.float32)
+    around, down, measured, square = room[:3], room[3], room[4:5], room[5:]
+    small = np.zeros((5 + NEIGHBOURS, BLOCK * BLOCK), np.float32)
+    middle, n, sums = small[:4], small[4:5], small[5:]
+    whole = np.zeros((1 + NEIGHBOURS, BLOCK * BLOCK), np.int32)
+    winner, within = whole[0], whole[1:]
+    for b in range(count):
+        row, column = block[b, 0], block[b, 1]
+        here = row * columns + column
+        pixels = pyramid[0, here]
+        sensor = sensor_variance(pyramid[3, here] / pixels, sigma)
+        contending = contenders(before, row, column, candidate)
+        gather(inverse_depth, tan_x, tan_y, row, column, around)
+        for c in range(3):
+            take_middle(around, c, middle, c)
+        near_count = 0
+        for i in range(contending):
+            a = candidate[i]
+            total = (sensor + slope_variance[a]) * spread[a]
+            owned[i] = 0
+            near[near_count] = i
+            penalty[i] = total
+            if misfits(around, alpha, a, math.sqrt(total), limit, square, i, within):
+                near_count += 1
+        if near_count > 1:
+            find_centres(before, row, column, centre_u, centre_v, contending, candidate, centre)
             for k in range(near_count):
                 i = near[k]
-                a = candidate[i]
-                if owned[i] > 0:
-                    take_middle(square[i], middle_square)
-                    squares[a] += add_owned(
-                        i, winner, middle_u, middle_v, middle_q, middle_square, cut_square, moments[a]
-                    )  # fmt: skip
-            owner[row, column] = MIXED
+                penalty[i] = math.log(penalty[i])
+                sums_of_nine(square, i, down, sums)
+            for p in range(AREA):
+                measured[0, p] = 1.0 if around[0, p] > 0.0 else 0.0
+            sums_of_nine(measured, 0, down, n)
+        for p in range(BLOCK * BLOCK):
+            winner[p] = -1
+        for k in range(near_count):
+            j = near[k]
+            for other in range(k):
+                i = near[other]
+                line_u, line_v, line_1 = line_between(i, j, candidate, centre, alpha)
+                contend(
+                    i, j, within, middle, n, line_u, line_v, line_1, sums, penalty, close_square, winner
+                )  # fmt: skip
             for p in range(BLOCK * BLOCK):
-                a = UNOWNED if middle_q[p] > 0.0 else MISSING
-                pixel_owner[row * columns + column, p] = candidate[winner[p]] if winner[p] >= 0 else a
-            # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
-            most = 0
-            for i in range(1, count):
-                if owned[i] > owned[most]:
-                    most = i
-            for i in range(count):
-                if candidate[i] == before[row, column] and 4 * owned[i] >= pixels:
-                    most = i
-            region[row, column] = candidate[most] if count > 0 and owned[most] > 2 else -1
+                winner[p] = j if (winner[p] < 0) & (within[j, p] == 1) else winner[p]
+        for k in range(near_count):
+            i = near[k]
+            a = candidate[i]
+            for p in range(BLOCK * BLOCK):
+                owned[i] += winner[p] == i
+            if owned[i] > 0:
+                take_middle(square, i, middle, 3)
+                squares[a] += add_owned(i, winner, middle, np.float32(cut * cut), 1.0, moments, a)
+        owner[row, column] = MIXED
+        for p in range(BLOCK * BLOCK):
+            a = UNOWNED if middle[0, p] > 0.0 else MISSING
+            pixel_owner[here, p] = candidate[winner[p]] if winner[p] >= 0 else a
+        # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
+        most = 0
+        for i in range(1, contending):
+            if owned[i] > owned[most]:
+                most = i
+        for i in range(contending):
+            if candidate[i] == before[row, column] and 4 * owned[i] >= pixels:
+                most = i
+        region[row, column] = candidate[most] if contending > 0 and owned[most] > 2 else -1

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import EMPTY, MIXED
+from .segment_blocks import EMPTY, UNSEEN
 from .segment_noise import sensor_variance
 
 
@@ -72,7 +72,7 @@ def leaves(offsets, shapes, state, moments, region, owner, region_moments):
     """Number the largest planar node over each planar block, in the order of their first blocks.
 
     ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
-    pixels; ``owner`` (R, C) int32 is written: EMPTY or MIXED; ``region_moments`` (R·C, 10) is written.
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or UNSEEN; ``region_moments`` (R·C, 10) is written.
     Returns how many there are.
     """
     levels = shapes.shape[0]
@@ -81,7 +81,7 @@ def leaves(offsets, shapes, state, moments, region, owner, region_moments):
     for row in range(shapes[0, 0]):
         for column in range(shapes[0, 1]):
             region[row, column] = -1
-            owner[row, column] = EMPTY if moments[0, row * shapes[0, 1] + column] == 0.0 else MIXED
+            owner[row, column] = EMPTY if moments[0, row * shapes[0, 1] + column] == 0.0 else UNSEEN
             if state[row * shapes[0, 1] + column] != 1:
                 continue
             for level in range(levels - 1, -1, -1):

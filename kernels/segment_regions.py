@@ -37,7 +37,9 @@ def spread_out(region, owner, pyramid, alpha, slope_variance, spread, sigma, set
     while count > 0:
         for k in range(count):
             row, column = row_of[k], column_of[k]
-            m = pyramid[:, row * columns + column]
+            i = row * columns + column
+            pixels = pyramid[0, i]
+            sensor = sensor_variance(pyramid[3, i] / pixels, sigma)
             best = settled * settled
             joins[k] = -1
             for side in range(4):
@@ -45,8 +47,8 @@ def spread_out(region, owner, pyramid, alpha, slope_variance, spread, sigma, set
                 if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] < 0:
                     continue
                 a = region[r, c]
-                total = (sensor_variance(m[3] / m[0], sigma) + slope_variance[a]) * spread[a]
-                error = misfit(m, alpha[a]) / (m[0] * total)
+                total = (sensor + slope_variance[a]) * spread[a]
+                error = misfit(pyramid, i, alpha, a) / (pixels * total)
                 if error < best:
                     best = error
                     joins[k] = a

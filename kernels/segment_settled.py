@@ -9,8 +9,9 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, EMPTY, MIXED
-from .segment_moments import add, misfit
+from .segment_blocks import BLOCK, EMPTY, MIXED, UNSEEN
+from .segment_contest import NEIGHBOURS, contenders, find_centres, is_undisputed
+from .segment_moments import misfit
 from .segment_noise import sensor_variance
 
 # What is around a block: its own region only, or nothing else, or other regions. SETTLED: no need to know.
@@ -21,6 +22,10 @@ NO_REGION = np.int32(np.iinfo(np.int32).max)
 SPARSE = BLOCK * BLOCK // 2
 # Deviations by which planes may move without anything that they own being looked at again.
 STILL = 0.25
+# Owner of a pixel: measured but nobody's; not measured.
+UNOWNED, MISSING = -1, -2
+# New owner of a block, before it is known; and where its pixels are contested.
+UNDECIDED, CONTESTED = -1, -2
 
 
 @kernel()
@@ -50,45 +55,6 @@ def look_around(region, owner, around):
             own_or_none = (high == a) & (a == min(lowest[c - 1], lowest[c], lowest[c + 1]))
             if around[row, c] == OTHERS:
                 around[row, c] = ALIKE if alike else OWN_OR_NONE if own_or_none else OTHERS
-
-
-@kernel()
-def settle_squares(
-    pyramid, offsets, shapes, level, region, around, alpha, slope_variance, spread, sigma, settled,
-    owner, moments, squares,
-):  # fmt: skip
-    """Settle squares of blocks at once where even one block with all of their misfit would be settled.
-
-    ``around`` becomes SETTLED for their blocks; the rest is as in `own_pixels`.
-    """
-    side = 1 << level
-    others = float(BLOCK * BLOCK * (side * side - 1))
-    for row in range(region.shape[0] // side):
-        for column in range(region.shape[1] // side):
-            top, left = row * side, column * side
-            a = region[top, left]
-            if a < 0:
-                continue
-            m = pyramid[:, offsets[level] + row * shapes[level, 1] + column]
-            least = m[0] - others  # pixels that each block has, at least
-            if least <= SPARSE:
-                continue
-            alike = True
-            for r in range(top, top + side):
-                for c in range(left, left + side):
-                    alike &= around[r, c] == ALIKE
-            if not alike:
-                continue
-            total = (sensor_variance(m[3] / m[0], sigma) + slope_variance[a]) * spread[a]
-            error = misfit(m, alpha[a])
-            if error <= settled * settled * least * total:
-                for k in range(10):
-                    moments[a, k] += m[k]
-                squares[a] += max(error, 0.0) / total
-                for r in range(top, top + side):
-                    for c in range(left, left + side):
-                        around[r, c] = SETTLED
-                        owner[r, c] = a
 
 
 @kernel()
@@ -138,43 +104,150 @@ def settle_unchanged(
 
 
 @kernel()
-def take_out(
-    inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread, sigma, cut, around, owner,
-    pixel_owner, moments, squares,
-):  # fmt: skip
-    """Subtract what the blocks that are not SETTLED gave to the regions, and rename the owners of the others."""
-    height, width = inverse_depth.shape
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    rows, columns = around.shape
-    for row in range(rows):
-        for column in range(columns):
+def rename_owners(around, number, owner, pixel_owner):
+    """Give the owners of SETTLED blocks the ``number`` that they have become since the last round."""
+    for row in range(around.shape[0]):
+        for column in range(around.shape[1]):
+            if around[row, column] != SETTLED:
+                continue
             b = owner[row, column]
-            i = row * columns + column
-            if around[row, column] == SETTLED:
-                if b >= 0:
-                    owner[row, column] = number[b]
-                elif b == MIXED:
-                    for k in range(BLOCK * BLOCK):
-                        b = pixel_owner[i, k]
-                        pixel_owner[i, k] = number[b] if b >= 0 else b
-                continue
-            m = pyramid[:, i]
-            sensor = sensor_variance(m[3] / m[0], sigma)
             if b >= 0:
-                a = number[b]
-                if a >= 0:
-                    for k in range(10):
-                        moments[a, k] -= m[k]
-                    total = (sensor + slope_variance[a]) * spread[a]
-                    squares[a] -= max(misfit(m, last_alpha[b]), 0.0) / total
+                owner[row, column] = number[b]
+            elif b == MIXED:
+                i = row * around.shape[1] + column
+                for k in range(BLOCK * BLOCK):
+                    b = pixel_owner[i, k]
+                    pixel_owner[i, k] = number[b] if b >= 0 else b
+
+
+@kernel()
+def settle_squares(
+    pyramid, offsets, shapes, level, region, alpha, slope_variance, spread, sigma, settled, number,
+    around, owner, moments, squares, block, count,
+):  # fmt: skip
+    """Settle squares of blocks at once where even one block with all of their misfit would be settled.
+
+    ``around`` becomes SETTLED for their blocks. They get their owner if they had none or the same; others are
+    added to the first ``count`` of ``block``, see `decide`. Returns how many there are then.
+    """
+    side = 1 << level
+    others = float(BLOCK * BLOCK * (side * side - 1))
+    for row in range(region.shape[0] // side):
+        for column in range(region.shape[1] // side):
+            top, left = row * side, column * side
+            a = region[top, left]
+            if a < 0:
                 continue
-            for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
-                for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
-                    b = pixel_owner[i, y % BLOCK * BLOCK + x % BLOCK]
-                    a = number[b] if b >= 0 else -1
-                    if a < 0:
-                        continue
-                    u, v, q = tan_x[y * step_y, x], tan_y[y, x * step_x], inverse_depth[y, x]
-                    add(moments[a], u, v, q, -1.0)
-                    e = q - (last_alpha[b, 0] * u + last_alpha[b, 1] * v + last_alpha[b, 2])
-                    squares[a] -= min(e * e / ((sensor + slope_variance[a]) * spread[a]), cut * cut)
+            i = offsets[level] + row * shapes[level, 1] + column
+            pixels = pyramid[0, i]
+            least = pixels - others  # pixels that each block has, at least
+            if least <= SPARSE:
+                continue
+            alike = True
+            for r in range(top, top + side):
+                for c in range(left, left + side):
+                    alike &= around[r, c] == ALIKE
+            if not alike:
+                continue
+            total = (sensor_variance(pyramid[3, i] / pixels, sigma) + slope_variance[a]) * spread[a]
+            error = misfit(pyramid, i, alpha, a)
+            if error > settled * settled * least * total:
+                continue
+            is_first = owner[top, left] == UNSEEN
+            if is_first:
+                for k in range(10):
+                    moments[a, k] += pyramid[k, i]
+                squares[a] += max(error, 0.0) / total
+            for r in range(top, top + side):
+                for c in range(left, left + side):
+                    around[r, c] = SETTLED
+                    b = owner[r, c]
+                    if is_first or (b >= 0 and number[b] == a):
+                        owner[r, c] = a
+                    else:
+                        block[count, 0], block[count, 1], block[count, 2] = r, c, a
+                        count += 1
+    return count
+
+
+@kernel()
+def list_unsettled(around, block, count):
+    """Add the blocks that are not SETTLED to the first ``count`` of ``block``, to decide; returns how many."""
+    for row in range(around.shape[0]):
+        for column in range(around.shape[1]):
+            block[count, 0], block[count, 1], block[count, 2] = row, column, UNDECIDED
+            count += 1 if around[row, column] != SETTLED else 0
+    return count
+
+
+@kernel()
+def decide(
+    block, count, tan_x, tan_y, centre_u, centre_v, region, around, pyramid, alpha, slope_variance, spread, sigma,
+    reach, settled,
+):  # fmt: skip
+    """Which blocks fit a region that no other contends for.
+
+    ``block`` (K, 3) int32 has the row, the column and the new owner of ``count`` blocks; where this is UNDECIDED
+    it becomes such a region, or CONTESTED. The rest is as in `own_pixels`.
+    """
+    columns = region.shape[1]
+    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
+    for k in range(count):
+        if block[k, 2] != UNDECIDED:
+            continue
+        block[k, 2] = CONTESTED
+        row, column = block[k, 0], block[k, 1]
+        i = row * columns + column
+        a = region[row, column]
+        contending = 1
+        if around[row, column] == OTHERS:
+            contending = contenders(region, row, column, candidate)
+            if contending == 1:
+                a = candidate[0]
+        if a < 0:
+            continue
+        pixels = pyramid[0, i]
+        total = (sensor_variance(pyramid[3, i] / pixels, sigma) + slope_variance[a]) * spread[a]
+        if misfit(pyramid, i, alpha, a) > settled * settled * pixels * total:
+            continue
+        if contending > 1:
+            find_centres(region, row, column, centre_u, centre_v, contending, candidate, centre)
+            distance = reach * math.sqrt(total)
+            if not is_undisputed(
+                a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance
+            ):  # fmt: skip
+                continue
+        block[k, 2] = a
+
+
+@kernel()
+def settle(
+    block, count, inverse_depth, pyramid, alpha, slope_variance, spread, sigma, region, owner, pixel_owner,
+    moments, squares,
+):  # fmt: skip
+    """Give the blocks whose owner is decided to it; the CONTESTED move to the front: returns how many."""
+    height, width = inverse_depth.shape
+    contested = 0
+    for k in range(count):
+        row, column, a = block[k, 0], block[k, 1], block[k, 2]
+        if a == CONTESTED:
+            block[contested, 0], block[contested, 1] = row, column
+            contested += 1
+            continue
+        region[row, column] = a
+        if owner[row, column] == a:
+            continue
+        i = row * region.shape[1] + column
+        pixels = pyramid[0, i]
+        total = (sensor_variance(pyramid[3, i] / pixels, sigma) + slope_variance[a]) * spread[a]
+        for j in range(10):
+            moments[a, j] += pyramid[j, i]
+        squares[a] += max(misfit(pyramid, i, alpha, a), 0.0) / total
+        owner[row, column] = a
+        if pixels <= SPARSE:
+            owner[row, column] = MIXED
+            for j in range(BLOCK * BLOCK):
+                y, x = row * BLOCK + j // BLOCK, column * BLOCK + j % BLOCK
+                measured = y < height and x < width and inverse_depth[y, x] > 0.0
+                pixel_owner[i, j] = a if measured else MISSING
+    return contested
