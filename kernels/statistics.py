@@ -22,14 +22,14 @@ OF_COUNT = 22
 # What is written in the end, of which the covariances' rows are used for other things before.
 P, ALPHA, PLANE, ANGLE, OFFSET = 26, 27, 33, 43, 44
 RATIO, ROOT = P, P + 1
-POSITION, BELOW, ABOVE = P, P + 1, P + 2
+POSITION, FOUND = P, P + 1
 LIMIT = P + 2
 ROWS = 45
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
 # What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
 # tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. Half the squared spread
-# of the variance from place to place. Then a scale and the variance of q of the other errors, at √q = 0, 1/scale,
+# of the variance from place to place. Then a scale and the variance of q of the other errors, at q = 0, 1/scale,
 # 2/scale, ..., linear in between and beyond, or a single one for all q.
 LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, HALF_SPREAD, SCALE = 0, 1, 2, 3, 4, 5
 VARIANCES = np.uintp(6)
@@ -156,21 +156,24 @@ def pixel_variance(in_range_space, noise, count, room):
     else:
         scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
         for i in range(BLOCK):
-            position = math.sqrt(room[MEAN_Q, i]) * scale
+            position = room[MEAN_Q, i] * scale
             inside = position if position > 0.0 else 0.0  # also of NaN
             inside = inside if inside < last else last
             room[SHARED, i] = math.floor(inside)
             room[POSITION, i] = position
+        # Neighbours in the table stay neighbours here: one load and one store for both.
+        found = room[FOUND : FOUND + 2].reshape(2 * BLOCK)
         for i in range(count):
             k = VARIANCES + np.uintp(room[SHARED, i])
-            room[BELOW, i] = noise[k]
-            room[ABOVE, i] = noise[k + ONE]
+            below, above = noise[k], noise[k + ONE]
+            found[2 * i] = below
+            found[2 * i + 1] = above
         for i in range(BLOCK):
-            variance, step = room[BELOW, i], room[ABOVE, i] - room[BELOW, i]
+            variance, step = found[2 * i], found[2 * i + 1] - found[2 * i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
             # Averaged over the tile as a power of q is: this is its exponent times the variance.
-            power = 0.5 * position * step
+            power = position * step
             mean_w = room[3, i] * room[SHARE, i]
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
             spread = room[9, i] * room[SHARE, i] - mean_w * mean_w
@@ -201,12 +204,17 @@ def by_count(counts, tables, room):
             room[OF_COUNT + 2, i] = 1.0
             room[OF_COUNT + 3, i] = 1.0
     else:
+        found = room[FOUND : FOUND + 4].reshape(4 * BLOCK)
         for i in range(counts.shape[0]):
             row = tables[np.uintp(counts[i])]
-            room[OF_COUNT, i] = row[0]
-            room[OF_COUNT + 1, i] = row[1]
-            room[OF_COUNT + 2, i] = row[2]
-            room[OF_COUNT + 3, i] = row[3]
+            a, b, c, d = row[0], row[1], row[2], row[3]
+            found[4 * i] = a
+            found[4 * i + 1] = b
+            found[4 * i + 2] = c
+            found[4 * i + 3] = d
+        for i in range(BLOCK):
+            for k in range(4):
+                room[OF_COUNT + k, i] = found[4 * i + k]
 
 
 @kernel(inline=True)

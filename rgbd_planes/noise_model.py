@@ -14,7 +14,7 @@ from rgbd_planes.residual_statistics import ResidualStatistics, square_statistic
 Floats = NDArray[np.float64]
 
 # Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
-_ENTRIES, _LARGEST = 2048, 100.0
+_ENTRIES, _LARGEST = 8192, 20.0
 
 KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
@@ -137,9 +137,9 @@ class NoiseModel:
         """σq² before rounding as `kernels.statistics.pixel_variance` takes it."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
             return np.array([1.0, self.coefficients[0] ** 2])
-        scale = _ENTRIES / math.sqrt(_LARGEST)
-        roots = np.maximum(np.arange(_ENTRIES + 1), 0.5) / scale  # no function need be defined at 0
-        return np.concatenate([[scale], self._along(roots**2) ** 2])
+        scale = _ENTRIES / _LARGEST
+        q = np.maximum(np.arange(_ENTRIES + 1), 0.5) / scale  # no function need be defined at 0
+        return np.concatenate([[scale], self._along(q) ** 2])
 
     @property
     def is_independent(self) -> bool:
