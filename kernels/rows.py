@@ -1,6 +1,7 @@
 """The planes of a frame's tiles as columns of a table."""
 
 from ._jit import kernel
+from .copying import copy
 
 
 @kernel()
@@ -42,10 +43,3 @@ def add_tiles(
         copy(statistics[which[k]].ravel(), floats[6 + k, start:stop])
     copy(valid_count.ravel(), valid_counts[start:stop])
     copy(status.ravel(), statuses[start:stop])
-
-
-@kernel(inline=True)
-def copy(values, where):
-    """Copy into an array of another type."""
-    for i in range(len(where)):
-        where[i] = values[i]

@@ -10,6 +10,7 @@ and small regions join the large one that they fit best; so do those that even i
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_moments import fit, residual, solve
 from .segment_noise import sensor_variance, variance, waviness
 
@@ -79,7 +80,8 @@ def neighbours(region, centre_u, centre_v, pairs, contact, table):
     # With a rim of no regions: a block's neighbours, and theirs, are there without looking where the frame ends.
     around = np.empty((rows + 2, columns + 4), np.int32)
     around[:] = -1
-    around[:rows, 2 : columns + 2] = region
+    for row in range(rows):
+        copy(region[row], around[row, 2 : columns + 2])
     beside = np.empty((len(DOWN), columns), np.int32)  # another region beside each block of a row, or -1
     any_beside = np.empty(columns, np.int32)
     slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: what is small stays in the cache
@@ -281,7 +283,7 @@ def merge(
                     continue
             pairs[kept, 0] = a
             pairs[kept, 1] = b
-            contact[kept] = contact[i]
+            copy(contact[i], contact[kept])
             kept += 1
         count = kept
     for a in range(regions):
@@ -301,8 +303,8 @@ def keep_pairs_inside(pairs, contact, parent, chosen):
     for i in range(len(pairs)):
         root = parent[pairs[i, 0]]
         if root == parent[pairs[i, 1]] and chosen[root]:
-            pairs[kept] = pairs[i]
-            contact[kept] = contact[i]
+            copy(pairs[i], pairs[kept])
+            copy(contact[i], contact[kept])
             kept += 1
     return kept
 
@@ -349,7 +351,7 @@ def number_regions(parent, moments, least, number):
         number[i] = -1
         if parent[i] == i and moments[i, 0] >= least:
             number[i] = count
-            moments[count] = moments[i]
+            copy(moments[i], moments[count])
             count += 1
     for i in range(len(parent)):
         number[i] = number[parent[i]]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_moments import add
 from .segment_runs import GAP, root_of
 
@@ -86,7 +87,7 @@ def measure_parts(
         a = owner[k]
         if largest[a] == k:
             squares[k] = region_squares[a]
-            moments[k] = region_moments[a]
+            copy(region_moments[a], moments[k])
         size[k] = moments[k, 0]
     return count
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_blocks import BLOCK, MIXED, UNSEEN
 from .segment_contest import (
     AREA,
@@ -95,7 +96,8 @@ def own_pixels(
             around,
         )  # fmt: skip
         rename_owners(around, number, owner, pixel_owner)
-    before[:] = region
+    for row in range(region.shape[0]):
+        copy(region[row], before[row])
     count = 0
     for level in (2, 1):
         count = settle_squares(

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_blocks import EMPTY, UNSEEN
 from .segment_noise import sensor_variance
 
@@ -89,7 +90,7 @@ def leaves(offsets, shapes, state, moments, region, owner, region_moments):
                 if state[i] == 1:
                     if number[i] < 0:
                         number[i] = count
-                        region_moments[count] = moments[:, i]
+                        copy(moments[:, i], region_moments[count])
                         count += 1
                     region[row, column] = number[i]
                     break

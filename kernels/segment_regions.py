@@ -3,6 +3,7 @@
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_blocks import EMPTY
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
@@ -125,7 +126,7 @@ def find_regions(
             )  # fmt: skip
             for a in range(count):
                 if several[parent[a]]:
-                    moments[a] = first_moments[a]
+                    copy(first_moments[a], moments[a])
                 else:
                     again[a] = parent[a]
             parent = again

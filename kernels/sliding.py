@@ -92,8 +92,10 @@ def plan_steps(window, sizes, between):
         sizes[steps] = size
         between[steps] = c
         steps += 1
-    sizes[:steps] = sizes[:steps][::-1].copy()
-    between[:steps] = between[:steps][::-1].copy()
+    for i in range(steps // 2):
+        j = steps - 1 - i
+        sizes[i], sizes[j] = sizes[j], sizes[i]
+        between[i], between[j] = between[j], between[i]
     return steps
 
 
