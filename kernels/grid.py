@@ -13,7 +13,7 @@ from .strips import TILES, strip_room, tiles_in_strip
 @kernel()
 def fit_range_tiles(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, needed,
-    method, max_error, tile_row_start, tile_row_stop,
+    implicit, max_error, tile_row_start, tile_row_stop,
     moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
     """Fit the tiles of some tile rows in range space.
@@ -27,28 +27,21 @@ def fit_range_tiles(
     tan_x, tan_y : (H, W) float64
         tanθx and tanθy of each pixel; of a camera without lens distortion (C * tile_width,) and (H,), those of each
         column and row relative to its tile's centre.
-    centre : (2, R, C) float64
-        The ray (tanθx, tanθy) that each tile's moments are relative to.
-    needed : (R * C,) float64
-    method
-        `solve.RANGE_EXPLICIT` or `solve.RANGE_IMPLICIT`.
-    max_error
-        As in `solve.write_planes`.
-    moments, reference : (10, R, C) and (3, R, C) float64, written
-    planes, alpha, rmse, rmse_metric, valid_count, status : (R, C, 4), (R, C, 3), (R, C)..., written
+    centre : (2, T) float64
+        The ray (tanθx, tanθy) that each tile's moments are relative to, tiles counted row by row.
+    needed : (T,) float64
+    implicit, max_error
+        As in `solve.range_planes` and `solve.write_planes`.
+    moments, reference : (10 * T,) and (3 * T,) float64, written
+    planes, alpha, rmse, rmse_metric, valid_count, status : (4 * T,), (3 * T,), (T,)..., written
     """
     height = raw.shape[0]
-    tile_columns = centre.shape[2]
+    tile_columns = (raw.shape[1] - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
     block_moments[:] = 0.0
     sums_room = strip_room(raw)
-    flat_centre = centre.reshape(2, len(needed))
-    flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
-    flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
-    flat_rmse, flat_rmse_metric = rmse.ravel(), rmse_metric.ravel()
-    flat_valid_count, flat_status = valid_count.ravel(), status.ravel()
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -66,28 +59,21 @@ def fit_range_tiles(
             else:
                 range_moments.range_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, tile_row, tile_start:tile_stop], row_start, row_stop, tile_start, tile_stop,
+                    centre[:, first + filled :], row_start, row_stop, tile_start, tile_stop,
                     sums_room, block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
-                solve.copy(flat_centre, first, last, block_reference)
-                solve.copy_back(block_moments, first, last, flat_moments)
-                solve.copy_back(block_reference, first, last, flat_reference)
-                solve.range_planes(
-                    method == solve.RANGE_IMPLICIT,
-                    block_moments,
-                    block_reference,
-                    needed[first:last],
-                    filled,
-                    work,
-                )
+                solve.copy(centre, first, last, block_reference)
+                solve.copy_back(block_moments, first, last, moments)
+                solve.copy_back(block_reference, first, last, reference)
+                solve.range_planes(implicit, block_moments, block_reference, needed[first:last], filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
-                    flat_planes[4 * first : 4 * last], flat_alpha[3 * first : 3 * last], flat_rmse[first:last],
-                    flat_rmse_metric[first:last], flat_valid_count[first:last], flat_status[first:last],
+                    planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last],
+                    rmse_metric[first:last], valid_count[first:last], status[first:last],
                 )  # fmt: skip
                 first = last
                 filled = 0
@@ -102,21 +88,16 @@ def fit_standard_tiles(
 ):  # fmt: skip
     """Fit the tiles of some tile rows in (X, Y, Z): as `fit_range_tiles`.
 
-    ``method`` is `solve.STANDARD_EXPLICIT`, `solve.STANDARD_IMPLICIT` or `solve.STANDARD_PCA`.
+    ``method`` is as in `solve.standard_planes`.
     """
     height = raw.shape[0]
-    tile_columns = centre.shape[2]
+    tile_columns = (raw.shape[1] - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.empty((25 + solve.WORK, TILES))
     block_moments, block_sums, block_reference, work = room[:10], room[10:22], room[22:25], room[25:]
     block_moments[:] = 0.0
     block_sums[:] = 0.0
     sums_room = strip_room(raw)
-    flat_centre = centre.reshape(2, len(needed))
-    flat_moments, flat_reference = moments.reshape(10, len(needed)), reference.reshape(3, len(needed))
-    flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
-    flat_rmse, flat_rmse_metric = rmse.ravel(), rmse_metric.ravel()
-    flat_valid_count, flat_status = valid_count.ravel(), status.ravel()
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -134,7 +115,7 @@ def fit_standard_tiles(
             else:
                 standard_moments.standard_strip(
                     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, tile_row, tile_start:tile_stop], row_start, row_stop, tile_start, tile_stop,
+                    centre[:, first + filled :], row_start, row_stop, tile_start, tile_stop,
                     sums_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
@@ -142,17 +123,15 @@ def fit_standard_tiles(
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 if tan_x.ndim == 1:
-                    solve.copy(flat_centre, first, last, block_reference)
+                    solve.copy(centre, first, last, block_reference)
                     standard_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
-                solve.copy_back(block_moments, first, last, flat_moments)
-                solve.copy_back(block_reference, first, last, flat_reference)
-                solve.standard_planes(
-                    method - solve.STANDARD_EXPLICIT, block_moments, block_reference, filled, work
-                )
+                solve.copy_back(block_moments, first, last, moments)
+                solve.copy_back(block_reference, first, last, reference)
+                solve.standard_planes(method, block_moments, block_reference, filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
-                    flat_planes[4 * first : 4 * last], flat_alpha[3 * first : 3 * last], flat_rmse[first:last],
-                    flat_rmse_metric[first:last], flat_valid_count[first:last], flat_status[first:last],
+                    planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last],
+                    rmse_metric[first:last], valid_count[first:last], status[first:last],
                 )  # fmt: skip
                 first = last
                 filled = 0

@@ -24,6 +24,9 @@ from .strips import (
     step_of_columns,
 )
 
+# As a comparison gives it: for the literal True Numba would compile once more.
+BOTH = np.bool_(True)
+
 
 @kernel(inline=True)
 def inverse_depths(a, b, scale, offset):
@@ -34,7 +37,7 @@ def inverse_depths(a, b, scale, offset):
     return scale * a + offset, scale * b + offset
 
 
-@kernel(inline=True)
+@kernel(reduction=True, inline=True)
 def range_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q):
     """Σq, Σqv, Σqq and the codes of the valid ones of two pixels of a column, or of the first alone."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
@@ -46,7 +49,7 @@ def range_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, co
     return qa + qb, qa * va + qb * vb, qa * qa + qb * qb, valid
 
 
-@kernel(reduction=True, inline=True)
+@kernel(inline=True)
 def add_two_range_rows(
     raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
     reference_q, sums, codes,
@@ -68,7 +71,7 @@ def add_two_range_rows(
         codes[i] += valid
 
 
-@kernel(reduction=True, inline=True)
+@kernel(inline=True)
 def add_four_range_rows(
     raw, lowest, highest, scale, offset, v, row, k, left, count, reference_q, sums, codes
 ):
@@ -80,10 +83,10 @@ def add_four_range_rows(
     code_a, code_b, code_c, code_d = ROW_CODES[k], ROW_CODES[k + 1], ROW_CODES[k + 2], ROW_CODES[k + 3]
     for i in range(count):
         q, qv, qq, valid = range_pair(
-            a[i], b[i], True, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q[i]
+            a[i], b[i], BOTH, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q[i]
         )
         q_, qv_, qq_, valid_ = range_pair(
-            c[i], d[i], True, lowest, highest, scale, offset, vc, vd, code_c, code_d, reference_q[i]
+            c[i], d[i], BOTH, lowest, highest, scale, offset, vc, vd, code_c, code_d, reference_q[i]
         )
         sum_q[i] += q + q_
         sum_qv[i] += qv + qv_
@@ -91,7 +94,7 @@ def add_four_range_rows(
         codes[i] += valid + valid_
 
 
-@kernel(inline=True)
+@kernel(reduction=True, inline=True)
 def add_range_rows(
     raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
     reference_q, sums, codes,
@@ -181,11 +184,11 @@ def range_strip_separable(
         Inverse depth of the reference of each of the strip's tiles.
     moments : (10, N) float64, added to
     """
-    sums, columns, references_raw, codes, counts = room
+    sums, columns, codes, counts = room
     tiles = tile_stop - tile_start
     find_references(
         raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, references,
+        references,
     )  # fmt: skip
     # More than one turn only where a tile is wider than a strip.
     start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
@@ -208,7 +211,7 @@ def range_strip_separable(
         fold_range_columns(sums, u[left:], tiles, span, moments)
 
 
-@kernel(inline=True)
+@kernel(reduction=True, inline=True)
 def range_pair_of_rays(
     a, b, is_pair, lowest, highest, scale, offset, tan_xa, tan_xb, tan_ya, tan_yb, u0, v0, q0
 ):  # fmt: skip
@@ -234,7 +237,7 @@ def range_pair_of_rays(
     )
 
 
-@kernel(reduction=True, inline=True)
+@kernel(inline=True)
 def add_two_range_rows_of_rays(
     raw, lowest, highest, scale, offset, tan_x, tan_y, row, row_stop, left, count, columns, sums
 ):
@@ -262,7 +265,7 @@ def add_two_range_rows_of_rays(
         sums[9, i] += qq
 
 
-@kernel(reduction=True, inline=True)
+@kernel(inline=True)
 def add_four_range_rows_of_rays(
     raw, lowest, highest, scale, offset, tan_x, tan_y, row, left, count, columns, sums
 ):
@@ -276,11 +279,11 @@ def add_four_range_rows_of_rays(
     u0, v0, q0 = columns[0], columns[1], columns[2]
     for i in range(count):
         n, u, v, q, uu, uv, qu, vv, qv, qq = range_pair_of_rays(
-            a[i], b[i], True, lowest, highest, scale, offset,
+            a[i], b[i], BOTH, lowest, highest, scale, offset,
             tan_xa[i], tan_xb[i], tan_ya[i], tan_yb[i], u0[i], v0[i], q0[i],
         )  # fmt: skip
         n_, u_, v_, q_, uu_, uv_, qu_, vv_, qv_, qq_ = range_pair_of_rays(
-            c[i], d[i], True, lowest, highest, scale, offset,
+            c[i], d[i], BOTH, lowest, highest, scale, offset,
             tan_xc[i], tan_xd[i], tan_yc[i], tan_yd[i], u0[i], v0[i], q0[i],
         )  # fmt: skip
         sums[0, i] += n + n_
@@ -295,7 +298,7 @@ def add_four_range_rows_of_rays(
         sums[9, i] += qq + qq_
 
 
-@kernel(inline=True)
+@kernel(reduction=True, inline=True)
 def add_range_rows_of_rays(
     raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
 ):
@@ -328,11 +331,11 @@ def range_strip(
 
     ``centre`` (2, N) are the central rays of the tiles.
     """
-    sums, columns, references_raw = room[:3]
+    sums, columns = room[:2]
     tiles = tile_stop - tile_start
     find_references(
         raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, references,
+        references,
     )  # fmt: skip
     last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):

@@ -22,8 +22,8 @@ COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
 
-# The methods by number, in the order of rgbd_planes' own list.
-RANGE_EXPLICIT, RANGE_IMPLICIT, STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(5)
+# The methods in (X, Y, Z) by number.
+STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(3)
 
 # Rows of room that a strip's solve needs.
 WORK = 26
@@ -74,8 +74,9 @@ def range_planes(implicit, moments, reference, needed, count, work):
 
     Parameters
     ----------
-    implicit : bool
-        Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix).
+    implicit : True or None
+        Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). For None Numba compiles
+        nothing of that.
     needed : (N,) float64
         Number of valid pixels that a tile needs.
     work : (WORK, TILES) float64
@@ -84,7 +85,7 @@ def range_planes(implicit, moments, reference, needed, count, work):
     """
     solution, own, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
     explicit(moments, reference, count, solution, residual)
-    if implicit:
+    if implicit is not None:
         for i in range(count):
             own[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
         secular.smallest_eigenvectors(moments, reference, count, work[7:], solution, own)
@@ -97,7 +98,7 @@ def range_planes(implicit, moments, reference, needed, count, work):
         a, b, c = solution[0, i], solution[1, i], solution[2, i]
         mean_q = reference[2, i] + moments[3, i] * mean
         error = math.sqrt(residual[i] * mean)
-        if not implicit:
+        if implicit is None:
             own[i] = error
         # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile.
         metric[i] = error / (math.sqrt(a * a + b * b + c * c) * mean_q)
@@ -108,12 +109,12 @@ def range_planes(implicit, moments, reference, needed, count, work):
 def standard_planes(method, moments, reference, count, work):
     """Planes from the moments of (X, Y, Z): as `range_planes`.
 
-    ``method`` 0 is explicit, 1 implicit (eq. implicit_plane_fitting_error: smallest eigenvector of
-    eq. XYZ_scattermatrix, all four coefficients of norm 1) and 2 PCA (smallest eigenvector of the centred 3x3
+    ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. implicit_plane_fitting_error: smallest eigenvector of
+    eq. XYZ_scattermatrix, all four coefficients of norm 1) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3
     scatter matrix).
     """
     solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
-    if method == 0:
+    if method == STANDARD_EXPLICIT:
         explicit(moments, reference, count, solution, value)
         for i in range(count):
             mean = 1.0 / moments[0, i]
@@ -147,7 +148,7 @@ def standard_planes(method, moments, reference, count, work):
         minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
         trace = c_xx + c_yy + c_zz
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace else math.nan
-    if method == 1:
+    if method == STANDARD_IMPLICIT:
         eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[17:], value, solution)
         for i in range(count):
             x, y, z = solution[0, i], solution[1, i], solution[2, i]
@@ -219,30 +220,32 @@ def write_planes(
 
 @kernel()
 def fit_moments(
-    method, moments, reference, needed, max_error, start, stop,
+    implicit, standard, moments, reference, needed, max_error, start, stop,
     planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
-    """Planes from moments that are there: entries ``start`` to ``stop`` of (10, T), in range space or in (X, Y, Z).
+    """Planes from moments that are there: entries ``start`` to ``stop`` of (10, T). Results as in `write_planes`.
 
-    ``method`` is a number, see `RANGE_EXPLICIT`.
+    Parameters
+    ----------
+    implicit : True or None
+        Of moments in range space, see `range_planes`.
+    standard : int or None
+        Of moments in (X, Y, Z), see `standard_planes`; None for those in range space.
     """
     room = np.empty((13 + WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
-    flat_planes, flat_alpha = planes.ravel(), alpha.ravel()
     for first in range(start, stop, TILES):
         last = min(first + TILES, stop)
         count = last - first
         copy(moments, first, last, block_moments)
         copy(reference, first, last, block_reference)
-        if method <= RANGE_IMPLICIT:
-            range_planes(
-                method == RANGE_IMPLICIT, block_moments, block_reference, needed[first:last], count, work
-            )
+        if standard is None:
+            range_planes(implicit, block_moments, block_reference, needed[first:last], count, work)
         else:
-            standard_planes(method - STANDARD_EXPLICIT, block_moments, block_reference, count, work)
+            standard_planes(standard, block_moments, block_reference, count, work)
         write_planes(
             work, block_moments[0], needed[first:last], max_error, count,
-            flat_planes[4 * first : 4 * last], flat_alpha[3 * first : 3 * last],
+            planes[4 * first : 4 * last], alpha[3 * first : 3 * last],
             rmse[first:last], rmse_metric[first:last],
             valid_count[first:last], status[first:last],
         )  # fmt: skip
@@ -260,8 +263,9 @@ def copy(values, first, last, where):
 
 @kernel(inline=True)
 def copy_back(where, first, last, values):
-    """The reverse of `copy`."""
-    for row in range(len(values)):
-        source, target = where[row], values[row][first:last]
+    """The reverse of `copy`, to rows that follow each other in one dimension."""
+    columns = len(values) // len(where)
+    for row in range(len(where)):
+        source, target = where[row], values[row * columns + first : row * columns + last]
         for i in range(last - first):
             target[i] = source[i]

@@ -180,11 +180,11 @@ def standard_strip_separable(
     on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the camera terms, and ``tile_sums`` (12, N) the
     sums of which `standard_from_sums` makes the rest.
     """
-    sums, columns, references_raw, codes, counts = room
+    sums, columns, codes, counts = room
     tiles = tile_stop - tile_start
     find_references(
         raw, lowest, highest, scale, offset, False, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, references,
+        references,
     )  # fmt: skip
     start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
     step_u = step_of_columns(u, start, last, tile_width)
@@ -271,11 +271,11 @@ def standard_strip(
 
     ``centre`` (2, N) are the central rays of the tiles; ``reference`` (3, N) is written, all of it.
     """
-    sums, columns, references_raw = room[:3]
+    sums, columns = room[:2]
     tiles = tile_stop - tile_start
     find_references(
         raw, lowest, highest, scale, offset, False, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references_raw, reference[2],
+        reference[2],
     )  # fmt: skip
     for axis in range(2):
         for i in range(tiles):

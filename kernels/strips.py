@@ -15,7 +15,7 @@ COLUMNS = 648
 TILES = 328
 
 
-@kernel()
+@kernel(inline=True)
 def tiles_in_strip(tile_width):
     """How many tiles make a strip: eight or a multiple where possible, for whole vectors of tiles and columns."""
     tiles = max(1, COLUMNS // tile_width)
@@ -41,34 +41,32 @@ def step_of_columns(u, start, last, tile_width):
 
 @kernel(inline=True)
 def strip_room(raw):
-    """Room for sums of columns, references of columns and tiles, counts of missing pixels."""
-    return (
-        np.empty((10, COLUMNS)),
-        np.zeros((3, COLUMNS + 8)),
-        np.empty(TILES, raw.dtype),
-        np.empty(COLUMNS, np.uint64),
-        np.empty((3, TILES), np.uint64),
-    )
+    """Room for sums of columns, references of columns, codes of columns and counts of valid pixels."""
+    room = np.empty((13, COLUMNS + 8))
+    codes = np.empty((4, COLUMNS), np.uint64)
+    sums, columns = room[:10], room[10:]
+    columns[:] = 0.0
+    return sums, columns, codes[0], codes[1:]
 
 
-@kernel()
+@kernel(inline=True)
 def first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest):
     """Return a valid raw value of the tile, its centre's if that is valid, or 1 if there is none."""
     value = raw[(row_start + row_stop) // 2, (column_start + column_stop) // 2]
-    if lowest <= value <= highest:
-        return value
+    if (lowest <= value) & (value <= highest):
+        return np.float64(value)
     for row in range(row_start, row_stop):
         for column in range(column_start, column_stop):
             value = raw[row, column]
-            if lowest <= value <= highest:
-                return value
-    return raw.dtype.type(1)
+            if (lowest <= value) & (value <= highest):
+                return np.float64(value)
+    return 1.0
 
 
 @kernel(inline=True)
 def find_references(
     raw, lowest, highest, scale, offset, in_range, row_start, row_stop, tile_start, tile_stop, tile_width,
-    references_raw, references,
+    references,
 ):  # fmt: skip
     """Take a valid pixel of each tile for its reference.
 
@@ -76,17 +74,15 @@ def find_references(
     ----------
     in_range : bool
         Whether inverse depths are wanted, or depths.
-    references_raw, references : (TILES,), written
-        Raw value and (inverse) depth.
+    references : (TILES,) float64, written
+        Their (inverse) depths.
     """
     for tile in range(tile_start, tile_stop):
         start = tile * tile_width
         stop = min(start + tile_width, raw.shape[1])
-        references_raw[tile - tile_start] = first_valid(
-            raw, row_start, row_stop, start, stop, lowest, highest
-        )
+        references[tile - tile_start] = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
     for i in range(tile_stop - tile_start):
-        value = np.float64(references_raw[i])
+        value = references[i]
         if offset is None:
             references[i] = scale / value if in_range else value / scale
         else:

@@ -1,5 +1,6 @@
 """From a frame's moments to planes: the part that tiles and windows share."""
 
+import operator
 import threading
 from collections.abc import Mapping
 from typing import Any
@@ -13,11 +14,20 @@ from rgbd_planes.kernels import naive, solve, summed_area
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-# In the order of their numbers in `kernels.solve`.
-METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+# How `kernels.solve` knows the methods: ``implicit`` in range space, the number of one in (X, Y, Z).
+SOLVES = {
+    "range_explicit": (None, None),
+    "range_implicit": (True, None),
+    "standard_explicit": (None, solve.STANDARD_EXPLICIT),
+    "standard_implicit": (None, solve.STANDARD_IMPLICIT),
+    "standard_pca": (None, solve.STANDARD_PCA),
+}
+METHODS = tuple(SOLVES)
 
 # What the kernels write, in the order of their arguments.
 RESULTS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
+ARRAYS = ("_moments", "_reference", *RESULTS)
+_in_order = operator.itemgetter(*ARRAYS)
 
 
 def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np.float64]:
@@ -27,16 +37,22 @@ def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np
     return needed
 
 
+def flat(arrays: Arrays) -> list[npt.NDArray[Any]]:
+    """Those of `plane_fits.allocate` in the kernels' order and in one dimension: what Numba compiles fastest."""
+    return [array.ravel() for array in _in_order(arrays)]
+
+
 def solve_planes(
     method: str, arrays: Arrays, needed: npt.NDArray[np.float64], max_error: float, start: int, stop: int
 ) -> None:
     """Fill in the planes of tiles ``start`` to ``stop`` of one frame from their moments.
 
-    ``arrays`` are those of `plane_fits.allocate`, flat: (T, ...) each, and (10, T), (3, T).
+    ``arrays`` are those of `plane_fits.allocate`.
     """
+    moments, reference, *results = flat(arrays)
     solve.fit_moments(
-        METHODS.index(method), arrays["_moments"], arrays["_reference"], needed, max_error, start, stop,
-        *(arrays[name] for name in RESULTS),
+        *SOLVES[method], moments.reshape(10, -1), reference.reshape(3, -1), needed, max_error, start, stop,
+        *results,
     )  # fmt: skip
 
 

@@ -11,11 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.fitting import RESULTS
+from rgbd_planes.fitting import ARRAYS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_grid import tile_sizes
-
-ARRAYS = ("_moments", "_reference", *RESULTS)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

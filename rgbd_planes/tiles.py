@@ -14,16 +14,25 @@ from rgbd_planes.checks import check_camera, check_choice, check_error, check_nu
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
-from rgbd_planes.fitting import METHODS, Arrays, WindowMoments, solve_planes, valid_needed
+from rgbd_planes.fitting import (
+    ARRAYS,
+    METHODS,
+    SOLVES,
+    Arrays,
+    WindowMoments,
+    flat,
+    solve_planes,
+    valid_needed,
+)
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import central_rays, check_tile, relative_rays, tile_sizes, tile_windows
-from rgbd_planes.tile_planes import ARRAYS, TilePlanes
+from rgbd_planes.tile_planes import TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
 
-_arrays_of, _in_order = operator.attrgetter(*ARRAYS), operator.itemgetter(*ARRAYS)
+_arrays_of = operator.attrgetter(*ARRAYS)
 
 
 class TileFitter:
@@ -89,9 +98,8 @@ class TileFitter:
         self._compiled_for = method, implementation, camera.is_separable
         self._assess = Assessment(camera, method, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
-            self._kernel: Any = (
-                grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
-            )
+            implicit, standard = SOLVES[method]
+            self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
             centre = central_rays(camera, self.tile)
             rays = (
                 relative_rays(camera, self.tile, centre)
@@ -99,7 +107,8 @@ class TileFitter:
                 else (camera.tan_x, camera.tan_y)
             )
             self._of_camera = (
-                *rays, *self.tile, centre, self._needed, METHODS.index(method), self._max_error
+                *rays, *self.tile, centre.reshape(2, -1), self._needed, implicit if standard is None else standard,
+                self._max_error,
             )  # fmt: skip
         else:
             self._windows = tile_windows(camera, self.tile)
@@ -240,7 +249,7 @@ class TileFitter:
     def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
         # Numba compiles for a depth image or for a disparity image.
         offset = frame.offset if frame.is_disparity else None
-        results = _in_order(arrays)
+        results = flat(arrays)
 
         def fit(start: int, stop: int) -> None:
             self._kernel(
@@ -251,15 +260,15 @@ class TileFitter:
         return fit
 
     def _windowed(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
-        flat = _flat(arrays)
-        flat["_reference"][:] = 0.0
+        arrays["_reference"][:] = 0.0
+        moments = arrays["_moments"].reshape(10, -1)
         source = self._window_moments.prepare(frame)
         columns = self._grid[1]
 
         def fit(start: int, stop: int) -> None:
             start, stop = start * columns, stop * columns
-            source(self._windows, self._full_windows, start, stop, flat["_moments"])
-            solve_planes(self.method, flat, self._needed, self._max_error, start, stop)
+            source(self._windows, self._full_windows, start, stop, moments)
+            solve_planes(self.method, arrays, self._needed, self._max_error, start, stop)
 
         return fit
 
@@ -304,14 +313,3 @@ def fit_tiles(
         num_threads=num_threads,
     )
     return fitter.fit(depth)
-
-
-def _flat(arrays: Arrays) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of one frame in the order of `ARRAYS`, tiles in one dimension: (10, T), (3, T), (T, ...)."""
-    count = arrays["status"].size
-    return {
-        "_moments": arrays["_moments"].reshape(10, count),
-        "_reference": arrays["_reference"].reshape(3, count),
-        "planes": arrays["planes"].reshape(count, 4),
-        "alpha": arrays["alpha"].reshape(count, 3),
-    } | {name: arrays[name].reshape(count) for name in ARRAYS[4:]}
