@@ -1,7 +1,7 @@
 """What the first frame costs, in fresh processes: ``python -m bench.first_call``.
 
 Each process imports NumPy and makes a frame, imports the library and calls it once; another imports NumPy and Numba and
-nothing else. They take turns, with kernels that an earlier process has compiled. Three processes compile.
+nothing else. They take turns, with kernels that an earlier process has compiled. For each call two processes compile.
 """
 
 import argparse
@@ -63,7 +63,7 @@ def run(code: str, **environment: str) -> dict[str, float]:
 
 
 def measure(rounds: int = 15, compiling: bool = True) -> dict[str, Any]:
-    """Return seconds of each step in each round, and of three first fits of an installation."""
+    """Return seconds of each step in each round, and of two first calls of an installation."""
     codes = {"numba": NUMBA} | {name: CALL.format(call=call) for name, call in CALLS.items()}
     for code in codes.values():
         run(code)  # compiles
@@ -76,10 +76,11 @@ def measure(rounds: int = 15, compiling: bool = True) -> dict[str, Any]:
         for name, taken in steps.items()
     }
     if compiling:
-        result["compiling"] = []
-        for _ in range(3):
-            with tempfile.TemporaryDirectory() as empty:
-                result["compiling"].append(run(codes["fit_tiles"], NUMBA_CACHE_DIR=empty)["first call"])
+        result["compiling"] = {name: [] for name in CALLS}
+        for _ in range(2):
+            for name, taken in result["compiling"].items():
+                with tempfile.TemporaryDirectory() as empty:
+                    taken.append(run(codes[name], NUMBA_CACHE_DIR=empty)["first call"])
     return result
 
 
@@ -102,10 +103,11 @@ def table(result: dict[str, Any]) -> str:
         f"{len(base)} processes each; NumPy and Numba alone take {np.median(base):.2f} s to import.",
     ]
     if "compiling" in result:
-        low, middle, high = sorted(result["compiling"])
-        lines += [
-            f"The first fit of an installation, which compiles, takes {middle:.1f} s ({low:.1f} to {high:.1f})."
+        times = [
+            "`{}` takes {:.1f} s ({:.1f} to {:.1f})".format(name, *np.percentile(seconds, [50, 0, 100]))
+            for name, seconds in result["compiling"].items()
         ]
+        lines += [f"The first call of an installation compiles: {', '.join(times)}."]
     return "\n".join(lines)
 
 
