@@ -22,7 +22,7 @@ KINDS = 16  # different frames
 AT_ONCE = 64  # frames of a call of fit_batch
 
 
-def measure(frames: int = 2048, rounds: int = 15) -> dict[str, Any]:
+def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
     """Return times in milliseconds a frame, throughputs and shares of the work."""
     camera = rp.presets.kinect_v1()
     rendering = rp.scenes.room().render(camera)
@@ -128,7 +128,7 @@ def table(result: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=2048)
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--rounds", type=int, default=40)
     result = measure(**vars(parser.parse_args()))
     print(table(result))
     for which, milliseconds in result["milliseconds"].items():

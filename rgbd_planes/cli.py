@@ -3,7 +3,9 @@
 import argparse
 import inspect
 import os
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable
 from typing import NoReturn
@@ -33,7 +35,7 @@ def main(argv: list[str] | None = None) -> int:
         subparser = subparsers.add_parser(
             command.__name__,
             help=summary,
-            description=summary,
+            description=textwrap.fill(summary, shutil.get_terminal_size().columns - 2),
             epilog=example.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )

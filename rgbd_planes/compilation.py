@@ -10,6 +10,7 @@ SECONDS_BEFORE_NOTICE = 1.0
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
 _announced = threading.Event()
+_announcing = threading.Lock()
 _NOTHING = nullcontext()
 
 
@@ -34,5 +35,8 @@ def _first_call(key: Hashable) -> Iterator[None]:
 
 
 def _announce() -> None:
-    _announced.set()
+    with _announcing:  # threads that begin together wait for the same kernels
+        if _announced.is_set():
+            return
+        _announced.set()
     _logger.warning("compiling kernels: once for this installation, a few seconds for each kind of frame")

@@ -193,13 +193,15 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
 
 
-def test_a_table_of_bad_frames_alone_has_its_columns(recording, tmp_path):
+def test_a_table_of_bad_frames_alone_has_its_columns(recording, tmp_path, capsys):
     sequence = rp.open_sequence(recording)
     rp.fit_sequence(sequence, tmp_path / "good")
     for file in (recording / "depth").iterdir():
         file.write_bytes(b"")
     report = rp.fit_sequence(sequence, tmp_path / "bad")
     assert len(report.problems) == 30
+    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "again")]) == 1
+    assert "0 of 30 frames, 0 rows.\n" in capsys.readouterr().out
     good_table, bad_table = (parquet.read_table(tmp_path / name) for name in ("good", "bad"))
     assert bad_table.num_rows == 0
     assert bad_table.schema.equals(good_table.schema)
@@ -364,7 +366,12 @@ def test_command_line(recording, tmp_path, capsys):
     CAMERA.save(tmp_path / "c.json")
     with_camera = ["--camera", str(tmp_path / "c.json"), "--format", "tum"]
     assert cli.main(["batch", str(recording), "--out", str(tmp_path / "t"), *with_camera]) == 1
-    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "u"), "--topic", "/depth"]) == 2
+    capsys.readouterr()
+    topic = ["batch", str(recording), "--out", str(tmp_path / "u"), "--topic", "/depth"]
+    assert cli.main(topic) == 2
+    assert "expected a ROS bag" in capsys.readouterr().err
+    assert cli.main([*topic, "--format", "tum"]) == 2
+    assert "--topic is for ROS bags, got it with --format tum" in capsys.readouterr().err
 
 
 @pytest.fixture

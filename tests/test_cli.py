@@ -255,12 +255,14 @@ def test_no_command_and_an_unknown_one(capsys):
 
 
 @pytest.mark.parametrize("command", [command.__name__ for command in COMMANDS])
-def test_help_shows_an_example(capsys, command):
+def test_help_shows_an_example(capsys, command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as exit_:
         cli.main([command, "--help"])
     assert exit_.value.code == 0
     out = capsys.readouterr().out
     assert f"example: rgbd-planes {command}" in out
+    assert max(map(len, out.splitlines())) < 80
     if command == "fit":
         assert all(method in out for method in METHODS)
 

@@ -100,6 +100,10 @@ def test_what_is_wrong_with_a_recording(tmp_path, frames):
         rp.open_sequence(tmp_path / "b.mkv")
     with pytest.raises(FileNotFoundError):
         rp.open_sequence(tmp_path / "gone.mkv")
+    write_recording(tmp_path / "c.mkv", depth, good)
+    (tmp_path / "c.mkv").write_bytes((tmp_path / "c.mkv").read_bytes()[:4000])
+    with pytest.raises(ValueError, match=r"c\.mkv: expected depth frames, found none"):
+        rp.open_sequence(tmp_path / "c.mkv")
 
 
 def test_a_recording_that_ends_early_has_the_frames_before(tmp_path, frames):

@@ -95,6 +95,11 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     with compilation.announced("slow too"):
         time.sleep(0.1)
     assert len(caplog.messages) == 1
+    # Of threads that wait for the same kernels, too: their timers have been started already.
+    compilation._announced.clear()
+    with compilation.announced("one"), compilation.announced("other"):
+        time.sleep(0.1)
+    assert len(caplog.messages) == 2
     assert caplog.messages[0].startswith("compiling kernels")
 
 

@@ -97,6 +97,16 @@ def test_tum_says_what_is_wrong(tmp_path, frames):
         (root / "depth.txt").write_text(text)
         with pytest.raises(ValueError, match=message):
             rp.open_sequence(root)
+    (root / "depth.txt").write_bytes(b"\xff\xfe1\x00")
+    with pytest.raises(ValueError, match=r"depth\.txt, line 1: expected"):
+        rp.open_sequence(root)
+    (root / "depth.txt").unlink()
+    with pytest.raises(FileNotFoundError, match=r"freiburg1: expected depth\.txt, lines .* found none"):
+        sequences.tum(root)
+    with pytest.raises(
+        ValueError, match=r"expected .* or depth\.txt \(tum\) in it, found depth; for a plain"
+    ):
+        rp.open_sequence(root)
 
 
 def test_icl_nuim(tmp_path, frames):
@@ -129,6 +139,9 @@ def test_scannet_as_exported_by_its_python_tool(tmp_path, frames):
     (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("1 2 3")
     with pytest.raises(ValueError, match="expected a 4 x 4 matrix"):
         rp.open_sequence(tmp_path)
+    (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("0 " * 16)
+    with pytest.raises(ValueError, match=r"intrinsic_depth\.txt: .*fx and fy not 0"):
+        rp.open_sequence(tmp_path)
 
 
 def test_scannet_as_exported_by_its_cpp_tool(tmp_path, frames):
@@ -145,6 +158,9 @@ def test_scannet_as_exported_by_its_cpp_tool(tmp_path, frames):
     same(rp.open_sequence(tmp_path), frames, CAMERA)
     (tmp_path / "_info.txt").write_text("m_depthWidth = 8\n")
     with pytest.raises(ValueError, match="expected m_depthWidth, m_depthHeight"):
+        rp.open_sequence(tmp_path)
+    (tmp_path / "_info.txt").write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"_info\.txt: expected m_depthWidth"):
         rp.open_sequence(tmp_path)
 
 
@@ -163,9 +179,10 @@ def test_sens_that_is_damaged(tmp_path, frames):
     whole = path.read_bytes()
     start = rp.open_sequence(path).entries[1].location.offset
     for content, message in (
-        (whole[:5], "truncated"),
-        (whole[:300], "truncated"),
-        (whole[: start + 3], "truncated"),
+        (whole[:5], "truncated: 5 bytes end in the header"),
+        (whole[:300], "truncated: 300 bytes end in the header"),
+        (whole[:-300], r"truncated: \d+ bytes end in frame 2, expected 3 frames"),
+        (whole[: start + 3], rf"truncated: {start + 3} bytes end in frame 1, expected 3 frames"),
         (b"\x03" + whole[1:], "version 4, got 3"),
         (b"\x04\0\0\0" + b"\xff" * 40, "not a .sens file"),
         (whole[:281] + b"\x02" + whole[282:], "got occi_ushort"),
@@ -241,6 +258,13 @@ def test_open_sequence_says_what_is_wrong(tmp_path):
             rp.open_sequence(tmp_path, format=name)
     with pytest.raises(ValueError, match="found none"):
         rp.open_sequence(tmp_path, CAMERA)
+    for i in range(9):
+        (tmp_path / f"frame-{i}.color.png").touch()
+    with pytest.raises(
+        ValueError, match=r"expected .*frame-\*\.depth\.png \(seven_scenes\).*, found frame-0\.color"
+    ) as e:
+        rp.open_sequence(tmp_path)
+    assert "frame-4.color.png and 5 more; for" in str(e.value)
     with pytest.raises(NotADirectoryError, match="expected a folder"):
         sequences.tum(tmp_path / "x.mp4")
 
@@ -357,8 +381,12 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
     with pytest.raises(ValueError, match=r"a\.bag: /depth: truncated image: 20 bytes for 6 rows of 16 bytes"):
         sequence[1]
     write_bag(tmp_path / "b.bag", {"/colour": [(1, colour[0])], "/camera_info": [(1, info)]})
-    with pytest.raises(ValueError, match="depth is in none"):
+    with pytest.raises(ValueError, match=r"depth is in none; there is .*/colour \(sensor_msgs/msg/Image\)"):
         rp.open_sequence(tmp_path / "b.bag")
+    with pytest.raises(FileNotFoundError, match=r"gone\.bag: there is no such file or folder"):
+        sequences.rosbag(tmp_path / "gone.bag")
+    with pytest.raises(ValueError, match=r"expected a ROS bag, a file or a folder with metadata\.yaml"):
+        sequences.rosbag(tmp_path)
     for content in (b"", b"#ROSBAG V2.0\n", path.read_bytes()[:2000]):
         (tmp_path / "c.bag").write_bytes(content)
         with pytest.raises(ValueError, match=r"c\.bag: not a ROS bag, or damaged"):

@@ -4,16 +4,16 @@ import argparse
 import sys
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import Run, add_fit_options, add_noise
+from rgbd_planes.commands.arguments import CommandError, Run, add_fit_options, add_noise
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
     """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
 
-    example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet --tile 16
+    example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet
 
-    After an interruption the same command does the rest. A frame that cannot be read or fitted is reported
-    and skipped, and makes the exit status 1.
+    After an interruption the same command does the rest. A frame that cannot be
+    read or fitted is reported and skipped, and makes the exit status 1.
     """
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the table, many files")
@@ -43,6 +43,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         camera = None if arguments.camera is None else Camera.load(arguments.camera)
         if arguments.topic is None:
             sequence = open_sequence(arguments.sequence, camera, arguments.format)
+        elif arguments.format not in (None, "rosbag"):
+            raise CommandError(f"--topic is for ROS bags, got it with --format {arguments.format}")
         else:
             sequence = sequences.rosbag(arguments.sequence, camera, arguments.topic)
         if arguments.noise is not None:
@@ -77,7 +79,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             raise
         rows = ", ".join(f"{count} {status}" for status, count in report.status.items())
         print(
-            f"{report.frames - len(report.problems)} of {report.frames} frames, {report.rows} rows: {rows}."
+            f"{report.frames - len(report.problems)} of {report.frames} frames, {report.rows} rows"
+            + (f": {rows}." if rows else ".")
         )
         if report.resumed:
             print(f"{report.resumed} frames had been done before.")

@@ -19,7 +19,7 @@ from rgbd_planes.commands.arguments import (
 def fit(parser: argparse.ArgumentParser) -> Run:
     """Fit a plane to every tile of a depth image (PNG, TIFF, PGM, NPY, NPZ).
 
-    example: rgbd-planes fit depth.png --camera camera.json --tile 16 --out planes.npz --figure planes.png
+    example: rgbd-planes fit depth.png --camera camera.json --figure planes.png
     """
     add_frame(parser)
     add_fit_options(parser)

@@ -9,7 +9,7 @@ from rgbd_planes.commands.arguments import Run, add_frame, check_output, read_fr
 def normals(parser: argparse.ArgumentParser) -> Run:
     """Compute the normal at every pixel of a depth image.
 
-    example: rgbd-planes normals depth.png --camera camera.json --window 7 --out normals.npy --figure normals.png
+    example: rgbd-planes normals depth.png --camera camera.json --out normals.npy
     """
     add_frame(parser)
     parser.add_argument("--window", type=int, default=7, metavar="N", help="odd, 3 to 31 pixels (7)")

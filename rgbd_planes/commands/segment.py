@@ -17,7 +17,7 @@ from rgbd_planes.commands.arguments import (
 def segment(parser: argparse.ArgumentParser) -> Run:
     """Find the planes of a depth image and the pixels that belong to each.
 
-    example: rgbd-planes segment depth.png --camera camera.json --out planes.json --labels labels.png
+    example: rgbd-planes segment depth.png --camera camera.json --out planes.json
     """
     add_frame(parser)
     add_noise(parser, "from the frame, if nothing says it")

@@ -60,7 +60,12 @@ def rosbag(
             topic = topics[0]
         if topic not in topics:
             asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
-            raise ValueError(f"{path}: {asked}; depth is in {', '.join(topics) or 'none'}")
+            where = (
+                f"depth is in {', '.join(topics)}"
+                if topics
+                else f"depth is in none; there is {bag.contents()}"
+            )
+            raise ValueError(f"{path}: {asked}; {where}")
         camera = camera or bag.camera(topic)
         entries = [
             FrameEntry(f"{i:06d}", seconds, camera, _Location(source, topic, recorded, nth))
@@ -89,6 +94,10 @@ class _OpenBag:
             from rosbags.typesys import Stores, get_typestore
 
         self.path = path
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: there is no such file or folder")
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise ValueError(f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none")
         # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
         try:
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -138,6 +147,11 @@ class _OpenBag:
                 if message is not None and "compressedDepth" in message.format:
                     found.append(topic)
         return found
+
+    def contents(self) -> str:
+        """The topics and their types, in words."""
+        topics = sorted(self._reader.topics.items())
+        return ", ".join(f"{name} ({about.msgtype})" for name, about in topics) or "no topic at all"
 
     def camera(self, topic: str) -> Camera:
         """The camera of the CameraInfo that is nearest to a topic in the tree of names."""

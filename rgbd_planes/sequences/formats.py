@@ -8,7 +8,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
-from rgbd_planes.sequences.frames import FrameSequence
+from rgbd_planes.sequences.frames import FrameSequence, numbered
 from rgbd_planes.sequences.mkv import mkv
 from rgbd_planes.sequences.scannet import scannet, scannet_sens
 from rgbd_planes.sequences.seven_scenes import seven_scenes
@@ -24,6 +24,18 @@ FORMATS: dict[str, Callable[..., FrameSequence]] = {
     "scannet_sens": scannet_sens,
     "seven_scenes": seven_scenes,
     "tum": tum,
+}
+
+_NAMED = 5  # of the files in a folder of no known format
+# What is in a folder of each format, in the order in which it is looked for.
+_SIGNS = {
+    "metadata.yaml": "rosbag",
+    "camera.json": "folder",
+    "lowres_depth": "arkitscenes",
+    "intrinsic/intrinsic_depth.txt": "scannet",
+    "_info.txt": "scannet",
+    "frame-*.depth.png": "seven_scenes",
+    "*.gt.freiburg": "icl_nuim",
 }
 
 
@@ -71,23 +83,17 @@ def _recognise(path: Path, has_camera: bool) -> str:
         if path.suffix == ".mkv":
             return "mkv"
         raise ValueError(f"{path}: expected a folder, or a .sens, .bag, .mcap, .db3 or .mkv file")
-    if (path / "metadata.yaml").is_file():
-        return "rosbag"
-    if (path / "camera.json").is_file():
-        return "folder"
-    if (path / "lowres_depth").is_dir():
-        return "arkitscenes"
-    if (path / "intrinsic" / "intrinsic_depth.txt").is_file() or (path / "_info.txt").is_file():
-        return "scannet"
-    if any(path.glob("frame-*.depth.png")):
-        return "seven_scenes"
-    if any(path.glob("*.gt.freiburg")) and (path / "depth").is_dir():
-        return "icl_nuim"
+    for sign, format in _SIGNS.items():
+        if any(path.glob(sign)):
+            return format
     if has_camera:
         return "folder"
     if (path / "depth.txt").is_file():
         return "tum"
+    signs = ", ".join(f"{sign} ({format})" for sign, format in _SIGNS.items())
+    names = [file.name for file in numbered(path.iterdir())]
+    found = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
     raise ValueError(
-        f"{path}: of no known format ({', '.join(FORMATS)}); for a folder of depth images give the camera, "
-        "or put its camera.json there"
+        f"{path}: of no known format: expected {signs} or depth.txt (tum) in it, found {found or 'nothing'}; "
+        "for a plain folder of depth images give the camera, or put its camera.json there"
     )

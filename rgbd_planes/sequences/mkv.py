@@ -58,6 +58,8 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
         ]
     finally:
         recording.close()
+    if not entries:
+        raise ValueError(f"{path}: expected depth frames, found none")
     return FrameSequence(entries, _read_frame)
 
 

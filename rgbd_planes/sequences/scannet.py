@@ -20,6 +20,7 @@ from rgbd_planes.sequences.frames import (
     some,
 )
 
+_ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
 _COMPRESSIONS = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
 
 
@@ -68,8 +69,10 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
         try:
             header = _read_header(stream)
             entries = list(_entries(stream, file, header, camera or header.camera))
-        except (struct.error, EOFError):
-            raise ValueError(f"{path}: damaged or truncated .sens file") from None
+        except struct.error:
+            raise ValueError(
+                f"{path}: damaged or truncated: {file.stat().st_size} bytes end in the header of a .sens file"
+            ) from None
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
     if not entries:
@@ -133,10 +136,12 @@ def _read_header(stream: BinaryIO) -> _Header:
 def _entries(stream: BinaryIO, file: Path, header: _Header, camera: Camera) -> Any:
     end = file.stat().st_size
     for i in range(header.frames):
-        *_, microseconds, colour_size, depth_size = _unpack(stream, "<16fQQQQ")
-        start = stream.tell() + colour_size
-        if start + depth_size > end:
-            raise EOFError
+        about = stream.read(_ABOUT_FRAME.size)
+        if len(about) == _ABOUT_FRAME.size:
+            *_, microseconds, colour_size, depth_size = _ABOUT_FRAME.unpack(about)
+            start = stream.tell() + colour_size
+        if len(about) < _ABOUT_FRAME.size or start + depth_size > end:
+            raise ValueError(f"truncated: {end} bytes end in frame {i}, expected {header.frames} frames")
         stream.seek(start + depth_size)
         location = SensLocation(file, start, depth_size, header.compression, header.camera.shape)
         time = microseconds * 1e-6 if microseconds else math.nan
@@ -162,13 +167,13 @@ def _camera_of_matrix(root: Path, first: Path) -> Camera:
             size = image.size
     except OSError:
         raise ValueError(f"{first}: damaged, and the first image gives the size of the frames") from None
-    return _camera(matrix, size, 1000.0)
+    return _camera_in(file, matrix, size, 1000.0)
 
 
 def _camera_of_info(file: Path) -> Camera:
     if not file.is_file():
         raise ValueError(f"{file.parent}: expected _info.txt, or a camera")
-    pairs = (line.partition("=") for line in file.read_text(encoding="utf-8").splitlines())
+    pairs = (line.partition("=") for line in file.read_text(encoding="utf-8", errors="replace").splitlines())
     values = {name.strip(): value.split() for name, _, value in pairs}
     try:
         matrix = np.array(values["m_calibrationDepthIntrinsic"], np.float64).reshape(4, 4)
@@ -179,7 +184,14 @@ def _camera_of_info(file: Path) -> Camera:
             f"{file}: expected m_depthWidth, m_depthHeight, m_depthShift and m_calibrationDepthIntrinsic "
             f"(16 numbers), failed at {error}"
         ) from None
-    return _camera(matrix, (width, height), scale)
+    return _camera_in(file, matrix, (width, height), scale)
+
+
+def _camera_in(file: Path, matrix: NDArray[np.float64], size: tuple[int, int], depth_scale: float) -> Camera:
+    try:
+        return _camera(matrix, size, depth_scale)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
 
 
 def _camera(matrix: NDArray[np.float64], size: tuple[int, int], depth_scale: float) -> Camera:
