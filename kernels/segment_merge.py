@@ -11,7 +11,7 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
-from .segment_moments import fit, residual, solve
+from .segment_moments import fit, joint_residual, residual, solve
 from .segment_noise import sensor_variance, variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
@@ -241,16 +241,17 @@ def merge(
                 a, b = b, a
             if best[b] != i:
                 continue
-            root = a
-            while parent[root] != root:
-                root = parent[root]
-            # Each other's best; or the best of a region too small to change the larger one much; or a pair that
-            # only chance tells apart, even if one of them has been joined with others meanwhile.
+            # Each other's best; or the best of a region too small to change the larger one much.
             mutual = best[a] == i or moments[a, 0] >= MUCH_LARGER * moments[b, 0]
-            allowed = floor * floor * min(waves[a], waves[b]) * moments[b, 0] + spread
-            if root == b or not ((mutual and root == a and not changed[b]) or cost[i] * allowed <= CHANCE):
-                continue
-            a = root
+            if not mutual or changed[b] or parent[a] != a:
+                # Or what only chance tells apart, as they are now: one or both have been joined with others.
+                while parent[a] != a:
+                    a = parent[a]
+                if a == b:
+                    continue
+                rise = joint_residual(moments[a], moments[b]) - residual(moments[a]) - residual(moments[b])
+                if rise > CHANCE * min(noise[a], noise[b]):
+                    continue
             parent[b] = a
             for j in range(10):
                 moments[a, j] += moments[b, j]
