@@ -171,7 +171,8 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     digest.update("".join(f"{entry.name}\n{entry.timestamp}\n" for entry in sequence.entries).encode())
     for camera in sequence.cameras:
         digest.update(repr(camera).encode())
-    about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": asdict(settings)}
+    chosen = asdict(settings) | {"tile": np.broadcast_to(settings.tile, 2).tolist()}  # 16 is (16, 16)
+    about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": chosen}
     about = json.loads(json.dumps(about))
     file = folder / _ABOUT
     if folder.exists() and not folder.is_dir():

@@ -218,8 +218,8 @@ def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
     parts[1].write_bytes(contents[1][:-100])  # a machine that lost power
     parts[4].write_bytes(b"")
     (out / ".part-000000.123-456.parquet").write_bytes(b"half")
-    # With another number of threads the parts stay what they were.
-    report = rp.fit_sequence(sequence, out, num_threads=3)
+    # With another number of threads, and the tile said in another way, the parts stay what they were.
+    report = rp.fit_sequence(sequence, out, FitSettings(tile=(16, 16)), num_threads=3)
     assert report.resumed == 12
     assert [part.read_bytes() for part in parts] == contents
     assert {part: part.stat().st_mtime_ns for part in kept} == kept
