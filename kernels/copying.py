@@ -5,7 +5,7 @@ from ._jit import kernel
 
 @kernel(inline=True)
 def copy(values, where):
-    """Copy into an array of the same length, perhaps of another type.
+    """Copy as many values as there is room for, perhaps to another type.
 
     For an assignment Numba compiles the message of an error, which takes seconds.
     """

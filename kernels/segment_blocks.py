@@ -6,6 +6,7 @@ The frame is read once; what comes out are the moments and the plane of each blo
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_moments import solve
 
 # Pixels along a block's side.
@@ -13,6 +14,8 @@ BLOCK = 4
 # Owner of a block: EMPTY where no pixel is measured; MIXED where each pixel has an owner of its own; UNSEEN before
 # the first round.
 EMPTY, MIXED, UNSEEN = -1, -2, -3
+# Owner of a pixel of a MIXED block: measured but nobody's; not measured.
+UNOWNED, MISSING = -1, -2
 # Blocks of a row that are worked on together.
 CHUNK = 84
 
@@ -36,13 +39,6 @@ def solve_squares(sums, count, pitch_x, pitch_y, rss, slope):
         )  # fmt: skip
         rss[c] = error
         slope[c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
-
-
-@kernel(inline=True)
-def copy(values, to):
-    """Copy as many values as there is room for."""
-    for i in range(len(to)):
-        to[i] = values[i]
 
 
 @kernel(inline=True)

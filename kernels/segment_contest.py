@@ -19,6 +19,15 @@ AREA = SIDE * WIDE
 
 
 @kernel(inline=True)
+def place_of(a, listed, count):
+    """Where a region stands in a list of ``count``; ``count`` where it does not."""
+    i = 0
+    while i < count and listed[i] != a:
+        i += 1
+    return i
+
+
+@kernel(inline=True)
 def contenders(region, row, column, candidate):
     """The regions in the 3x3 blocks around one; returns how many."""
     rows, columns = region.shape
@@ -26,11 +35,9 @@ def contenders(region, row, column, candidate):
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
             a = region[r, c]
-            i = 0
-            while i < count and candidate[i] != a:
-                i += 1
-            candidate[i] = a
-            count += 1 if i == count and a >= 0 else 0
+            if a >= 0 and place_of(a, candidate, count) == count:
+                candidate[count] = a
+                count += 1
     return count
 
 
@@ -41,10 +48,7 @@ def find_centres(region, row, column, centre_u, centre_v, count, candidate, cent
     centre[:count] = 0.0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
-            a = region[r, c]
-            i = 0
-            while i < count and candidate[i] != a:
-                i += 1
+            i = place_of(region[r, c], candidate, count)
             if i < count:
                 centre[i, 0] += centre_u[r, c]
                 centre[i, 1] += centre_v[r, c]
@@ -63,9 +67,7 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
     top, left = row * BLOCK, column * BLOCK
     bottom, right = min(top + BLOCK, tan_y.shape[0]), min(left + BLOCK, tan_x.shape[1])
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    own = 0
-    while candidate[own] != a:
-        own += 1
+    own = place_of(a, candidate, count)
     for i in range(count):
         b = candidate[i]
         if b == a:

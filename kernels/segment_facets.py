@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from ._jit import kernel
+from .disjoint_sets import root_of, unite
 from .segment_blocks import BLOCK
-from .segment_runs import root_of, unite
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
 FACETS = 4  # planes that make something round: a ceiling between two slopes is three

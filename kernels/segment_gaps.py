@@ -8,7 +8,8 @@ in the wall itself.
 import numpy as np
 
 from ._jit import kernel
-from .segment_moments import joint_residual, residual
+from .disjoint_sets import unite
+from .segment_moments import rise
 from .segment_planes import fit_planes
 
 LEAST = 4  # rows or columns that must cross a gap
@@ -47,8 +48,7 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
             # The smaller one's pixels are nearly all of the rise: a quick way to say no.
             if not d * d <= 4.0 * allowed * variance or count == len(pairs):
                 continue
-            rise = joint_residual(m, k) - residual(m) - residual(k)
-            if rise <= allowed * variance * smaller[0]:
+            if rise(m, k) <= allowed * variance * smaller[0]:
                 pairs[count, 0], pairs[count, 1] = b, a
                 count += 1
     return count
@@ -201,11 +201,7 @@ def join_across(
                 if not thin:
                     break
         if thin:
-            while parent[a] != a:
-                a = parent[a]
-            while parent[b] != b:
-                b = parent[b]
-            parent[max(a, b)] = min(a, b)
+            unite(parent, a, b)
     for a in range(len(parent)):
         parent[a] = parent[parent[a]]
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
-from .segment_moments import fit, joint_residual, residual, solve
+from .disjoint_sets import root_of
+from .segment_moments import fit, residual, rise, solve
 from .segment_noise import sensor_variance, variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
@@ -245,12 +246,8 @@ def merge(
             mutual = best[a] == i or moments[a, 0] >= MUCH_LARGER * moments[b, 0]
             if not mutual or changed[b] or parent[a] != a:
                 # Or what only chance tells apart, as they are now: one or both have been joined with others.
-                while parent[a] != a:
-                    a = parent[a]
-                if a == b:
-                    continue
-                rise = joint_residual(moments[a], moments[b]) - residual(moments[a]) - residual(moments[b])
-                if rise > CHANCE * min(noise[a], noise[b]):
+                a = root_of(parent, a)
+                if a == b or rise(moments[a], moments[b]) > CHANCE * min(noise[a], noise[b]):
                     continue
             parent[b] = a
             for j in range(10):
@@ -266,11 +263,7 @@ def merge(
             slots = slots[: len(slots) // 2]
         kept = 0
         for i in range(count):
-            a, b = parent[pairs[i, 0]], parent[pairs[i, 1]]
-            while parent[a] != a:
-                a = parent[a]
-            while parent[b] != b:
-                b = parent[b]
+            a, b = root_of(parent, pairs[i, 0]), root_of(parent, pairs[i, 1])
             if a == b:
                 continue
             # Pairs that disagree stay: one of the two may change yet.
@@ -288,10 +281,7 @@ def merge(
             kept += 1
         count = kept
     for a in range(regions):
-        root = a
-        while parent[root] != root:
-            root = parent[root]
-        parent[a] = root
+        parent[a] = root_of(parent, a)
 
 
 @kernel()

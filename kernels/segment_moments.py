@@ -44,12 +44,13 @@ def residual(m):
 
 
 @kernel(inline=True)
-def joint_residual(m, k):
-    """The same for the union of two."""
-    return solve(
+def rise(m, k):
+    """How much larger it is for the union of two than for the two apart."""
+    together = solve(
         m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
         m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
     )[0]  # fmt: skip
+    return together - residual(m) - residual(k)
 
 
 @kernel(inline=True)

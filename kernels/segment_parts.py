@@ -4,8 +4,9 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
+from .disjoint_sets import root_of
 from .segment_moments import add
-from .segment_runs import GAP, root_of
+from .segment_runs import GAP
 
 
 @kernel()

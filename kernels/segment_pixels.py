@@ -6,7 +6,7 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
-from .segment_blocks import BLOCK, MIXED, UNSEEN
+from .segment_blocks import BLOCK, MISSING, MIXED, UNOWNED, UNSEEN
 from .segment_contest import (
     AREA,
     NEIGHBOURS,
@@ -17,14 +17,13 @@ from .segment_contest import (
     gather,
     line_between,
     misfits,
+    place_of,
     sums_of_nine,
     take_middle,
 )
 from .segment_moments import misfit
 from .segment_noise import sensor_variance
 from .segment_settled import (
-    MISSING,
-    UNOWNED,
     decide,
     list_unsettled,
     look_around,
@@ -157,9 +156,7 @@ def take_out(
         found = 0
         for p in range(BLOCK * BLOCK):
             own[p] = pixel_owner[i, p]
-            j = 0
-            while j < found and owners[j] != own[p]:
-                j += 1
+            j = place_of(own[p], owners, found)
             if j == found and own[p] >= 0 and number[own[p]] >= 0:
                 owners[j] = own[p]
                 found += 1

@@ -7,29 +7,11 @@ run: so pixels are looked at only where regions meet.
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, MIXED
-from .segment_pixels import MISSING
+from .disjoint_sets import unite
+from .segment_blocks import BLOCK, MISSING, MIXED
 
 # Missing pixels in a row that still are holes in a surface.
 GAP = 3
-
-
-@kernel(inline=True)
-def root_of(parent, i):
-    """The oldest ancestor."""
-    while parent[i] != i:
-        i = parent[i]
-    return i
-
-
-@kernel(inline=True)
-def unite(parent, i, j):
-    """Make two sets one; the older root stays."""
-    i, j = root_of(parent, i), root_of(parent, j)
-    if i < j:
-        parent[j] = i
-    elif j < i:
-        parent[i] = j
 
 
 @kernel(inline=True)

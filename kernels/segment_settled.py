@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, EMPTY, MIXED, UNSEEN
+from .segment_blocks import BLOCK, EMPTY, MISSING, MIXED, UNSEEN
 from .segment_contest import NEIGHBOURS, contenders, find_centres, is_undisputed
 from .segment_moments import misfit
 from .segment_noise import sensor_variance
@@ -22,8 +22,6 @@ NO_REGION = np.int32(np.iinfo(np.int32).max)
 SPARSE = BLOCK * BLOCK // 2
 # Deviations by which planes may move without anything that they own being looked at again.
 STILL = 0.25
-# Owner of a pixel: measured but nobody's; not measured.
-UNOWNED, MISSING = -1, -2
 # New owner of a block, before it is known; and where its pixels are contested.
 UNDECIDED, CONTESTED = -1, -2
 

@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from ._jit import kernel
+from .disjoint_sets import root_of, unite
 from .segment_blocks import BLOCK, MIXED
 from .segment_facets import find_faceted, turn_of_groups
 from .segment_noise import sensor_variance
-from .segment_runs import root_of, unite
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3

@@ -1,0 +1,21 @@
+"""Disjoint sets: trees of which each node names its parent, and a root itself."""
+
+from ._jit import kernel
+
+
+@kernel(inline=True)
+def root_of(parent, i):
+    """The oldest ancestor."""
+    while parent[i] != i:
+        i = parent[i]
+    return i
+
+
+@kernel(inline=True)
+def unite(parent, i, j):
+    """Make two sets one; the older root stays."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    if i < j:
+        parent[j] = i
+    elif j < i:
+        parent[i] = j
