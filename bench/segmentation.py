@@ -248,7 +248,7 @@ def _worth(row: Scores) -> float:
 def _difference(rules: Rules) -> str:
     changed = [
         f"{name} {getattr(rules, name)}"
-        for name in Rules.__dataclass_fields__
+        for name in Rules._fields
         if getattr(rules, name) != getattr(Rules(), name)
     ]
     return ", ".join(changed) or "as shipped"
@@ -293,13 +293,13 @@ class Baseline:
 
 STAGES = {
     "read, blocks": (segment_blocks, ("block_moments", "sum_by_fours")),
-    "noise": (segmentation, ("estimate",)),
+    "noise": (segmentation, ("noise_of",)),
     "quadtree": (segment_quadtree, ("join_blocks",)),
     "rounds: merge, own pixels": (segment_regions, ("find_regions",)),
     "curved": (segment_shape, ("owned_means", "find_curved")),
     "runs": (segment_runs, ("find_runs",)),
     "parts": (segment_parts, ("measure_parts", "judge_parts")),
-    "gaps": (segment_gaps, ("find_coplanar", "label_boxes", "join_across")),
+    "gaps": (segment_gaps, ("find_coplanar", "join_across")),
     "labels": (segment_labels, ("label_runs", "write_labels", "settle_strays")),
 }
 

@@ -30,7 +30,7 @@ def inverse_of(value, lowest, highest, scale, offset, is_disparity):
 
 
 @kernel(inline=True)
-def solve_squares(sums, count, pitch_x, pitch_y, rss, slope):
+def solve_squares(sums, count, rays, rss, slope):
     """Sums of squared residuals, and squared slopes, of the planes of squares with moments ``sums`` (10, CHUNK)."""
     for c in range(count):
         error, a, b, _ = solve(
@@ -38,7 +38,7 @@ def solve_squares(sums, count, pitch_x, pitch_y, rss, slope):
             sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
         )  # fmt: skip
         rss[c] = error
-        slope[c] = (pitch_x * a) ** 2 + (pitch_y * b) ** 2
+        slope[c] = (rays.pitch_x * a) ** 2 + (rays.pitch_y * b) ** 2
 
 
 @kernel(inline=True)
@@ -93,10 +93,7 @@ def add_separable(q, u, row_v, count, along):
 
 
 @kernel(reduction=True)
-def block_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, pitch_x, pitch_y, rows, columns,
-    inverse_depth, moments, rss, slope,
-):  # fmt: skip
+def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
     """Read the frame once: the inverse depth of every pixel, and moments and plane of every block.
 
     The sums are added up down the image columns first, which runs along the rows and vectorises. Where tanθx
@@ -108,19 +105,11 @@ def block_moments(
         The frame; a pixel is valid if ``lowest <= raw <= highest``.
     scale, offset, is_disparity
         q = scale / raw, or scale * raw + offset if ``is_disparity``.
-    tan_x, tan_y : (1, W) and (H, 1), or (H, W) and (H, W) float64
-    pitch_x, pitch_y : float
-        Change of tanθx and tanθy from pixel to pixel.
-    rows, columns : int
-        How many blocks there are, at least so many that they cover the frame.
+    rays : Rays
     inverse_depth : (H, W) float32, written
         0 where there is no measurement.
-    moments : (10, T) float64, written
-        One block after another, row after row; T may be larger than their number.
-    rss : (T,) float64, written
-        Sum of squared residuals of each block's plane, or -1.
-    slope : (T,) float64, written
-        Squared slope of each block's plane: change of q from pixel to pixel.
+    pyramid : Pyramid
+        Its lowest level is written, whose shape covers the frame.
 
     Returns
     -------
@@ -128,6 +117,9 @@ def block_moments(
         The largest inverse depth.
     """
     height, width = raw.shape
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    moments, rss, slope = pyramid.moments, pyramid.rss, pyramid.slope
+    rows, columns = pyramid.shapes[0]
     # Of a size that is known beforehand: so the compiler sees that their rows are apart, and uses vectors.
     q = np.zeros((BLOCK, CHUNK * BLOCK), np.float32)
     u, v = np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
@@ -164,7 +156,7 @@ def block_moments(
             for k in range(10):
                 fold(along[k], sums[k], count)
             i = row * columns + start
-            solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
+            solve_squares(sums, count, rays, rss[i : i + count], slope[i : i + count])
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])
     nearest = largest[0]
@@ -174,12 +166,12 @@ def block_moments(
 
 
 @kernel(reduction=True)
-def sum_by_fours(moments, offsets, shapes, pitch_x, pitch_y, rss, slope):
+def sum_by_fours(pyramid, rays):
     """Moments and planes of squares of 2x2, 4x4, ... blocks: one level of the pyramid after another.
 
-    Level l of ``shapes`` (L, 2) begins at ``offsets[l]`` of ``moments`` (10, T), ``rss`` and ``slope`` (T,), and
-    each is twice as high and wide as the next; level 0 is given, see `block_moments`.
+    The lowest is that of `block_moments`.
     """
+    moments, rss, slope, offsets, shapes = pyramid
     sums = np.empty((10, CHUNK))
     for level in range(1, shapes.shape[0]):
         columns = shapes[level, 1]
@@ -193,4 +185,4 @@ def sum_by_fours(moments, offsets, shapes, pitch_x, pitch_y, rss, slope):
                     for c in range(count):
                         sums[k, c] = (upper[2 * c] + upper[2 * c + 1]) + (lower[2 * c] + lower[2 * c + 1])
                     copy(sums[k], moments[k, i : i + count])
-                solve_squares(sums, count, pitch_x, pitch_y, rss[i : i + count], slope[i : i + count])
+                solve_squares(sums, count, rays, rss[i : i + count], slope[i : i + count])

@@ -17,15 +17,15 @@ FACETS = 4  # planes that make something round: a ceiling between two slopes is 
 
 
 @kernel()
-def bend_of(a, b, m_a, m_b, contact, alpha, pitch_x, pitch_y, blunt):
+def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     """How two regions that touch are bent against each other, if by less than ``blunt`` radians.
 
     AWAY from the camera, as facets of a ball are, or TOWARDS it; STRAIGHT if their planes do not meet where the
     regions touch, to a block, or at a larger angle.
     """
     d_u, d_v, d_1 = alpha[a, 0] - alpha[b, 0], alpha[a, 1] - alpha[b, 1], alpha[a, 2] - alpha[b, 2]
-    jump = (d_u * contact[1] + d_v * contact[2]) / contact[0] + d_1
-    if not jump * jump <= BLOCK * BLOCK * ((d_u * pitch_x) ** 2 + (d_v * pitch_y) ** 2):
+    jump = (d_u * where[1] + d_v * where[2]) / where[0] + d_1
+    if not jump * jump <= BLOCK * BLOCK * ((d_u * rays.pitch_x) ** 2 + (d_v * rays.pitch_y) ** 2):
         return STRAIGHT
     along = alpha[a, 0] * alpha[b, 0] + alpha[a, 1] * alpha[b, 1] + alpha[a, 2] * alpha[b, 2]
     square_a = alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2
@@ -66,15 +66,14 @@ def turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, m
 
 
 @kernel()
-def find_faceted(
-    region_moments, alpha, turned, sharp, blunt, pitch_x, pitch_y, pairs, contact, count, curved
-):  # fmt: skip
+def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, count, curved):
     """Mark the facets of what is meant to be round, as a ball that a computer drew or a shade of strips.
 
     Planes that meet at less than ``blunt`` radians and bend the same way form groups. One is round if it has
     FACETS or more, none of which is most of it, and turns by more than ``sharp`` radians, root mean square.
     The other arguments are those of `find_curved`.
     """
+    pairs, where, _ = contacts
     regions = len(alpha)
     turn_square, pixels = np.empty(regions), np.empty(regions)
     members = np.empty(regions, np.int64)
@@ -84,9 +83,7 @@ def find_faceted(
         parent = np.arange(regions)
         for i in range(count):
             a, b = pairs[i, 0], pairs[i, 1]
-            if way == bend_of(
-                a, b, region_moments[a], region_moments[b], contact[i], alpha, pitch_x, pitch_y, blunt
-            ):  # fmt: skip
+            if way == bend_of(a, b, region_moments[a], region_moments[b], where[i], alpha, rays, blunt):
                 unite(parent, a, b)
         turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members)
         largest[:] = 0.0

@@ -55,11 +55,12 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
 
 
 @kernel()
-def label_boxes(row_runs, run_start, run_stop, run_label, box):
+def label_boxes(runs, box):
     """First row, row after the last, first column, column after the last of each label.
 
-    The runs are those of `segment_runs.find_runs`. ``box`` (N + 1, 4) int64 is written, row a for label a.
+    ``box`` (N + 1, 4) int64 is written, row a for label a.
     """
+    row_runs, run_start, run_stop, run_label = runs.first, runs.start, runs.stop, runs.label
     box[:, 0] = box[:, 2] = FARTHEST
     box[:, 1] = box[:, 3] = 0
     for y in range(len(row_runs) - 1):
@@ -70,21 +71,21 @@ def label_boxes(row_runs, run_start, run_stop, run_label, box):
 
 
 @kernel(inline=True)
-def sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x):
+def sees_through(inverse_depth, rays, alpha, reach, y, x):
     """Whether something farther away than a plane is seen at a pixel."""
+    tan_x, tan_y = rays.tan_x, rays.tan_y
     u, v = tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
     return 0.0 < inverse_depth[y, x] < alpha[0] * u + alpha[1] * v + alpha[2] - reach
 
 
 @kernel()
-def gaps_across(
-    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, look, gaps
-):  # fmt: skip
+def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     """Gaps between labels a and b along the rows.
 
     ``gaps`` (G,) int64 is written: how many gaps of 0, 1, 2, ... pixels one does not see through. Returns how many
     one sees through, and does not. Unless told to ``look`` it takes it that one sees through none.
     """
+    row_runs, run_start, run_stop, run_label = runs.first, runs.start, runs.stop, runs.label
     closed = opened = 0
     gaps[:] = 0
     for y in range(max(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1])):
@@ -95,7 +96,7 @@ def gaps_across(
             if last >= 0 and run_label[last] != run_label[i]:
                 through = False
                 for x in range(run_stop[last], run_start[i] if look else 0):
-                    if sees_through(inverse_depth, tan_x, tan_y, alpha, reach, y, x):
+                    if sees_through(inverse_depth, rays, alpha, reach, y, x):
                         through = True
                         break
                 opened += through
@@ -108,10 +109,9 @@ def gaps_across(
 
 
 @kernel()
-def gaps_down(
-    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a, b, alpha, reach, box, look, gaps
-):  # fmt: skip
+def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     """The same along the columns."""
+    row_runs, run_start, run_stop, run_label = runs.first, runs.start, runs.stop, runs.label
     closed = opened = 0
     gaps[:] = 0
     first, stop = max(box[a, 2], box[b, 2]), min(box[a, 3], box[b, 3])
@@ -131,7 +131,7 @@ def gaps_down(
                         continue
                     through = False
                     for r in range(other[k] + 1, y if look else 0):
-                        if sees_through(inverse_depth, tan_x, tan_y, alpha, reach, r, k + first):
+                        if sees_through(inverse_depth, rays, alpha, reach, r, k + first):
                             through = True
                             break
                     opened += through
@@ -158,25 +158,22 @@ def is_thin(gaps, opened, closed):
 
 
 @kernel()
-def join_across(
-    row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, alpha, deviation, pairs, count,
-    box, parent,
-):  # fmt: skip
+def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
 
     Parameters
     ----------
-    row_runs, run_start, run_stop : see `segment_runs.find_runs`
-    run_label : (K,) int32
-        Label of each run: row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
+    runs : Runs
+        Row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
+    inverse_depth : (H, W) float32
+    rays : Rays
     pairs, count : see `find_coplanar`
-    box : see `label_boxes`
     """
+    box = np.empty((len(parent) + 1, 4), np.int64)
+    label_boxes(runs, box)
     for k in range(count):
         a, b = pairs[k]
-        reach = (
-            BEYOND * deviation[a]
-        )  # what is farther than the plane by this, in 1/m, one sees through the gap
+        reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this one sees through the gap
         thin = False
         for side in range(2):
             # No gap counts as thin that is wider than there are rows, or columns.
@@ -189,13 +186,11 @@ def join_across(
             for look in (False, True):  # into the gaps only if they are not too wide anyway
                 if side == 0:
                     opened, closed = gaps_across(
-                        row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
-                        alpha[a], reach, box, look, gaps,
+                        runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip
                 else:
                     opened, closed = gaps_down(
-                        row_runs, run_start, run_stop, run_label, inverse_depth, tan_x, tan_y, a + 1, b + 1,
-                        alpha[a], reach, box, look, gaps,
+                        runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip
                 thin = is_thin(gaps, opened, closed)
                 if not thin:

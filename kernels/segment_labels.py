@@ -9,23 +9,20 @@ COMPANY = 3
 
 
 @kernel()
-def label_runs(part, number, row_runs, run_label):
+def label_runs(runs, number):
     """Give each run the label that ``number`` (P,) int32 says its part has."""
-    for i in range(row_runs[-1]):
-        run_label[i] = number[part[i]]
+    for i in range(runs.first[-1]):
+        runs.label[i] = number[runs.part[i]]
 
 
 @kernel()
-def write_labels(
-    row_runs, run_start, run_stop, run_label, part, why, stray, missing, unclaimed, inverse_depth,
-    loose, loose_count, label, reason,
-):  # fmt: skip
+def write_labels(runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, label, reason):
     """Write the final labels and the reasons.
 
     Parameters
     ----------
-    run_label : (K,) int32
-        Final label of each run, 0 for none.
+    runs : Runs
+        With their final labels, 0 for none.
     why : (P,) uint8
         Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are those of the other pixels.
     stray : (P,) bool
@@ -39,6 +36,7 @@ def write_labels(
     int
         How many loose pixels there are.
     """
+    row_runs, run_start, run_stop, run_label, _, _, part = runs
     height, width = label.shape
     for y in range(height):
         label[y] = 0
@@ -80,10 +78,7 @@ def is_lone(label, inverse_depth, y, x):
 
 
 @kernel()
-def settle_strays(
-    row_runs, run_start, run_stop, inverse_depth, unclaimed, least, needed, loose, loose_count,
-    label, reason, sizes,
-):  # fmt: skip
+def settle_strays(runs, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes):
     """Take the label from pixels that stand alone, and let loose ones go with those around them.
 
     Parameters
@@ -98,6 +93,7 @@ def settle_strays(
     sizes : (N + 1,) int32, changed
         Pixels of each label.
     """
+    row_runs, run_start, run_stop = runs.first, runs.start, runs.stop
     height, width = label.shape
     labelled = loose_count
     for y in range(height):

@@ -56,27 +56,24 @@ def row_of(a, b, pairs, count, table):
 
 
 @kernel()
-def neighbours(region, centre_u, centre_v, pairs, contact, table):
+def neighbours(region, rays, contacts):
     """Write the pairs of different regions that blocks side by side or corner to corner have.
 
     Parameters
     ----------
     region : (R, C) int32
         -1 is none.
-    centre_u, centre_v : (R, C) float64
-        tanθx, tanθy of the centre of each block.
-    pairs : (K, 3) int32, written
-        Smaller first, and what `row_of` needs. At most 4·R·C.
-    contact : (K, 3) float64, written
-        How many pairs of blocks touch, and the sum of the (u, v) in the middle between them.
-    table : (2^k,) int32
-        See `row_of`; larger than K.
+    rays : Rays
+    contacts : Contacts, written
+        With room for 4·R·C pairs.
 
     Returns
     -------
     int
         Number of pairs.
     """
+    centre_u, centre_v = rays.centre_u, rays.centre_v
+    pairs, where, table = contacts
     rows, columns = region.shape
     # With a rim of no regions: a block's neighbours, and theirs, are there without looking where the frame ends.
     around = np.empty((rows + 2, columns + 4), np.int32)
@@ -119,30 +116,33 @@ def neighbours(region, centre_u, centre_v, pairs, contact, table):
                     if i == count:
                         pairs[i, 0] = a
                         pairs[i, 1] = b
-                        contact[i, :] = 0.0
+                        where[i, :] = 0.0
                         count += 1
                 step = 1 if region[row + DOWN[k], column + RIGHT[k]] >= 0 else 2
                 r, c = row + step * DOWN[k], column + step * RIGHT[k]
-                contact[i, 0] += 1.0
-                contact[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
-                contact[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
+                where[i, 0] += 1.0
+                where[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
+                where[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
     return count
 
 
 @kernel()
-def disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floor, jump, spread, cost):
+def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     """How far the two regions of each of ``count`` pairs are from being one plane: they are at 1 or less.
 
     Two things speak against it: the rise Δ of the sum of squared residuals, per pixel of the smaller region,
     and a jump from one plane to the other where the regions touch. A sensor's bias bends a plane, which
     makes Δ and no jump; two parallel planes make a jump before they make much Δ.
     """
+    alpha, rss, noise, waves = described
+    pairs, where, _ = contacts
+    floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     m = np.empty((17, TOGETHER))  # joint moments; smaller, touch, step, rss, noise, waves; what comes out
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
         for i in range(number):
             a, b = pairs[start + i, 0], pairs[start + i, 1]
-            m_a, m_b, alpha_a, alpha_b, at = moments[a], moments[b], alpha[a], alpha[b], contact[start + i]
+            m_a, m_b, alpha_a, alpha_b, at = moments[a], moments[b], alpha[a], alpha[b], where[start + i]
             for k in range(10):
                 m[k, i] = m_a[k] + m_b[k]
             m[10, i] = min(m_a[0], m_b[0])
@@ -168,56 +168,53 @@ def disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floo
 
 
 @kernel(inline=True)
-def describe(moments, a, sigma, lateral_x, lateral_y, growth, alpha, rss, noise, waves):
+def describe(moments, a, noise, described):
     """Plane, residual and noise of region ``a``."""
+    alpha, rss, variance, waves = described
     n, mean_q = moments[a, 0], moments[a, 3] / moments[a, 0]
     rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
         n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4],
         moments[a, 5], moments[a, 6], moments[a, 7], moments[a, 8], moments[a, 9],
     )  # fmt: skip
-    slope = lateral_x * alpha[a, 0] ** 2 + lateral_y * alpha[a, 1] ** 2
-    noise[a] = sensor_variance(mean_q, sigma) + slope if rss[a] >= 0.0 else 0.0
-    waves[a] = waviness(n, growth) ** 2
+    slope = noise.lateral_x * alpha[a, 0] ** 2 + noise.lateral_y * alpha[a, 1] ** 2
+    variance[a] = sensor_variance(mean_q, noise.sigma) + slope if rss[a] >= 0.0 else 0.0
+    waves[a] = waviness(n, noise.growth) ** 2
 
 
 @kernel()
-def merge(
-    moments, pairs, contact, table, count, sigma, lateral_x, lateral_y, growth, floor, jump, spread, parent
-):  # fmt: skip
+def merge(moments, contacts, count, noise, rules, tolerance, parent):
     """Join neighbouring regions until no pair agrees.
 
     Parameters
     ----------
     moments : (N, 10) float64
         Of each region; the moments of a joined region are written to the row that ``parent`` names.
-    pairs, contact, table, count
+    contacts, count
         Of `neighbours`; they are overwritten.
-    sigma, lateral_x, lateral_y
-        Noise: see `segment_noise.variance`.
-    growth : (S,) float64
-        See `segment_noise.waviness`.
-    floor, jump, spread : float
+    noise : Noise
+    rules : Rules
         A pair agrees if Δ is at most σ² (floor² · waviness² · n + spread), and the jump at most about
-        ``jump`` · waviness · σ; n is the smaller region's pixels and σ² the smaller of the two variances.
+        jump · waviness · σ; n is the smaller region's pixels and σ² the smaller of the two variances.
+    tolerance : float
+        What ``region_floor`` and ``region_jump`` are multiplied by.
     parent : (N,) int64, written
         The region that each one went into.
     """
     regions = moments.shape[0]
     cost = np.empty(count)
-    rss = np.empty(regions)
-    noise = np.empty(regions)
-    waves = np.empty(regions)
-    alpha = np.empty((regions, 3))
+    described = np.empty((regions, 3)), np.empty(regions), np.empty(regions), np.empty(regions)
+    variance = described[2]
     changed = np.empty(regions, np.bool_)
     best = np.empty(regions, np.int64)
     least = np.empty(regions)
     agreeing = np.empty(count, np.int64)
+    pairs, where, table = contacts
     slots = table[:]
     for a in range(regions):
         parent[a] = a
-        describe(moments, a, sigma, lateral_x, lateral_y, growth, alpha, rss, noise, waves)
+        describe(moments, a, noise, described)
     while count > 0:
-        disagreements(moments, alpha, rss, noise, waves, pairs, contact, count, floor, jump, spread, cost)
+        disagreements(moments, described, contacts, count, rules, tolerance, cost)
         agreed = 0
         for i in range(count):
             agreeing[agreed] = i
@@ -247,7 +244,7 @@ def merge(
             if not mutual or changed[b] or parent[a] != a:
                 # Or what only chance tells apart, as they are now: one or both have been joined with others.
                 a = root_of(parent, a)
-                if a == b or rise(moments[a], moments[b]) > CHANCE * min(noise[a], noise[b]):
+                if a == b or rise(moments[a], moments[b]) > CHANCE * min(variance[a], variance[b]):
                     continue
             parent[b] = a
             for j in range(10):
@@ -258,7 +255,7 @@ def merge(
             break
         for a in range(regions):
             if changed[a]:
-                describe(moments, a, sigma, lateral_x, lateral_y, growth, alpha, rss, noise, waves)
+                describe(moments, a, noise, described)
         while len(slots) >= 4 * count and len(slots) > 2:
             slots = slots[: len(slots) // 2]
         kept = 0
@@ -273,11 +270,11 @@ def merge(
                 row = row_of(a, b, pairs, kept, slots)
                 if row < kept:
                     for k in range(3):
-                        contact[row, k] += contact[i, k]
+                        where[row, k] += where[i, k]
                     continue
             pairs[kept, 0] = a
             pairs[kept, 1] = b
-            copy(contact[i], contact[kept])
+            copy(where[i], where[kept])
             kept += 1
         count = kept
     for a in range(regions):
@@ -285,23 +282,24 @@ def merge(
 
 
 @kernel()
-def keep_pairs_inside(pairs, contact, parent, chosen):
+def keep_pairs_inside(contacts, parent, chosen):
     """Keep the pairs whose two lie in one chosen region; returns how many.
 
     ``parent`` (N,) is the region of each, ``chosen`` (N,) bool is read at the regions.
     """
+    pairs, where, _ = contacts
     kept = 0
     for i in range(len(pairs)):
         root = parent[pairs[i, 0]]
         if root == parent[pairs[i, 1]] and chosen[root]:
             copy(pairs[i], pairs[kept])
-            copy(contact[i], contact[kept])
+            copy(where[i], where[kept])
             kept += 1
     return kept
 
 
 @kernel()
-def find_rough(moments, parent, sigma, lateral_x, lateral_y, growth, rough, chosen):
+def find_rough(moments, parent, noise, rough, chosen):
     """Mark the regions whose residual is above ``rough`` standard deviations: they are several planes.
 
     ``chosen`` is (N,) bool, written; returns whether there are any.
@@ -311,9 +309,8 @@ def find_rough(moments, parent, sigma, lateral_x, lateral_y, growth, rough, chos
     for a in range(len(parent)):
         chosen[a] = False
         if parent[a] == a and fit(moments[a], alpha):
-            noise = variance(moments[a], alpha, sigma, lateral_x, lateral_y)
-            noise *= waviness(moments[a, 0], growth) ** 2
-            chosen[a] = residual(moments[a]) > rough * rough * noise * moments[a, 0]
+            allowed = variance(moments[a], alpha, noise) * waviness(moments[a, 0], noise.growth) ** 2
+            chosen[a] = residual(moments[a]) > rough * rough * allowed * moments[a, 0]
             found |= chosen[a]
     return found
 

@@ -10,31 +10,34 @@ from .segment_runs import GAP
 
 
 @kernel()
-def measure_parts(
-    row_runs, run_start, run_stop, run_label, vertical, parent, part, inverse_depth, tan_x, tan_y,
-    alpha, deviation, cut, region_moments, region_squares, moments, squares, size, across, down, owner,
-):  # fmt: skip
+def measure_parts(runs, inverse_depth, rays, alpha, deviation, cut, sums, parts):
     """Number the parts in the order of their first pixels, and share out what the regions own.
 
     The largest part of a region gets its moments less those of the other parts, whose pixels are counted.
 
     Parameters
     ----------
-    part : (K,) int32, written
-        Part of each run.
-    region_moments, region_squares : (N, 10), (N,) float64
-        Of `segment_pixels.own_pixels`; changed.
-    moments, squares : (P, 10), (P,) float64, written
-    size, across, down : (P,) float64, written
-        Pixels of each part, runs along its rows and runs along its columns.
-    owner : (P,) int64, written
-        Region that each part is of.
+    runs : Runs
+        ``part`` is written.
+    inverse_depth : (H, W) float32
+    rays : Rays
+    alpha, deviation : (N, 3), (N,) float64
+        Of the regions: see `segment_planes.deviations`.
+    cut : float
+        See `segment_pixels.own_pixels`.
+    sums : Sums
+        Of the regions; changed.
+    parts : Parts, written
 
     Returns
     -------
     int
         Number of parts.
     """
+    row_runs, run_start, run_stop, run_label, vertical, parent, part = runs
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    region_moments, region_squares = sums
+    moments, squares, size, across, down, owner = parts
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     count = 0
     for y in range(len(row_runs) - 1):
@@ -94,19 +97,19 @@ def measure_parts(
 
 
 @kernel()
-def judge_parts(
-    size, across, down, squares, owner, curved, narrow, rough, least, reasons, why, stray, number, kept
-):  # fmt: skip
+def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number, kept):
     """Say of each part whether it is a plane, and why not.
 
     Parameters
     ----------
-    size, across, down, squares, owner : (P,)
+    parts, count
         Of `measure_parts`.
     curved : (N,) bool
         Of each region.
-    narrow, rough, least : float
-        Pixels per run, deviations, and pixels that a plane has.
+    rules : Rules
+        A plane's runs have ``narrow`` pixels on average, and its pixels lie within ``rough`` deviations.
+    least : int
+        Pixels that a plane has.
     reasons : tuple of uint8
         For a plane, and for what is small, rough, curved or narrow.
     why : (P,) uint8, written
@@ -123,21 +126,22 @@ def judge_parts(
         How many planes there are.
     """
     plane, small, uneven, bent, thin = reasons
-    count = 0
-    for k in range(len(size)):
+    _, squares, size, across, down, region = parts
+    planes = 0
+    for k in range(count):
         why[k] = plane
-        if size[k] < narrow * max(across[k], down[k]):
+        if size[k] < rules.narrow * max(across[k], down[k]):
             why[k] = thin
-        if curved[owner[k]]:
+        if curved[region[k]]:
             why[k] = bent
-        if squares[k] > rough * rough * size[k]:
+        if squares[k] > rules.rough * rules.rough * size[k]:
             why[k] = uneven
         if size[k] < least:
             why[k] = small
         stray[k] = why[k] == small or why[k] == thin
         number[k] = 0
         if why[k] == plane:
-            kept[count] = k
-            count += 1
-            number[k] = count
-    return count
+            kept[planes] = k
+            planes += 1
+            number[k] = planes
+    return planes

@@ -22,7 +22,7 @@ from .segment_contest import (
     take_middle,
 )
 from .segment_moments import misfit
-from .segment_noise import sensor_variance
+from .segment_noise import about_plane, sensor_variance
 from .segment_settled import (
     decide,
     list_unsettled,
@@ -36,9 +36,7 @@ from .segment_settled import (
 
 @kernel()
 def own_pixels(
-    inverse_depth, tan_x, tan_y, centre_u, centre_v, region, alpha, slope_variance, spread, sigma,
-    reach, close, settled, cut, pyramid, offsets, shapes, is_first, before, number, last_alpha,
-    owner, pixel_owner, moments, squares,
+    inverse_depth, rays, pyramid, region, planes, sigma, rules, is_first, before, number, last_alpha, owners, sums
 ):  # fmt: skip
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
@@ -46,24 +44,17 @@ def own_pixels(
     ----------
     inverse_depth : (H, W) float32
         0 where there is no measurement.
-    tan_x, tan_y : (1, W) and (H, 1), or (H, W) and (H, W) float64
-    centre_u, centre_v : (R, C) float64
-        tanθx, tanθy in the middle of each block.
+    rays : Rays
+    pyramid : Pyramid
     region : (R, C) int32
         Region of each block, or -1; a block becomes, on return, the region that owns most of its pixels.
-    alpha, slope_variance, spread : (N, 3), (N,), (N,) float64
-        Of `segment_planes.planes`.
+    planes : Planes
+        Of the regions: see `segment_planes.fit_regions`.
     sigma : see `segment_noise.sensor_variance`
-    reach : float
-        A region contends for a pixel within so many standard deviations of its plane.
-    close : float
-        Two planes meet where both fit a pixel's neighbourhood within so many standard deviations.
-    settled : float
-        A block without rivals goes whole to a region that fits it within so many standard deviations.
-    cut : float
-        Squared residuals count in ``squares`` as so many variances at most.
-    pyramid, offsets, shapes
-        Moments of the squares of 1, 2, 4, ... blocks: see `segment_blocks.sum_by_fours`.
+    rules : Rules
+        A region contends for a pixel within ``reach`` standard deviations of its plane. Two planes meet where both
+        fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it
+        within ``settled``. Squared residuals count as ``cut``² variances at most.
     is_first : bool
         Whether there was no round before.
     before : (R, C) int32
@@ -71,67 +62,50 @@ def own_pixels(
     number : (M,) int64
         Which of the regions each region of the last round has become, or -1.
     last_alpha : (M, 3) float64
-        ``alpha`` in the last round.
-    owner : (R, C) int32
-        EMPTY or not; on return region that owns all measured pixels of a block, which are most; or EMPTY, or
-        MIXED.
-    pixel_owner : (R * C, BLOCK²) int32
-        On return, of each MIXED block, the region of each pixel, or UNOWNED or MISSING.
-    moments : (N, 10) float64
-        After the last round, and on return.
-    squares : (N,) float64
-        Sum of each region's squared residuals, in variances: after the last round, and on return.
+        ``planes.alpha`` in the last round.
+    owners : Owners
+        Of the last round, at first EMPTY or UNSEEN; a block that one region owns has more measured pixels than not.
+    sums : Sums
+        After the last round; on return, after this one.
     """
     rows, columns = region.shape
     around = np.empty((rows, columns), np.int8)
     block = np.empty((rows * columns, 3), np.int32)
-    look_around(region, owner, around)
+    look_around(region, owners.block, around)
     if is_first:
-        moments[:] = 0.0
-        squares[:] = 0.0
+        sums.moments[:] = 0.0
+        sums.squares[:] = 0.0
     else:
-        settle_unchanged(
-            region, before, number, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments,
-            around,
-        )  # fmt: skip
-        rename_owners(around, number, owner, pixel_owner)
+        settle_unchanged(region, before, number, planes, last_alpha, sigma, rays, sums.moments, around)
+        rename_owners(around, number, owners)
     for row in range(region.shape[0]):
         copy(region[row], before[row])
-    count = 0
+    count = np.int64(0)  # a literal 0 has a type of its own, for which all that gets it is compiled once more
     for level in (2, 1):
         count = settle_squares(
-            pyramid, offsets, shapes, level, region, alpha, slope_variance, spread, sigma, settled,
-            number, around, owner, moments, squares, block, count,
+            pyramid, level, region, planes, sigma, rules.settled, number, around, owners.block, sums, block, count
         )  # fmt: skip
     count = list_unsettled(around, block, count)
-    decide(
-        block, count, tan_x, tan_y, centre_u, centre_v, before, around, pyramid, alpha, slope_variance, spread,
-        sigma, reach, settled,
-    )  # fmt: skip
+    decide(block, count, rays, before, around, pyramid, planes, sigma, rules)
     if not is_first:
         take_out(
-            block, count, inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread,
-            sigma, cut, owner, pixel_owner, moments, squares,
+            block, count, inverse_depth, rays, pyramid, number, last_alpha, planes, sigma, rules.cut, owners, sums
         )  # fmt: skip
-    count = settle(
-        block, count, inverse_depth, pyramid, alpha, slope_variance, spread, sigma, region, owner, pixel_owner,
-        moments, squares,
-    )  # fmt: skip
-    contest(
-        block, count, inverse_depth, tan_x, tan_y, centre_u, centre_v, before, pyramid, alpha, slope_variance,
-        spread, sigma, reach, close, cut, region, owner, pixel_owner, moments, squares,
-    )  # fmt: skip
+    count = settle(block, count, inverse_depth, pyramid, planes, sigma, region, owners, sums)
+    contest(block, count, inverse_depth, rays, before, pyramid, planes, sigma, rules, region, owners, sums)
 
 
 @kernel()
 def take_out(
-    block, count, inverse_depth, tan_x, tan_y, pyramid, number, last_alpha, slope_variance, spread, sigma,
-    cut, owner, pixel_owner, moments, squares,
+    block, count, inverse_depth, rays, pyramid, number, last_alpha, planes, sigma, cut, owners, sums
 ):  # fmt: skip
     """Subtract what the blocks that get another owner gave to the regions in the last round: see `decide`.
 
     Their owner becomes UNSEEN, that of the others what it was, by its new number.
     """
+    owner, pixel_owner = owners
+    moments, squares = sums
+    of_block = pyramid.moments
     around = np.empty((3, AREA), np.float32)
     middle = np.empty((4, BLOCK * BLOCK), np.float32)
     own = np.empty(BLOCK * BLOCK, np.int32)
@@ -145,12 +119,11 @@ def take_out(
             owner[row, column] = a
             continue
         owner[row, column] = UNSEEN
-        sensor = sensor_variance(pyramid[3, i] / pyramid[0, i], sigma)
+        sensor = sensor_variance(of_block[3, i] / of_block[0, i], sigma)
         if a >= 0:
             for j in range(10):
-                moments[a, j] -= pyramid[j, i]
-            total = (sensor + slope_variance[a]) * spread[a]
-            squares[a] -= max(misfit(pyramid, i, last_alpha, b), 0.0) / total
+                moments[a, j] -= of_block[j, i]
+            squares[a] -= max(misfit(of_block, i, last_alpha, b), 0.0) / about_plane(sensor, planes, a)
         if b != MIXED:
             continue
         found = 0
@@ -162,32 +135,36 @@ def take_out(
                 found += 1
         if found == 0:
             continue
-        gather(inverse_depth, tan_x, tan_y, row, column, around)
+        gather(inverse_depth, rays.tan_x, rays.tan_y, row, column, around)
         for c in range(3):
             take_middle(around, c, middle, c)
         for j in range(found):
             b = owners[j]
             a = number[b]
-            share = 1.0 / ((sensor + slope_variance[a]) * spread[a])
+            share = 1.0 / about_plane(sensor, planes, a)
             for p in range(BLOCK * BLOCK):
                 e = middle[0, p] - (
                     last_alpha[b, 0] * middle[1, p] + last_alpha[b, 1] * middle[2, p] + last_alpha[b, 2]
                 )
                 middle[3, p] = e * e * share
-            squares[a] += add_owned(b, own, middle, cut * cut, -1.0, moments, a)
+            squares[a] += add_owned(b, own, middle, np.float32(cut * cut), -1.0, moments, a)
 
 
 @kernel()
 def contest(
-    block, count, inverse_depth, tan_x, tan_y, centre_u, centre_v, before, pyramid, alpha, slope_variance, spread,
-    sigma, reach, close, cut, region, owner, pixel_owner, moments, squares,
+    block, count, inverse_depth, rays, before, pyramid, planes, sigma, rules, region, owners, sums
 ):  # fmt: skip
     """Give each pixel of the first ``count`` blocks to one of the regions around its block, or to none.
 
     ``block`` (R·C, 2) int32 has their rows and columns; the rest is as in `own_pixels`.
     """
     columns = region.shape[1]
-    limit, close_square = np.float32(reach * reach), np.float32(close * close)
+    tan_x, tan_y, centre_u, centre_v, _, _ = rays
+    of_block, alpha = pyramid.moments, planes.alpha
+    owner, pixel_owner = owners
+    moments, squares = sums
+    limit, close_square = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
+    cut_square = np.float32(rules.cut * rules.cut)
     candidate, near = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS, np.int64)
     owned = np.empty(NEIGHBOURS, np.int64)
     centre, penalty = np.empty((NEIGHBOURS, 3)), np.empty(NEIGHBOURS, np.float32)
@@ -201,8 +178,8 @@ def contest(
     for b in range(count):
         row, column = block[b, 0], block[b, 1]
         here = row * columns + column
-        pixels = pyramid[0, here]
-        sensor = sensor_variance(pyramid[3, here] / pixels, sigma)
+        pixels = of_block[0, here]
+        sensor = sensor_variance(of_block[3, here] / pixels, sigma)
         contending = contenders(before, row, column, candidate)
         gather(inverse_depth, tan_x, tan_y, row, column, around)
         for c in range(3):
@@ -210,7 +187,7 @@ def contest(
         near_count = 0
         for i in range(contending):
             a = candidate[i]
-            total = (sensor + slope_variance[a]) * spread[a]
+            total = about_plane(sensor, planes, a)
             owned[i] = 0
             near[near_count] = i
             penalty[i] = total
@@ -244,7 +221,7 @@ def contest(
                 owned[i] += winner[p] == i
             if owned[i] > 0:
                 take_middle(square, i, middle, 3)
-                squares[a] += add_owned(i, winner, middle, np.float32(cut * cut), 1.0, moments, a)
+                squares[a] += add_owned(i, winner, middle, cut_square, 1.0, moments, a)
         owner[row, column] = MIXED
         for p in range(BLOCK * BLOCK):
             a = UNOWNED if middle[0, p] > 0.0 else MISSING

@@ -4,33 +4,33 @@ import math
 
 from ._jit import kernel
 from .segment_moments import fit, residual
-from .segment_noise import sensor_variance, variance, waviness
+from .segment_noise import about_plane, sensor_variance, variance, waviness
 
 
 @kernel()
-def planes(moments, sigma, lateral_x, lateral_y, growth, alpha, slope_variance, spread):
-    """Plane of each region, and the part of a pixel's variance that its slope makes.
+def fit_regions(moments, noise, planes):
+    """Plane of each region, and what adds to the variance of its pixels.
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
+    alpha, slope_variance, waves = planes
     for i in range(len(moments)):
         if not fit(moments[i], alpha[i]):
             alpha[i, :] = math.inf
             slope_variance[i] = 1.0
-            spread[i] = 1.0
+            waves[i] = 1.0
             continue
-        spread[i] = waviness(moments[i, 0], growth) ** 2
-        slope_variance[i] = variance(moments[i], alpha[i], sigma, lateral_x, lateral_y) - sensor_variance(
-            moments[i, 3] / moments[i, 0], sigma
-        )
+        waves[i] = waviness(moments[i, 0], noise.growth) ** 2
+        sensor = sensor_variance(moments[i, 3] / moments[i, 0], noise.sigma)
+        slope_variance[i] = variance(moments[i], alpha[i], noise) - sensor
 
 
 @kernel()
-def deviations(moments, sigma, slope_variance, spread, deviation):
-    """Standard deviation of a pixel about the plane of each region; see `planes`."""
+def deviations(moments, planes, sigma, deviation):
+    """Standard deviation of a pixel about the plane of each region."""
     for a in range(len(moments)):
-        mean_q = moments[a, 3] / max(moments[a, 0], 1.0)
-        deviation[a] = math.sqrt((sensor_variance(mean_q, sigma) + slope_variance[a]) * spread[a])
+        sensor = sensor_variance(moments[a, 3] / max(moments[a, 0], 1.0), sigma)
+        deviation[a] = math.sqrt(about_plane(sensor, planes, a))
 
 
 @kernel()

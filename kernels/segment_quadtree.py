@@ -11,31 +11,26 @@ from .segment_noise import sensor_variance
 
 
 @kernel()
-def join_blocks(
-    moments, offsets, shapes, rss, slope, sigma, lateral, roughness, steepness, floor, spread, state
-):
+def join_blocks(pyramid, noise, rules, state):
     """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
 
     Parameters
     ----------
-    moments, offsets, shapes, rss, slope
-        See `segment_blocks.sum_by_fours`.
-    sigma : see `segment_noise.sensor_variance`
-    lateral : float
-        Variance, in pixels, of where a measurement lies: see `segment_noise.variance`.
-    roughness, steepness : float
-        A block is planar if its residual is below ``roughness`` standard deviations, the slope's part of
-        which counts ``steepness`` times (a block across a depth jump looks steep, too).
-    floor, spread : float
-        Four are one plane if joining them adds at most ``floor``² variances per pixel, plus ``spread``.
+    pyramid : Pyramid
+    noise : Noise
+    rules : Rules
+        A block is planar if its residual is below ``rough_block`` standard deviations, the slope's part of
+        which counts ``steep_block`` times (a block across a depth jump looks steep, too). Four are one plane if
+        joining them adds at most ``square_floor``² variances per pixel, plus ``square_spread``.
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """
+    moments, rss, slope, offsets, shapes = pyramid
+    sigma, lateral = noise.sigma, noise.lateral
     for i in range(shapes[0, 0] * shapes[0, 1]):
         n = moments[0, i]
-        allowed = roughness * roughness * sensor_variance(moments[3, i] / max(n, 1.0), sigma) + (
-            steepness * steepness * lateral * slope[i]
-        )
+        sensor = sensor_variance(moments[3, i] / max(n, 1.0), sigma)
+        allowed = rules.rough_block**2 * sensor + rules.steep_block**2 * lateral * slope[i]
         planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
         state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
     for level in range(1, shapes.shape[0]):
@@ -62,20 +57,19 @@ def join_blocks(
                     state[parent] = 2 if planar == 0 else 0
                     continue
                 rise = rss[parent] - total
-                agree = rss[parent] >= 0.0 and rise <= smallest * (
-                    floor * floor * moments[0, parent] + spread
-                )
-                state[parent] = 1 if agree else 0
+                allowed = smallest * (rules.square_floor**2 * moments[0, parent] + rules.square_spread)
+                state[parent] = 1 if rss[parent] >= 0.0 and rise <= allowed else 0
 
 
 @kernel()
-def leaves(offsets, shapes, state, moments, region, owner, region_moments):
+def leaves(pyramid, state, region, owner, region_moments):
     """Number the largest planar node over each planar block, in the order of their first blocks.
 
     ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
     pixels; ``owner`` (R, C) int32 is written: EMPTY or UNSEEN; ``region_moments`` (R·C, 10) is written.
     Returns how many there are.
     """
+    moments, _, _, offsets, shapes = pyramid
     levels = shapes.shape[0]
     number = np.full(len(state), -1, np.int64)
     count = 0

@@ -15,21 +15,22 @@ GAP = 3
 
 
 @kernel(inline=True)
-def put_run(start, stop, a, starts, first, runs, run_start, run_stop, run_label, vertical, parent):
+def put_run(start, stop, a, starts, first, count, runs):
     """Add pixels to the last run of a row, whose runs begin with ``first``, or as a new one; how many there are."""
-    i = runs - 1
+    _, run_start, run_stop, run_label, vertical, parent, _ = runs
+    i = count - 1
     if i >= first and run_label[i] == a and run_stop[i] == start:
         run_stop[i] = stop
         vertical[i] += starts
-        return runs
-    vertical[runs] = starts
-    run_start[runs] = start
-    run_stop[runs] = stop
-    run_label[runs] = a
-    parent[runs] = runs
+        return count
+    vertical[count] = starts
+    run_start[count] = start
+    run_stop[count] = stop
+    run_label[count] = a
+    parent[count] = count
     if i >= first and run_label[i] == a and start - run_stop[i] <= GAP:
-        unite(parent, runs, i)
-    return runs + 1
+        unite(parent, count, i)
+    return count + 1
 
 
 @kernel(inline=True)
@@ -56,40 +57,20 @@ def label_of(owner, pixel_owner, number, y, x):
 
 
 @kernel()
-def find_runs(
-    owner,
-    pixel_owner,
-    number,
-    width,
-    height,
-    row_runs,
-    run_start,
-    run_stop,
-    run_label,
-    vertical,
-    parent,
-    loose,
-):
+def find_runs(owners, number, width, height, runs, loose):
     """Runs of equal labels along the rows, united into connected parts.
 
     Runs touch corner to corner or side by side, also across up to GAP pixels that no region owns.
 
     Parameters
     ----------
-    owner, pixel_owner
-        Of `segment_pixels.own_pixels`.
+    owners : Owners
     number : (N,) int64
         Label of each region, below 0 for none.
     width, height : int
         Of the image.
-    row_runs : (H + 1,) int32, written
-        First run of each row.
-    run_start, run_stop, run_label : (K,) int32, written
-        First column, last column + 1 and label of each run.
-    vertical : (K,) int32, written
-        How many of a run's pixels have no pixel of the same label above, missing pixels between them aside.
-    parent : (K,) int32, written
-        Roots stand for parts.
+    runs : Runs, written
+        But for ``part``.
     loose : (L,) int32, written
         Measured pixels without a label: row · W + column.
 
@@ -98,9 +79,10 @@ def find_runs(
     tuple of int
         Number of runs, and of loose pixels.
     """
+    owner, pixel_owner = owners
+    first, run_start, run_stop, run_label, _, parent, _ = runs
     rows, columns = owner.shape
-    runs = 0
-    loose_count = 0
+    run_count = loose_count = 0
     this_first = row_first = two_first = 0  # first run of this row, of the row above, and the one above that
     above_label = np.full(width, -1, np.int32)
     above_row = np.full(width, -GAP - 2, np.int32)
@@ -118,8 +100,8 @@ def find_runs(
                 count += 1
         top = row * BLOCK
         for y in range(top, min(top + BLOCK, height)):
-            two_first, row_first, this_first = row_first, this_first, runs
-            row_runs[y] = runs
+            two_first, row_first, this_first = row_first, this_first, run_count
+            first[y] = run_count
             for i in range(count):
                 left = starts[i] * BLOCK
                 right = min((starts[i + 1] if i + 1 < count else columns) * BLOCK, width)
@@ -128,10 +110,7 @@ def find_runs(
                     new = 0
                     if y == top:
                         new = put_below(a, y, y + BLOCK - 1, above_label[left:right], above_row[left:right])
-                    runs = put_run(
-                        left, right, a, new, this_first, runs,
-                        run_start, run_stop, run_label, vertical, parent,
-                    )  # fmt: skip
+                    run_count = put_run(left, right, a, new, this_first, run_count, runs)
                 elif a == MIXED:
                     block = row * columns + starts[i]
                     k = (y - top) * BLOCK - left
@@ -152,13 +131,10 @@ def find_runs(
                                 above_label[x] = -1
                             x += 1
                         if a >= 0:
-                            runs = put_run(
-                                start, x, a, new, this_first, runs,
-                                run_start, run_stop, run_label, vertical, parent,
-                            )  # fmt: skip
+                            run_count = put_run(start, x, a, new, this_first, run_count, runs)
             for lines in range(1, 3):
                 j, stop = (row_first, this_first) if lines == 1 else (two_first, row_first)
-                for i in range(this_first, runs):
+                for i in range(this_first, run_count):
                     while j < stop and run_stop[j] < run_start[i]:
                         j += 1
                     k = j
@@ -168,5 +144,5 @@ def find_runs(
                             if lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0:
                                 unite(parent, i, k)
                         k += 1
-    row_runs[height] = runs
-    return runs, loose_count
+    first[height] = run_count
+    return run_count, loose_count

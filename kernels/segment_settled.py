@@ -12,7 +12,7 @@ from ._jit import kernel
 from .segment_blocks import BLOCK, EMPTY, MISSING, MIXED, UNSEEN
 from .segment_contest import NEIGHBOURS, contenders, find_centres, is_undisputed
 from .segment_moments import misfit
-from .segment_noise import sensor_variance
+from .segment_noise import about_plane, sensor_variance
 
 # What is around a block: its own region only, or nothing else, or other regions. SETTLED: no need to know.
 OTHERS, OWN_OR_NONE, ALIKE, SETTLED = 0, 1, 2, 3
@@ -56,13 +56,12 @@ def look_around(region, owner, around):
 
 
 @kernel()
-def settle_unchanged(
-    before, last_before, number, alpha, last_alpha, slope_variance, spread, sigma, centre_u, centre_v, moments, around
-):  # fmt: skip
+def settle_unchanged(before, last_before, number, planes, last_alpha, sigma, rays, moments, around):
     """Let blocks be around which no region has changed since the last round, and no plane has moved.
 
     ``around`` becomes SETTLED for them; the rest is as in `own_pixels`.
     """
+    alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = before.shape
     regions = len(number)
     became = np.empty(regions + 1, np.int32)  # the last row is for blocks of no region
@@ -73,20 +72,13 @@ def settle_unchanged(
         became[b] = a
         if a < 0:
             continue
-        deviation = math.sqrt(
-            (sensor_variance(moments[a, 3] / moments[a, 0], sigma) + slope_variance[a]) * spread[a]
-        )
+        deviation = math.sqrt(about_plane(sensor_variance(moments[a, 3] / moments[a, 0], sigma), planes, a))
         for k in range(3):
             moved[b, k] = (alpha[a, k] - last_alpha[b, k]) / deviation
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
     for row in range(rows):
-        own, last, u, v, line = (
-            before[row],
-            last_before[row],
-            centre_u[row],
-            centre_v[row],
-            changed[row + 1, 1:],
-        )
+        own, last, u, v = before[row], last_before[row], centre_u[row], centre_v[row]
+        line = changed[row + 1, 1:]
         for c in range(columns):
             b = last[c] if last[c] >= 0 else regions
             d = moved[b, 0] * u[c] + moved[b, 1] * v[c] + moved[b, 2]
@@ -102,8 +94,9 @@ def settle_unchanged(
 
 
 @kernel()
-def rename_owners(around, number, owner, pixel_owner):
+def rename_owners(around, number, owners):
     """Give the owners of SETTLED blocks the ``number`` that they have become since the last round."""
+    owner, pixel_owner = owners
     for row in range(around.shape[0]):
         for column in range(around.shape[1]):
             if around[row, column] != SETTLED:
@@ -120,14 +113,16 @@ def rename_owners(around, number, owner, pixel_owner):
 
 @kernel()
 def settle_squares(
-    pyramid, offsets, shapes, level, region, alpha, slope_variance, spread, sigma, settled, number,
-    around, owner, moments, squares, block, count,
+    pyramid, level, region, planes, sigma, settled, number, around, owner, sums, block, count
 ):  # fmt: skip
     """Settle squares of blocks at once where even one block with all of their misfit would be settled.
 
     ``around`` becomes SETTLED for their blocks. They get their owner if they had none or the same; others are
     added to the first ``count`` of ``block``, see `decide`. Returns how many there are then.
     """
+    of_square, alpha = pyramid.moments, planes.alpha
+    moments, squares = sums
+    first, across = pyramid.offsets[level], pyramid.shapes[level, 1]
     side = 1 << level
     others = float(BLOCK * BLOCK * (side * side - 1))
     for row in range(region.shape[0] // side):
@@ -136,8 +131,8 @@ def settle_squares(
             a = region[top, left]
             if a < 0:
                 continue
-            i = offsets[level] + row * shapes[level, 1] + column
-            pixels = pyramid[0, i]
+            i = first + row * across + column
+            pixels = of_square[0, i]
             least = pixels - others  # pixels that each block has, at least
             if least <= SPARSE:
                 continue
@@ -147,14 +142,14 @@ def settle_squares(
                     alike &= around[r, c] == ALIKE
             if not alike:
                 continue
-            total = (sensor_variance(pyramid[3, i] / pixels, sigma) + slope_variance[a]) * spread[a]
-            error = misfit(pyramid, i, alpha, a)
+            total = about_plane(sensor_variance(of_square[3, i] / pixels, sigma), planes, a)
+            error = misfit(of_square, i, alpha, a)
             if error > settled * settled * least * total:
                 continue
             is_first = owner[top, left] == UNSEEN
             if is_first:
                 for k in range(10):
-                    moments[a, k] += pyramid[k, i]
+                    moments[a, k] += of_square[k, i]
                 squares[a] += max(error, 0.0) / total
             for r in range(top, top + side):
                 for c in range(left, left + side):
@@ -179,15 +174,15 @@ def list_unsettled(around, block, count):
 
 
 @kernel()
-def decide(
-    block, count, tan_x, tan_y, centre_u, centre_v, region, around, pyramid, alpha, slope_variance, spread, sigma,
-    reach, settled,
-):  # fmt: skip
+def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
     """Which blocks fit a region that no other contends for.
 
     ``block`` (K, 3) int32 has the row, the column and the new owner of ``count`` blocks; where this is UNDECIDED
     it becomes such a region, or CONTESTED. The rest is as in `own_pixels`.
     """
+    tan_x, tan_y, centre_u, centre_v, _, _ = rays
+    of_block, alpha = pyramid.moments, planes.alpha
+    settled_square = rules.settled * rules.settled
     columns = region.shape[1]
     candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
     for k in range(count):
@@ -204,13 +199,13 @@ def decide(
                 a = candidate[0]
         if a < 0:
             continue
-        pixels = pyramid[0, i]
-        total = (sensor_variance(pyramid[3, i] / pixels, sigma) + slope_variance[a]) * spread[a]
-        if misfit(pyramid, i, alpha, a) > settled * settled * pixels * total:
+        pixels = of_block[0, i]
+        total = about_plane(sensor_variance(of_block[3, i] / pixels, sigma), planes, a)
+        if misfit(of_block, i, alpha, a) > settled_square * pixels * total:
             continue
         if contending > 1:
             find_centres(region, row, column, centre_u, centre_v, contending, candidate, centre)
-            distance = reach * math.sqrt(total)
+            distance = rules.reach * math.sqrt(total)
             if not is_undisputed(
                 a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance
             ):  # fmt: skip
@@ -219,11 +214,11 @@ def decide(
 
 
 @kernel()
-def settle(
-    block, count, inverse_depth, pyramid, alpha, slope_variance, spread, sigma, region, owner, pixel_owner,
-    moments, squares,
-):  # fmt: skip
+def settle(block, count, inverse_depth, pyramid, planes, sigma, region, owners, sums):
     """Give the blocks whose owner is decided to it; the CONTESTED move to the front: returns how many."""
+    of_block, alpha = pyramid.moments, planes.alpha
+    owner, pixel_owner = owners
+    moments, squares = sums
     height, width = inverse_depth.shape
     contested = 0
     for k in range(count):
@@ -236,11 +231,11 @@ def settle(
         if owner[row, column] == a:
             continue
         i = row * region.shape[1] + column
-        pixels = pyramid[0, i]
-        total = (sensor_variance(pyramid[3, i] / pixels, sigma) + slope_variance[a]) * spread[a]
+        pixels = of_block[0, i]
+        sensor = sensor_variance(of_block[3, i] / pixels, sigma)
         for j in range(10):
-            moments[a, j] += pyramid[j, i]
-        squares[a] += max(misfit(pyramid, i, alpha, a), 0.0) / total
+            moments[a, j] += of_block[j, i]
+        squares[a] += max(misfit(of_block, i, alpha, a), 0.0) / about_plane(sensor, planes, a)
         owner[row, column] = a
         if pixels <= SPARSE:
             owner[row, column] = MIXED

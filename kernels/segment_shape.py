@@ -14,7 +14,7 @@ from ._jit import kernel
 from .disjoint_sets import root_of, unite
 from .segment_blocks import BLOCK, MIXED
 from .segment_facets import find_faceted, turn_of_groups
-from .segment_noise import sensor_variance
+from .segment_noise import about_plane, sensor_variance
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
@@ -54,21 +54,23 @@ def boxes(region, box):
 
 
 @kernel()
-def owned_means(owner, pixel_owner, number, inverse_depth, tan_x, tan_y, region, moments, means):
+def owned_means(owners, number, inverse_depth, rays, region, pyramid, means):
     """Number and mean (u, v, q) of the pixels of each block that its region owns.
 
     Parameters
     ----------
-    owner, pixel_owner
-        Of `segment_pixels.own_pixels`.
+    owners : Owners
     number : (N,) int64
         What became of the regions there, below 0 for nothing.
+    inverse_depth : (H, W) float32
+    rays : Rays
     region : (R, C) int64
         Region of each block, below 0 for none.
-    moments : (10, T) float64
-        Of all measured pixels of each block, row after row.
+    pyramid : Pyramid
     means : (R, C, 4) float64, written where there is a region
     """
+    owner, pixel_owner = owners
+    tan_x, tan_y, moments = rays.tan_x, rays.tan_y, pyramid.moments
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     height, width = inverse_depth.shape
     for row in range(region.shape[0]):
@@ -204,13 +206,12 @@ def step_of(window):
 
 
 @kernel()
-def find_turns(
-    region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned, bent
-):  # fmt: skip
+def find_turns(region, means, region_moments, planes, sigma, significant, box, turned, bent):
     """How far the normals of each region turn within it: mean squared angle, 0 where noise would do it.
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
+    alpha, slope_variance, waves = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     h = np.empty(3)
     centre = np.empty(2)
@@ -233,8 +234,8 @@ def find_turns(
             continue
         flat = eliminate(products, 0, PLANE_TERMS)
         drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        bent[a] = drop > BENT * spread[a] * pixels
-        if drop * step * step > significant * spread[a]:
+        bent[a] = drop > BENT * waves[a] * pixels
+        if drop * step * step > significant * waves[a]:
             second_derivatives(products, scale, deviation, h)
             turned[a] = turn(m, alpha[a], h)
 
@@ -247,15 +248,14 @@ def extent(m):
 
 
 @kernel()
-def continues(
-    region, means, a, b, region_moments, alpha, slope_variance, spread, sigma, box, covered, bend
-):  # fmt: skip
+def continues(region, means, a, b, region_moments, planes, sigma, box, covered, bend):
     """How much better one quadric fits two neighbouring regions than two planes: sums of squares, in variances.
 
     ``a`` is the smaller one; of ``b`` only what is no farther from ``a`` than ``a`` is wide is looked at.
     ``covered`` (1,) is written: the share of ``b``'s pixels that is; and ``bend`` (1,): how much better two
     planes are than one.
     """
+    alpha, slope_variance, _ = planes
     m = region_moments[a]
     window = np.empty(4, np.int64)
     high, wide = box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]
@@ -286,65 +286,59 @@ def continues(
 
 
 @kernel()
-def find_curved(
-    region, means, region_moments, alpha, slope_variance, spread, sigma, reach, significant, sharp,
-    blunt, pitch_x, pitch_y, pairs, contact, count, curved,
-):  # fmt: skip
+def find_curved(region, means, region_moments, planes, sigma, rules, rays, contacts, count, curved):
     """Mark the regions that are part of a curved surface.
 
-    Neighbours that one quadric fits better than two planes form groups. A group is curved if its normals turn
-    by more than ``sharp`` radians, root mean square: less than that, and it is the sensor that bends a plane.
-    Also curved are the groups of `segment_facets.find_faceted`.
+    Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread``
+    variances, form groups. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square:
+    less than that, and it is the sensor that bends a plane. Also curved are the groups of
+    `segment_facets.find_faceted`.
 
     Parameters
     ----------
     region, means
         See `owned_means`.
-    region_moments, alpha, slope_variance, spread, sigma
-        See `segment_pixels.own_pixels`.
-    reach : float
-        Deviations within which neighbours touch.
-    significant : float
-        Variances by which a quadric must be better.
-    blunt, pitch_x, pitch_y : float
-        See `segment_facets.find_faceted`; change of tanθx and tanθy from pixel to pixel.
-    pairs, contact, count
-        Of `segment_merge.neighbours`.
+    region_moments : (N, 10) float64
+    planes : Planes
+    sigma : see `segment_noise.sensor_variance`
+    rules : Rules
+    rays : Rays
+    contacts, count
+        Of `segment_merge.neighbours`; overwritten.
     curved : (N,) bool, written
     """
+    alpha = planes.alpha
+    pairs, where, _ = contacts
+    significant, sharp = rules.region_spread, math.radians(rules.sharp)
     regions = len(alpha)
     box = np.empty((regions, 4), np.int64)
     boxes(region, box)
     turned = np.empty(regions)
     bent = np.empty(regions, np.bool_)
-    find_turns(
-        region, means, region_moments, alpha, slope_variance, spread, sigma, significant, box, turned, bent
-    )  # fmt: skip
+    find_turns(region, means, region_moments, planes, sigma, significant, box, turned, bent)
     find_faceted(
-        region_moments, alpha, turned, sharp, blunt, pitch_x, pitch_y, pairs, contact, count, curved
-    )  # fmt: skip
+        region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved
+    )
     parent = np.arange(regions)
     covered, bend = np.empty(1), np.empty(1)
     smooth = 0
     for i in range(count):
-        a, b = pairs[i, 0], pairs[i, 1]
+        a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
         if region_moments[a, 0] > region_moments[b, 0]:
             a, b = b, a
-        u, v = contact[i, 1] / contact[i, 0], contact[i, 2] / contact[i, 0]
+        u, v = where[i, 1] / where[i, 0], where[i, 2] / where[i, 0]
         jump = (alpha[a, 0] - alpha[b, 0]) * u + (alpha[a, 1] - alpha[b, 1]) * v + alpha[a, 2] - alpha[b, 2]
         q = region_moments[a, 3] / region_moments[a, 0]
-        noise = (sensor_variance(q, sigma) + slope_variance[a]) * spread[a]
-        if not jump * jump < reach * reach * noise:
+        variance = about_plane(sensor_variance(q, sigma), planes, a)
+        if not jump * jump < rules.reach * rules.reach * variance:
             continue
-        better = continues(
-            region, means, a, b, region_moments, alpha, slope_variance, spread, sigma, box, covered, bend
-        )  # fmt: skip
+        better = continues(region, means, a, b, region_moments, planes, sigma, box, covered, bend)
         if not better > -MARGIN * bend[0]:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
         enough = covered[0] > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
-        if enough and better > max(MARGIN * bend[0], significant * spread[a]):
+        if enough and better > max(MARGIN * bend[0], significant * planes.waves[a]):
             unite(parent, a, b)
             bent[root_of(parent, a)] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)

@@ -1,7 +1,6 @@
 """Segment a depth frame into planes."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,40 +22,15 @@ from rgbd_planes.kernels import (
     segment_runs,
     segment_shape,
 )
-from rgbd_planes.segmentation_noise import FrameNoise, estimate
+from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Sums
+from rgbd_planes.segmentation_noise import noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
-from rgbd_planes.segmentation_workspace import Grid, Workspace, grid_of, workspaces
+from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
 Floats = NDArray[np.float64]
 
 SMALLEST = 60  # pixels of a region, where the caller does not say
-CUT = 4.0  # standard deviations: the most that a pixel counts for in a region's residual
 FILLED = 5  # neighbours of eight that take a stray pixel with them
-
-
-@dataclass(frozen=True)
-class Rules:
-    """The constants of the segmentation.
-
-    Deviations are standard deviations of the frame's own noise, so none of these knows a sensor, a unit or a
-    distance. `bench.segmentation` cross-validates them.
-    """
-
-    rough_block: float = 3.0  # deviations of a planar block
-    steep_block: float = 0.6  # the same for the part that the block's own slope makes
-    square_floor: float = 1.0  # when four neighbouring squares are one plane: see `join_blocks`
-    square_spread: float = 30.0
-    region_floor: float = 4.5  # when two regions are one plane: see `merge`
-    region_jump: float = 6.0
-    region_spread: float = 30.0
-    reach: float = 8.0  # deviations within which a region contends for a pixel
-    close: float = 3.0  # deviations within which two planes meet
-    settled: float = 3.0  # deviations of a block that is left in peace
-    rough: float = 3.0  # deviations of a region that is several planes, or none
-    sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
-    blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
-    narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
-    trips: int = 3  # from planes to pixels and back
 
 
 # Of parts and of pixels, as the kernels take them.
@@ -129,116 +103,74 @@ def segment_frame(
     lateral: float = 0.0,
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
-    grid = grid_of(camera)
-    work = workspaces.of(camera)
-    squares_of = work.pyramid, grid.offsets, grid.shapes
+    rays, work = rays_of(camera), workspaces.of(camera)
+    pyramid, owners, inverse_depth = work.pyramid, work.owners, work.inverse_depth
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        grid.tan_x, grid.tan_y, *grid.pitch, grid.shapes[0, 0], grid.shapes[0, 1],
-        work.inverse_depth, work.pyramid, work.rss, work.slope,
+        rays, inverse_depth, pyramid,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(*squares_of, *grid.pitch, work.rss, work.slope)
-    noise = estimate(
-        frame, work.pyramid, work.rss, work.slope, grid.offsets, grid.shapes, nearest, sigma, lateral
-    )  # fmt: skip
-    spread = (noise.sigma, (noise.lateral / camera.fx) ** 2, (noise.lateral / camera.fy) ** 2)
+    segment_blocks.sum_by_fours(pyramid, rays)
+    noise = noise_of(frame, rays, pyramid, nearest, sigma, lateral)
 
-    state = np.empty(grid.offsets[-1], np.int8)
-    segment_quadtree.join_blocks(
-        *squares_of, work.rss, work.slope, noise.sigma, noise.lateral**2,
-        rules.rough_block, rules.steep_block, rules.square_floor, rules.square_spread, state,
-    )  # fmt: skip
-    region = np.empty(grid.shapes[0], np.int32)
+    state = np.empty(pyramid.offsets[-1], np.int8)
+    segment_quadtree.join_blocks(pyramid, noise, rules, state)
+    region = np.empty(work.blocks, np.int32)
     number, count = segment_regions.find_regions(
-        work.inverse_depth, grid.tan_x, grid.tan_y, grid.centre_u, grid.centre_v, *squares_of, state,
-        *spread, noise.growth, rules.region_floor, rules.region_jump, rules.region_spread, rules.rough,
-        rules.reach, rules.close, rules.settled, CUT, rules.trips, float(min_size),
-        region, work.owner, work.pixel_owner, work.pairs, work.contact, work.table, work.moments, work.squares,
+        inverse_depth, rays, pyramid, state, noise, rules, float(min_size), region, owners, work.contacts, work.sums
     )  # fmt: skip
-    moments = work.moments[:count]
-    alpha, slope, waves = np.empty((count, 3)), np.empty(count), np.empty(count)
-    segment_planes.planes(moments, *spread, noise.growth, alpha, slope, waves)
-    curved = _find_curved(region, number, moments, alpha, slope, waves, work, grid, noise, rules)
-    described = (moments, work.squares[:count], curved)
-    return _result(camera, work, number, alpha, slope, waves, *described, noise, min_size, rules)
+    sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
+    planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count))
+    segment_planes.fit_regions(sums.moments, noise, planes)
 
-
-def _find_curved(
-    region: NDArray[np.int32],
-    number: NDArray[np.int64],
-    moments: Floats,
-    alpha: Floats,
-    slope: Floats,
-    waves: Floats,
-    work: Workspace,
-    grid: Grid,
-    noise: FrameNoise,
-    rules: Rules,
-) -> NDArray[np.bool_]:
-    """Which regions are parts of curved surfaces."""
-    count = segment_merge.neighbours(
-        region, grid.centre_u, grid.centre_v, work.pairs, work.contact, work.table
-    )
-    means = np.empty((*region.shape, 4), np.float32)
-    segment_shape.owned_means(
-        work.owner, work.pixel_owner, number, work.inverse_depth, grid.tan_x, grid.tan_y, region, work.pyramid,
-        means,
-    )  # fmt: skip
-    curved = np.empty(len(moments), np.bool_)
+    contacts = segment_merge.neighbours(region, rays, work.contacts)
+    means = np.empty((*work.blocks, 4), np.float32)
+    segment_shape.owned_means(owners, number, inverse_depth, rays, region, pyramid, means)
+    curved = np.empty(count, np.bool_)
     segment_shape.find_curved(
-        region, means, moments, alpha, slope, waves, noise.sigma, rules.reach, rules.region_spread,
-        np.radians(rules.sharp), np.radians(rules.blunt), *grid.pitch,
-        work.pairs, work.contact, count, curved,
-    )  # fmt: skip
-    return curved
+        region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
+    )
+    return _result(camera, rays, work, number, planes, sums, curved, noise, min_size, rules)
 
 
 def _result(
     camera: Camera,
+    rays: Rays,
     work: Workspace,
     number_of: NDArray[np.int64],
-    alpha: Floats,
-    slope: Floats,
-    waves: Floats,
-    region_moments: Floats,
-    region_squares: NDArray[Any],
+    region_planes: Planes,
+    sums: Sums,
     curved: NDArray[np.bool_],
-    noise: FrameNoise,
+    noise: Noise,
     min_size: int,
     rules: Rules,
 ) -> Segmentation:
     """Split the regions into connected parts, keep those that are planes, and describe them."""
-    grid = grid_of(camera)
-    deviation = np.empty(len(alpha))
-    segment_planes.deviations(region_moments, noise.sigma, slope, waves, deviation)
+    runs, inverse_depth, loose = work.runs, work.inverse_depth, work.loose
+    deviation = np.empty(len(curved))
+    segment_planes.deviations(sums.moments, region_planes, noise.sigma, deviation)
 
-    start, stop, of, vertical, parent, part, loose = work.runs
-    rows = np.empty(camera.height + 1, np.int32)
-    runs, loose_count = segment_runs.find_runs(
-        work.owner, work.pixel_owner, number_of, *camera.shape[::-1],
-        rows, start, stop, of, vertical, parent, loose,
-    )  # fmt: skip
-    moments, squares = np.empty((runs, 10)), np.empty(runs)
-    (size, across, down), of_part = np.empty((3, runs)), np.empty(runs, np.int64)
+    run_count, loose_count = segment_runs.find_runs(
+        work.owners, number_of, camera.width, camera.height, runs, loose
+    )
+    squares, size, across, down = np.empty((4, run_count))
+    parts = Parts(np.empty((run_count, 10)), squares, size, across, down, np.empty(run_count, np.int64))
     count = segment_parts.measure_parts(
-        rows, start, stop, of, vertical, parent, part, work.inverse_depth, grid.tan_x, grid.tan_y,
-        alpha, deviation, CUT, region_moments, region_squares, moments, squares, size, across, down, of_part,
-    )  # fmt: skip
+        runs, inverse_depth, rays, region_planes.alpha, deviation, rules.cut, sums, parts
+    )
     why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
     number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
-    measures = size[:count], across[:count], down[:count], squares[:count], of_part[:count]
     found = segment_parts.judge_parts(
-        *measures, curved, rules.narrow, rules.rough, min_size, _REASONS, why, stray, number, kept
+        parts, count, curved, rules, min_size, _REASONS, why, stray, number, kept
     )
-    segment_labels.label_runs(part, number, rows, of)
+    segment_labels.label_runs(runs, number)
 
     kept = kept[:found]
-    moments, deviation = moments[kept], deviation[of_part[kept]]
+    moments, deviation = parts.moments[kept], deviation[parts.region[kept]]
     alpha, rss = np.empty((found, 3)), np.empty(found)
     segment_planes.fit_planes(moments, alpha, rss)
-    if _join_across_gaps(moments, alpha, rss, deviation, number, rows, work, grid, rules):
+    if _join_across_gaps(moments, alpha, rss, deviation, number, rays, work, rules):
         found = int(number.max())
-        segment_labels.label_runs(part, number, rows, of)
+        segment_labels.label_runs(runs, number)
     moments, alpha, rss = moments[:found], alpha[:found], rss[:found]
     planes, covariance = np.empty((found, 4)), np.empty((found, 3, 3))
     rmse, sizes = np.empty(found), np.empty(found + 1, np.int32)
@@ -248,13 +180,11 @@ def _result(
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_labels.write_labels(
-        rows, start, stop, of, part, why, stray, missing, unclaimed,
-        work.inverse_depth, loose, loose_count, labels, reason,
-    )  # fmt: skip
+        runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
+    )
     segment_labels.settle_strays(
-        rows, start, stop, work.inverse_depth, unclaimed, min_size, FILLED, loose, loose_count,
-        labels, reason, sizes,
-    )  # fmt: skip
+        runs, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
+    )
     return Segmentation(
         camera=camera,
         labels=labels,
@@ -274,9 +204,8 @@ def _join_across_gaps(
     rss: Floats,
     deviation: Floats,
     number: NDArray[np.int32],
-    rows: NDArray[np.int32],
+    rays: Rays,
     work: Workspace,
-    grid: Grid,
     rules: Rules,
 ) -> bool:
     """Make one of the planes that something thin in front separates; whether there are any."""
@@ -286,12 +215,6 @@ def _join_across_gaps(
     )
     if count == 0:
         return False
-    start, stop, label = work.runs[:3]
     parent = np.arange(len(moments))
-    box = np.empty((len(moments) + 1, 4), np.int64)
-    segment_gaps.label_boxes(rows, start, stop, label, box)
-    segment_gaps.join_across(
-        rows, start, stop, label, work.inverse_depth, grid.tan_x, grid.tan_y, alpha, deviation, pairs, count,
-        box, parent,
-    )  # fmt: skip
+    segment_gaps.join_across(work.runs, work.inverse_depth, rays, alpha, deviation, pairs, count, parent)
     return bool(segment_gaps.join_planes(parent, number, moments, alpha, rss, deviation) < len(moments))

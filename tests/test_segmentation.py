@@ -12,6 +12,7 @@ from scipy.ndimage import convolve, gaussian_filter
 from rgbd_planes import Camera, fit_tiles, scenes, segment, segmentation_workspace
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks
+from rgbd_planes.kernels.segment_noise_estimation import quantile
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation_result import Reason
@@ -491,6 +492,20 @@ def test_real_frames(real_frame):
     assert (found.labels > 0).sum() > 0.5 * (found.reason != Reason.MISSING).sum()
 
 
+@given(
+    arrays(
+        np.float64,
+        st.integers(2, 60),
+        elements=st.one_of(st.floats(0, 1e6), st.sampled_from([0.0, 1.0, 2.0])),
+    ),
+    st.floats(0, 0.99),
+)
+def test_a_quantile_is_numpys(values, share):
+    np.testing.assert_allclose(
+        quantile(values.copy(), share), np.quantile(values, share), rtol=1e-12, atol=1e-9
+    )
+
+
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
 def test_moments_of_blocks_and_squares(distortion):
     # 83 blocks in a row: the second stretch that is worked on together lies beyond the frame.
@@ -499,14 +514,14 @@ def test_moments_of_blocks_and_squares(distortion):
     depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(
         np.uint16
     )
-    frame, grid = as_depth_frame(depth, camera), segmentation_workspace.grid_of(camera)
-    q = np.zeros(camera.shape, np.float32)
-    moments, (rss, slope) = np.empty((10, grid.offsets[-1])), np.empty((2, grid.offsets[-1]))
+    frame, rays = as_depth_frame(depth, camera), segmentation_workspace.rays_of(camera)
+    work = segmentation_workspace.Workspace(camera)
+    q = work.inverse_depth
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        grid.tan_x, grid.tan_y, *grid.pitch, *grid.shapes[0], q, moments, rss, slope,
+        rays, q, work.pyramid,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(moments, grid.offsets, grid.shapes, *grid.pitch, rss, slope)
+    segment_blocks.sum_by_fours(work.pyramid, rays)
     expected = np.divide(1000.0, depth, out=np.zeros(camera.shape), where=depth > 0)
     np.testing.assert_allclose(q, expected, rtol=1e-6)
     assert nearest == q.max()
@@ -515,12 +530,13 @@ def test_moments_of_blocks_and_squares(distortion):
     u, v = camera.tan_x, camera.tan_y
     q64 = q.astype(np.float64)
     pixels = np.stack([valid, u, v, q64, u * u, u * v, u * q64, v * v, v * q64, q64 * q64]) * valid
-    for level, (rows, columns) in enumerate(grid.shapes):
+    moments, rss, _, offsets, shapes = work.pyramid
+    for level, (rows, columns) in enumerate(shapes):
         side = segment_blocks.BLOCK << level
         padded = np.zeros((10, rows * side, columns * side))
         padded[:, :37, :330] = pixels
         sums = padded.reshape(10, rows, side, columns, side).sum(axis=(2, 4)).reshape(10, -1)
-        own = slice(grid.offsets[level], grid.offsets[level + 1])
+        own = slice(offsets[level], offsets[level + 1])
         np.testing.assert_allclose(moments[:, own], sums, rtol=1e-12, atol=1e-12)
     first = pixels[:, :4, :4].reshape(10, -1)
     rays = np.stack([first[1], first[2], first[0]], axis=1)

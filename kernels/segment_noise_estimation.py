@@ -1,0 +1,158 @@
+"""Segmentation: what the squares of a frame tell of its noise.
+
+Most squares of most frames hold one surface, so a low quantile of their residuals is noise.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import BLOCK
+from .segment_moments import fit
+
+FULL = 0.5  # share of a square's pixels that must be measured
+FEWEST = 10  # squares that tell something
+LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
+STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
+FLAT = 4.0  # variances of a square that holds one surface
+# Standard deviation, in pixels, of where within its pixel a measurement lies.
+LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
+MOST_GROWTH = 3.0
+
+
+@kernel()
+def quantile(values, share):
+    """As `numpy.quantile`; ``values`` (N,) is reordered."""
+    position = share * (len(values) - 1)
+    k = int(position)
+    first, last = 0, len(values) - 1
+    while first < last:  # Hoare's selection: what is smaller to the left, what is larger to the right
+        pivot = values[(first + last) // 2]
+        i, j = first, last
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            last = j
+        elif k >= i:
+            first = i
+        else:
+            break
+    following = values[k + 1]
+    for i in range(k + 2, len(values)):
+        following = min(following, values[i])
+    return values[k] + (position - k) * (following - values[k])
+
+
+@kernel()
+def square_residuals(pyramid, level, mean_square, slope_square):
+    """Mean squared residual and squared slope of the squares of a level that have a plane; how many there are."""
+    moments, rss, slope = pyramid.moments, pyramid.rss, pyramid.slope
+    least = FULL * (BLOCK << level) ** 2
+    count = 0
+    for i in range(pyramid.offsets[level], pyramid.offsets[level + 1]):
+        if moments[0, i] < least or rss[i] < 0.0:
+            continue
+        mean_square[count] = rss[i] / (moments[0, i] - 3.0)
+        slope_square[count] = slope[i]
+        count += 1
+    return count
+
+
+@kernel()
+def lateral_of(mean_square, slope_square, typical):
+    """Standard deviation, in pixels, of where a measurement lies, from the residuals of steep squares."""
+    excess = np.empty(len(mean_square))
+    count = 0
+    for i in range(len(mean_square)):
+        if slope_square[i] > STEEP * typical:
+            excess[count] = max(mean_square[i] - typical, 0.0) / slope_square[i]
+            count += 1
+    if count <= 5 * FEWEST:
+        return MOST_LATERAL
+    return min(max(math.sqrt(quantile(excess[:count], LOW)), LEAST_LATERAL), MOST_LATERAL)
+
+
+@kernel()
+def together_of(pyramid, coarse, fine, typical):
+    """By how much more the means of small squares scatter about the plane of a large one than independent noise's.
+
+    Where noise is independent the mean of n pixels has an n-th of their variance; where they go together it has
+    more, by as many as go together: the median over the flat squares of level ``coarse``, by their parts of level
+    ``fine``.
+    """
+    moments, rss, _, offsets, shapes = pyramid
+    least, most = FULL * (BLOCK << coarse) ** 2, FLAT * typical
+    side = 1 << (coarse - fine)
+    ratio = np.empty(offsets[coarse + 1] - offsets[coarse])
+    alpha = np.empty(3)
+    count = 0
+    for row in range(shapes[coarse, 0]):
+        for column in range(shapes[coarse, 1]):
+            i = offsets[coarse] + row * shapes[coarse, 1] + column
+            m = moments[:, i]
+            if m[0] < least or rss[i] <= 0.0 or rss[i] > most * (m[0] - 3.0) or not fit(m, alpha):
+                continue
+            total = 0.0
+            parts = -3.0  # the plane takes as many
+            for r in range(row * side, row * side + side):
+                for c in range(column * side, column * side + side):
+                    k = moments[:, offsets[fine] + r * shapes[fine, 1] + c]
+                    if k[0] > 0.0:
+                        e = k[3] - (alpha[0] * k[1] + alpha[1] * k[2] + alpha[2] * k[0])
+                        total += e * e / k[0]
+                        parts += 1.0
+            if parts > 0.0:
+                ratio[count] = total / parts * (m[0] - 3.0) / rss[i]
+                count += 1
+    return max(quantile(ratio[:count], 0.5), 1.0) if count >= FEWEST else 1.0
+
+
+@kernel()
+def estimate_noise(pyramid, growth):
+    """Estimate the noise of a frame from the residuals of its own squares of 8, 16 and 32 pixels.
+
+    Where a frame has too few squares to say, the noise is taken to be independent, and half a pixel across.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    growth : (3,) float64, written
+        Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
+
+    Returns
+    -------
+    typical : float
+        Variance of inverse depth, 1/m²; 0 where it is unknown.
+    lateral : float
+        Standard deviation, in pixels, of where a measurement lies.
+    together : float
+        Pixels that have one error between them.
+    """
+    room = pyramid.offsets[2] - pyramid.offsets[1]
+    mean_square, slope_square, values = np.empty(room), np.empty(room), np.empty(room)
+    growth[:] = 1.0
+    lateral = MOST_LATERAL
+    typical = smallest = 0.0
+    for level in range(1, len(growth) + 1):
+        count = square_residuals(pyramid, level, mean_square, slope_square)
+        if count < FEWEST:
+            growth[level - 1 :] = growth[max(level - 2, 0)]
+            break
+        for i in range(count):
+            values[i] = mean_square[i]
+        if level == 1:
+            typical = quantile(values[:count], TYPICAL)
+            smallest = quantile(values[:count], LOW)
+            lateral = lateral_of(mean_square[:count], slope_square[:count], typical)
+        elif smallest > 0.0:
+            grown = math.sqrt(quantile(values[:count], LOW) / smallest)
+            growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
+    return typical, lateral, together_of(pyramid, 3, 1, typical)

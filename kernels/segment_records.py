@@ -1,0 +1,120 @@
+"""Segmentation: arrays that belong together, as its kernels hand them to one another.
+
+N is the number of regions, R and C those of the rows and columns of blocks.
+"""
+
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+class Rules(NamedTuple):
+    """The constants of the segmentation.
+
+    Deviations are standard deviations of the frame's own noise, so none of these knows a sensor, a unit or a
+    distance. `bench.segmentation` cross-validates them.
+    """
+
+    rough_block: float = 3.0  # deviations of a planar block
+    steep_block: float = 0.6  # the same for the part that the block's own slope makes
+    square_floor: float = 1.0  # when four neighbouring squares are one plane: see `join_blocks`
+    square_spread: float = 30.0
+    region_floor: float = 4.5  # when two regions are one plane: see `merge`
+    region_jump: float = 6.0
+    region_spread: float = 30.0
+    reach: float = 8.0  # deviations within which a region contends for a pixel
+    close: float = 3.0  # deviations within which two planes meet
+    settled: float = 3.0  # deviations of a block that is left in peace
+    cut: float = 4.0  # deviations: the most that a pixel counts for in a region's residual
+    rough: float = 3.0  # deviations of a region that is several planes, or none
+    sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
+    blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
+    narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
+    trips: int = 3  # from planes to pixels and back
+
+
+class Rays(NamedTuple):
+    """Where the pixels of a frame look."""
+
+    tan_x: Array  # (1, W) float64, or (H, W) if tan_y is
+    tan_y: Array  # (H, 1) or (H, W)
+    centre_u: Array  # (R, C) float64: tanθx, tanθy in the middle of each block
+    centre_v: Array
+    pitch_x: float  # change of tanθx and tanθy from pixel to pixel
+    pitch_y: float
+
+
+class Pyramid(NamedTuple):
+    """Blocks, row after row, then squares of 2x2, 4x4, ... blocks: T in all."""
+
+    moments: Array  # (10, T) float64
+    rss: Array  # (T,) float64: sum of squared residuals of each one's plane, or -1
+    slope: Array  # (T,) float64: squared slope of its plane, change of q from pixel to pixel
+    offsets: Array  # (L + 1,) int64: where each level begins
+    shapes: Array  # (L, 2) int64: its rows and columns, twice those of the next
+
+
+class Noise(NamedTuple):
+    """Variance of a pixel about its plane: see `segment_noise.variance`."""
+
+    sigma: Array  # (K + 1,) float64: see `segment_noise.sensor_variance`
+    lateral: float  # variance, in pixels, of where within its pixel a measurement lies
+    lateral_x: float  # the same of tanθx, tanθy
+    lateral_y: float
+    growth: Array  # (S,) float64: see `segment_noise.waviness`
+    together: float  # pixels that have one error between them: n of them tell as much as n / together
+
+
+class Planes(NamedTuple):
+    """Planes of regions, and what adds to a pixel's variance about them: see `segment_noise.about_plane`."""
+
+    alpha: Array  # (N, 3) float64
+    slope_variance: Array  # (N,) float64
+    waves: Array  # (N,) float64
+
+
+class Sums(NamedTuple):
+    """What regions own."""
+
+    moments: Array  # (N, 10) float64
+    squares: Array  # (N,) float64: sum of squared residuals, in variances
+
+
+class Owners(NamedTuple):
+    """Which region has which pixels."""
+
+    block: Array  # (R, C) int32: region that has all measured pixels of a block; or EMPTY, MIXED or UNSEEN
+    pixel: Array  # (R·C, BLOCK²) int32: of each MIXED block the region of each pixel, or UNOWNED or MISSING
+
+
+class Contacts(NamedTuple):
+    """Regions that touch: the first rows are in use, how many is said beside."""
+
+    pairs: Array  # (K, 3) int32: two regions, smaller first, and what `segment_merge.row_of` needs
+    where: Array  # (K, 3) float64: how many of their blocks touch, and the sum of the (u, v) in between
+    table: Array  # (2^k,) int32, larger than K: see `segment_merge.row_of`
+
+
+class Runs(NamedTuple):
+    """Pixels of one label side by side in a row, one row after the other."""
+
+    first: Array  # (H + 1,) int32: first run of each row
+    start: Array  # (K,) int32: first column
+    stop: Array  # last column + 1
+    label: Array
+    vertical: Array  # pixels with none of the same label above, missing pixels between them aside
+    parent: Array  # roots stand for connected parts
+    part: Array  # number of the part
+
+
+class Parts(NamedTuple):
+    """Connected parts of regions."""
+
+    moments: Array  # (P, 10) float64
+    squares: Array  # (P,) float64: as in `Sums`
+    size: Array  # (P,) float64: pixels
+    across: Array  # (P,) float64: runs along the rows
+    down: Array  # (P,) float64: runs along the columns
+    region: Array  # (P,) int64
