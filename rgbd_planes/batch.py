@@ -127,7 +127,7 @@ def fit_sequence(
     ValueError
         `out` holds another table, or something else; or an argument cannot be used.
     """
-    with needs("pyarrow", "batch"):
+    with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
     if len(sequence) == 0:
         raise ValueError("expected a sequence with frames, got none")

@@ -274,6 +274,8 @@ def test_without_pyarrow(recording, tmp_path, monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[batch\]"'):
         rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out")
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[dask\]"'):  # which has both
+        rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 
 
 def many(path):

@@ -124,6 +124,15 @@ def test_command_fails_in_one_line(folder, capsys, options, message):
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize("options", [["--out", "planes.json", "--polygons"], ["--mesh", "planes.ply"]])
+def test_command_asks_for_shapely_before_the_work(folder, capsys, monkeypatch, options):
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    assert cli.main(["segment", "depth.png", "--camera", "camera.json", *options]) == 2
+    shown = capsys.readouterr()
+    assert 'pip install "rgbd-planes[polygons]"' in shown.err
+    assert shown.out == ""
+
+
 def test_a_segmentation_shows_itself(depth):
     found = segment(depth, CAMERA)
     text = found._repr_html_()

@@ -38,7 +38,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         from rgbd_planes.batch import Progress
         from rgbd_planes.extras import needs
 
-        with needs("tqdm", "batch"):
+        with needs("tqdm", "batch" if arguments.scheduler is None else "dask"):
             from tqdm import tqdm
         camera = None if arguments.camera is None else Camera.load(arguments.camera)
         if arguments.topic is None:

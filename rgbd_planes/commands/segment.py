@@ -34,6 +34,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import plane_polygons, segmentation_export
         from rgbd_planes import segment as segment_depth
+        from rgbd_planes.extras import needs
 
         check_output(arguments.out, (".json",))
         check_output(arguments.labels, (".png",))
@@ -42,10 +43,14 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         check_output(arguments.mesh, (".ply",))
         if arguments.polygons and arguments.out is None:
             raise CommandError("--polygons goes into the JSON: give --out, too")
+        outlined = arguments.polygons or arguments.mesh is not None
+        if outlined:
+            with needs("shapely", "polygons"):
+                import shapely  # noqa: F401 (now, not after the work)
         depth, camera, status = read_frame(arguments)
         found = segment_depth(depth, camera, noise=arguments.noise, min_size=arguments.min_size)
         print(f"{len(found)} planes on {found.share:.1%} of the measured pixels.")
-        polygons = plane_polygons(found) if arguments.polygons or arguments.mesh else []
+        polygons = plane_polygons(found) if outlined else []
         if arguments.out is not None:
             outlines = polygons if arguments.polygons else None
             segmentation_export.write_json(arguments.out, found, outlines)
