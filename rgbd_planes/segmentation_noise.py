@@ -17,7 +17,7 @@ FLATNESS = 4e-4
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
-_ENTRIES = 33
+_SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth: where the table has entries
 
 
 def noise_of(
@@ -43,7 +43,7 @@ def noise_of(
     growth = np.empty(3)
     typical, own_lateral, together = estimate_noise(pyramid, growth)
     lateral = lateral or own_lateral
-    q = np.linspace(0.0, nearest if nearest > 0.0 else 1.0, _ENTRIES)
+    q = _SHARES * (nearest if nearest > 0.0 else 1.0)
     if sigma is None:
         table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
     else:
