@@ -102,13 +102,14 @@ class RealResult:
 
     tiles: int
     rejected: float
+    rejected_thousandth: float
     rejected_independent: float
     predicted: float
     observed: float
 
 
 def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealResult:
-    """Share rejected at 1 %; predicted and observed angle to the plane of the whole flat part (degrees, rms)."""
+    """Shares rejected at 1 and at 0.1 %; predicted and observed rms angle to the whole flat part, in degrees."""
     camera = replace(data.camera, noise=noise)
     plain = replace(data.camera, noise=rp.noise.kinect_v1())
     p, q, predicted, observed = [], [], [], []
@@ -135,6 +136,7 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
     return RealResult(
         tiles=len(p_all),
         rejected=float(np.mean(p_all < 0.01)) if len(p_all) else np.nan,
+        rejected_thousandth=float(np.mean(p_all < 0.001)) if len(p_all) else np.nan,
         rejected_independent=float(np.mean(np.concatenate(q) < 0.01)) if len(p_all) else np.nan,
         predicted=float(np.sqrt(np.mean(np.concatenate(predicted) ** 2))) if len(seen) else np.nan,
         observed=float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan,
@@ -160,9 +162,11 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
             for name, of in (("", noise), ("own_", own)):
                 result = real_result(data, of, size)
                 ratio = result.predicted / result.observed if result.tiles >= FEWEST_ANGLES else np.nan
+                enough = result.tiles >= FEWEST_TILES
                 row |= {
                     "tiles": result.tiles,
-                    f"{name}rejected": result.rejected if result.tiles >= FEWEST_TILES else None,
+                    f"{name}rejected": result.rejected if enough else None,
+                    f"{name}thousandth": result.rejected_thousandth if enough else None,
                     f"{name}angle": ratio if np.isfinite(ratio) else None,
                     "independent": result.rejected_independent,
                 }
@@ -170,16 +174,41 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
     return rows
 
 
+ENDS = {"rejected": (0.003, 0.03), "angle": (0.75, 1.25)}
+
+
+def right(kind: str, value: float) -> bool:
+    """Whether a share or an angle is what it should be."""
+    return ENDS[kind][0] <= value <= ENDS[kind][1]
+
+
+def interval(share: float, tiles: int) -> tuple[float, float]:
+    """What a share of so many tiles may be the sample of, with 95 % confidence: exact, of a binomial distribution."""
+    from scipy.stats import binomtest
+
+    found = binomtest(round(share * tiles), tiles).proportion_ci()
+    return float(found.low), float(found.high)
+
+
+def wrong_beyond_chance(share: float, tiles: int) -> bool:
+    """Whether the share's whole interval is wrong."""
+    low, high = interval(share, tiles)
+    return high < ENDS["rejected"][0] or low > ENDS["rejected"][1]
+
+
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown: both directions in a cell, what is not right in bold."""
-    ends = {"rejected": (0.003, 0.03), "angle": (0.75, 1.25)}
-
-    def right(kind: str, value: float) -> bool:
-        return ends[kind][0] <= value <= ends[kind][1]
+    tested = [row for row in rows if row["rejected"] is not None]
 
     def count(kind: str, name: str) -> str:
         values = [row[name] for row in rows if row[name] is not None]
         return f"{sum(right(kind, value) for value in values)} of {len(values)}"
+
+    def wrong(name: str) -> int:
+        return sum(wrong_beyond_chance(row[name], row["tiles"]) for row in tested)
+
+    def median(name: str) -> str:
+        return f"{100.0 * float(np.median([row[name] for row in tested])):.2f} %"
 
     def cell(data: str, size: int, kind: str) -> str:
         values = [row[kind] for row in rows if (row["data"], row["size"]) == (data, size)]
@@ -194,7 +223,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             for text, value in zip(shown, values, strict=True)
         )
 
-    kinds = [(kind, size) for kind in ends for size in SIZES]
+    kinds = [(kind, size) for kind in ENDS for size in SIZES]
     lines = [
         "| frames | " + " | ".join(f"{kind}, {size} px" for kind, size in kinds) + " |",
         "|---" + "|---:" * len(kinds) + "|",
@@ -205,20 +234,27 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines += [
         "",
         f"Bold is what is not between 0.3 and 3 %, or 0.75 and 1.25. Right are {count('rejected', 'rejected')} shares, "
-        f"of {FEWEST_TILES} tiles or more, and {count('angle', 'angle')} angles, of {FEWEST_ANGLES} or more. With a "
-        f"Kinect v1's noise taken as independent, {least:.0f} to {most:.0f} % are rejected. With the noise of the very "
-        f"half that is tested, {count('rejected', 'own_rejected')} and {count('angle', 'own_angle')} are right. The "
-        "shares that are not, beside what they are then:",
+        f"of {FEWEST_TILES} tiles or more, and {count('angle', 'angle')} angles, of {FEWEST_ANGLES} or more. "
+        f"{wrong('rejected')} shares are wrong beyond chance: of the other wrong ones so few tiles are rejected that "
+        "their 95 % interval, as if tiles were independent, reaches what is right. With the noise of the very half "
+        f"that is tested, {count('rejected', 'own_rejected')} shares and {count('angle', 'own_angle')} angles are "
+        f"right, and {wrong('own_rejected')} wrong beyond chance. Of the tiles {median('thousandth')} are below 0.001 "
+        f"in the median of the sets, {median('own_thousandth')} by their own half's noise. With a Kinect v1's noise "
+        f"taken as independent, {least:.0f} to {most:.0f} % are rejected. The shares that are not right, bold beyond "
+        "chance, with their intervals, and what they are by their own half's noise:",
         "",
-        "| frames | tile | tiles | rejected by the other half's noise | by its own |",
-        "|---|---:|---:|---:|---:|",
+        "| frames | tile | tiles | rejected by the other half's noise | 95 % | by its own |",
+        "|---|---:|---:|---:|---:|---:|",
     ]
-    lines += [
-        f"| {SETS[row['data']]} | {row['size']} | {row['tiles']} | {100.0 * row['rejected']:.1f} % "
-        f"| {100.0 * row['own_rejected']:.1f} % |"
-        for row in rows
-        if row["rejected"] is not None and not right("rejected", row["rejected"])
-    ]
+    for row in tested:
+        if not right("rejected", row["rejected"]):
+            low, high = (100.0 * end for end in interval(row["rejected"], row["tiles"]))
+            share = f"{100.0 * row['rejected']:.1f} %"
+            lines.append(
+                f"| {SETS[row['data']]} | {row['size']} | {row['tiles']} "
+                f"| {f'**{share}**' if wrong_beyond_chance(row['rejected'], row['tiles']) else share} "
+                f"| {low:.1f}–{high:.1f} % | {100.0 * row['own_rejected']:.1f} % |"
+            )
     return "\n".join(lines)
 
 

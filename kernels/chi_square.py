@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
+from .normal import LN_2, OF_EXPONENT, WHOLE, WHOLE_BITS
 
 # C as powers of η, one a row, and of s = 1/(a + 1/2), for η in this range: made by ``python -m bench.chi_square``.
 ETA_LEAST, ETA_MOST = -8.9, 9.9
@@ -24,25 +25,13 @@ CORRECTION = np.array([
     (-1.39698960779751e-06, 1.02078563999427e-06, 1.31815546343229e-06, -9.2518582597256e-07),
 ])  # fmt: skip
 
-# The upper tail of the normal distribution is exp(-z²/2)·t·P(t) with t = 2/(2 + z): P, lowest power first,
-# interpolates SciPy's erfcx at the Chebyshev points of [0, 1]. Its relative error is below 2e-6.
-TAIL_0, TAIL_1, TAIL_2 = 0.1994715460615227, 0.19940475726989348, 0.15145836597894818
-TAIL_3, TAIL_4, TAIL_5 = 0.029282237616144374, 0.05416858389853427, -0.47931690750756856
-TAIL_6, TAIL_7, TAIL_8 = 0.5950355620527407, -0.3134674436265108, 0.06396343432391081
-
 LEAST_FREEDOM = 1.0
 
 # The bits of a double: ln x is taken of its mantissa, between √½ and √2, and of its exponent.
 ROOT_HALF = np.int64(0x3FE6A09E667F3BCD)
 ONE = np.int64(0x3FF0000000000000)
 MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
-# With these bits above it, a small whole number is that number plus 2⁵².
-WHOLE, WHOLE_BITS = 2.0**52, np.int64(0x4330000000000000)
-LN_2, ROOT_2 = math.log(2.0), math.sqrt(2.0)
-OF_EXPONENT = 1023.0
-
-# Rows of room that `tails` needs, of which the first two hold its arguments and the first its result.
-WORK = 5
+ROOT_2 = math.sqrt(2.0)
 
 
 @kernel(inline=True)
@@ -58,15 +47,15 @@ def split(x, exponent, count):
 
 
 @kernel(reduction=True, inline=True)
-def tails(work, count):
-    """Probabilities that chi-square over its degrees of freedom exceeds ``work[0]``, written there.
+def deviates(work, count):
+    """Normal deviates that are exceeded as often as ``work[0]`` by chi-square over its degrees of freedom.
 
-    Where it is above 1e-12, its relative error is below 2e-5 for 5 degrees of freedom or more, 2e-4 for 2 and 2e-3 for
-    1. NaN stays NaN.
+    Where their `normal.tails` are above 1e-12, these have a relative error below 2e-5 for 5 degrees of freedom or more,
+    2e-4 for 2 and 2e-3 for 1.
 
     Parameters
     ----------
-    work : (WORK, N) float64
+    work : (normal.WORK, N) float64
         Its second row is 1/√(degrees of freedom), of at least `LEAST_FREEDOM`.
     count : int
         Number of values.
@@ -93,25 +82,4 @@ def tails(work, count):
         for j in range(CORRECTION.shape[0] - 1, -1, -1):
             of_s = CORRECTION[j, 2] + s * CORRECTION[j, 3]
             correction = correction * inside + (CORRECTION[j, 0] + s * (CORRECTION[j, 1] + s * of_s))
-        z = eta * (inverse * (m + 1.0) * (1.0 + v)) * (1.0 / ROOT_2) + correction * root[i] * ROOT_2
-        size = min(abs(z), 37.0)
-        # exp(-z²/2) = 2^(r - k)
-        power = size * size * (0.5 / LN_2)
-        k = math.floor(power + 0.5)
-        deviate[i] = z
-        mantissa[i] = k - power
-        exponent[i] = (WHOLE + OF_EXPONENT) - k
-    bits = exponent.view(np.int64)
-    for i in range(count):
-        bits[i] = bits[i] << 52
-    for i in range(count):
-        r = mantissa[i] * LN_2
-        e = 1.0 + r * (
-            1.0 + r * (1.0 / 2.0 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0)))))
-        )
-        z = deviate[i]
-        x = 2.0 / (2.0 + min(abs(z), 37.0))
-        p = TAIL_5 + x * (TAIL_6 + x * (TAIL_7 + x * TAIL_8))
-        p = TAIL_0 + x * (TAIL_1 + x * (TAIL_2 + x * (TAIL_3 + x * (TAIL_4 + x * p))))
-        tail = x * (e * exponent[i]) * p
-        ratio[i] = (tail if z > 0.0 else 1.0 - tail) + 0.0 * ratio[i]
+        deviate[i] = eta * (inverse * (m + 1.0) * (1.0 + v)) * (1.0 / ROOT_2) + correction * root[i] * ROOT_2

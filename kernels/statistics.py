@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from . import chi_square
+from . import chi_square, normal, variance_ratio
 from ._jit import kernel
 
 # Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
@@ -28,10 +28,10 @@ ROWS = 45
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
 # What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
-# tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. Half the squared spread
-# of the variance from place to place. Then a scale and the variance of q of the other errors, at q = 0, 1/scale,
-# 2/scale, ..., linear in between and beyond, or a single one for all q.
-LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, HALF_SPREAD, SCALE = 0, 1, 2, 3, 4, 5
+# tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. One over the degrees of
+# freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the variance of q of
+# the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
+LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, SPREAD, SCALE = 0, 1, 2, 3, 4, 5
 VARIANCES = np.uintp(6)
 ONE = np.uintp(1)
 
@@ -70,7 +70,7 @@ def assess(
         See LATERAL_X.
     limits : (LIMITS,) float64
         The largest permitted sum of squared residuals over its expected value, by powers of 1/√(degrees of freedom);
-        empty for no test.
+        with a spread of the variance the normal deviate of the level; empty for no test.
     status : (R, C) uint8, written
     results : (RESULTS, R, C) float64, written
         P-values of the residuals, covariances of α and of (n, d), and deviations, from row P_VALUE, ALPHA_COVARIANCE,
@@ -79,7 +79,7 @@ def assess(
     """
     # Made first: what is released on the way keeps the compiler from seeing the room's shape.
     room = np.empty((ROWS, BLOCK))
-    tails = room[RATIO : RATIO + chi_square.WORK]
+    tails = room[RATIO : RATIO + normal.WORK]
     tiles = status.size
     all_moments, all_reference = moments.reshape(10, tiles), reference.reshape(3, tiles)
     all_planes, all_errors, all_counts = planes.ravel(), rmse_metric.reshape(1, tiles), counts.ravel()
@@ -104,19 +104,26 @@ def assess(
             room[D, i] = plane[4 * i + 3]
         pixel_variance(in_range_space, noise, last - first, room)
         by_count(all_counts[first:last], tables, room)
-        residual_ratio(noise[HALF_SPREAD], room)
+        residual_ratio(room)
         if limits.shape[0] > 0:
-            for i in range(BLOCK):
-                limit = 0.0
-                for k in range(LIMITS - 1, -1, -1):
-                    limit = limit * room[ROOT, i] + limits[k]
-                room[LIMIT, i] = limit
+            if noise[SPREAD] > 0.0:
+                variance_ratio.limits(limits[0], noise[SPREAD], tails, BLOCK)
+            else:
+                for i in range(BLOCK):
+                    limit = 0.0
+                    for k in range(LIMITS - 1, -1, -1):
+                        limit = limit * room[ROOT, i] + limits[k]
+                    room[LIMIT, i] = limit
             mark = all_status[first:last]
             for i in range(last - first):
                 if room[RATIO, i] > room[LIMIT, i]:
                     mark[i] = rough
         if everything:
-            chi_square.tails(tails, BLOCK)
+            if noise[SPREAD] > 0.0:
+                variance_ratio.deviates(noise[SPREAD], tails, BLOCK)
+            else:
+                chi_square.deviates(tails, BLOCK)
+            normal.tails(tails, BLOCK)
             ray_scatter(in_range_space, room)
             covariances(room)
             store(room, all_results, first, last)
@@ -218,7 +225,7 @@ def by_count(counts, tables, room):
 
 
 @kernel(inline=True)
-def residual_ratio(half_spread, room):
+def residual_ratio(room):
     """Sum of squared residuals over its expected value, and 1/√(degrees of freedom), into two rows of the room.
 
     With C and P as in `assess` and the variance a of errors that are independent, half the variance of the sum is
@@ -241,7 +248,7 @@ def residual_ratio(half_spread, room):
         error = room[ERROR, i] * room[MEAN_Q, i]
         room[RATIO, i] = (n if n > 3.0 else 0.0) * error * error * inverse
         share = inverse * square
-        inverse = half_variance * share * share + half_spread
+        inverse = half_variance * share * share
         room[ROOT, i] = math.sqrt(min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM))
 
 

@@ -2,6 +2,7 @@
 
 import functools
 import operator
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
+from rgbd_planes.residual_statistics import inverse_freedom
 
 if TYPE_CHECKING:
     from rgbd_planes.fitting import Arrays
@@ -77,13 +79,12 @@ def _settings(noise: NoiseModel, fx: float, fy: float) -> Float:
     """A camera's noise, as `kernels.statistics` takes it."""
     lateral = np.array([noise.lateral / fx, noise.lateral / fy]) ** 2
     rounding = np.array([noise.step, noise.disparity_step]) ** 2 / 12.0
-    return np.concatenate([lateral, rounding, [0.5 * noise.spread**2], noise._variances])
+    return np.concatenate([lateral, rounding, [inverse_freedom(noise.spread)], noise._variances])
 
 
 def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer]) -> Float:
     made = noise.statistics(counts)
-    half_variance = made.expected**2 * np.maximum(1.0 / made.freedom - 0.5 * noise.spread**2, 0.0)
-    return np.stack([made.expected, half_variance, made.tilt, made.offset], axis=1)
+    return np.stack([made.expected, made.expected**2 / made.freedom, made.tilt, made.offset], axis=1)
 
 
 @functools.lru_cache(maxsize=32)
@@ -100,10 +101,15 @@ _DEFAULT_LIMITS = (
 
 
 @functools.lru_cache(maxsize=32)
-def _limits(level: float) -> Float:
-    """Quantiles of chi-square over its degrees of freedom, by powers of 1/√(degrees of freedom), right to 1e-5 of p."""
+def _limits(level: float, spread: float) -> Float:
+    """Quantiles of chi-square over its degrees of freedom, by powers of 1/√(degrees of freedom), right to 1e-5 of p.
+
+    With a spread of the variance only the normal deviate of the level.
+    """
     if level == 0.0:
         return np.empty(0)
+    if spread:
+        return np.array([NormalDist().inv_cdf(1.0 - level)])
     return np.array(_DEFAULT_LIMITS) if level == DEFAULT_SIGNIFICANCE else _made_limits(level)
 
 
@@ -143,7 +149,8 @@ class Assessment:
         self._noise = camera.noise
         if camera.noise is None:
             return
-        self._limits = _limits(DEFAULT_SIGNIFICANCE if significance is None else significance)
+        level = DEFAULT_SIGNIFICANCE if significance is None else significance
+        self._limits = _limits(level, camera.noise.spread)
         self._tables: Float | None = None
         if camera.noise.is_independent:
             self._tables = np.empty((0, 4))

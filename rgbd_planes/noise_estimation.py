@@ -9,6 +9,7 @@ unequal the tiles are gives the spread.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from rgbd_planes.noise_samples import (
     bins_of,
     flat_windows,
 )
+from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tiles import TileFitter
 
 Float = npt.NDArray[np.float64]
@@ -215,17 +217,15 @@ def _fit_scale(samples: Samples, model: NoiseModel) -> NoiseModel:
 
 def _fit_spread(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
     """The spread with which residuals reach as far above their median as those of the tiles do."""
-    from scipy.special import chdtri
-
     candidates = np.linspace(0.0, 1.5, 61)
-    even = replace(model, spread=0.0)
+    deviate = NormalDist().inv_cdf(_TAIL)
     spreads = []
     for size in (8, 12, 24):
         some = samples[size]
-        expected, freedoms = some.expected(even)
+        expected, freedoms = some.expected(model)
         ratio = some.rss / expected
         reach = np.quantile(ratio, _TAIL) / np.median(ratio)
-        freedom = 1.0 / (1.0 / np.median(freedoms) + 0.5 * candidates**2)
-        reaches = chdtri(freedom, 1.0 - _TAIL) / chdtri(freedom, 0.5)
+        freedom = float(np.median(freedoms))
+        reaches = ratio_at(deviate, freedom, candidates) / ratio_at(0.0, freedom, candidates)
         spreads.append(float(np.interp(reach, reaches, candidates)))
     return replace(model, spread=float(np.median(spreads)))

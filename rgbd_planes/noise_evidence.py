@@ -11,6 +11,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.flatness import flatness
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.noise_samples import REFERENCE, Samples, bins_of
+from rgbd_planes.residual_statistics import deviate_of
 from rgbd_planes.tile_planes import TilePlanes
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def evidence_of(
     windows: int,
 ) -> NoiseEvidence:
     """What the samples of these tiles of frames say for and against a model."""
-    from scipy.special import chdtrc
+    from scipy.special import ndtr
 
     size = REFERENCE
     chosen = samples[size]
@@ -93,7 +94,7 @@ def evidence_of(
         inverse_depth=np.array([np.median(chosen.q[some]) for some in bins]),
         sigma=np.sqrt([np.median((chosen.rss / chosen.count)[some]) for some in bins]),
         sigma_fit=np.sqrt([np.median((expected / chosen.count)[some]) for some in bins]),
-        p_values=chdtrc(freedom, ratio * freedom),
+        p_values=ndtr(-deviate_of(ratio, freedom, model.spread)),
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
         flatness=bias,
         flatness_count=count,

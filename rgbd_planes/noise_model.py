@@ -49,7 +49,7 @@ class NoiseModel:
         Distance in pixels over which the systematic error changes, in the same sense.
     spread : float
         Relative standard deviation of the noise's variance from place to place, over what depth explains:
-        texture, reflectance.
+        texture, reflectance. The variance is taken for inverse gamma distributed.
     lateral : float
         Standard deviation, in pixels, of where across its ray a measurement lies: times the change of q from pixel
         to pixel it is noise, too, that of steep surfaces. `sigma` is without it.
@@ -173,10 +173,8 @@ class NoiseModel:
             np.interp(np.log(side), np.log(sides), curve) for curve in curves
         )
         more = n > 3.0
-        # Where the variance itself varies, that of the sum of squares grows by (spread · expected)².
-        freedom = 1.0 / (np.exp(-log_freedom) + 0.5 * self.spread**2)
         return ResidualStatistics(
-            np.where(more, n * expected, 0.0), np.where(more, freedom, 1e-3), tilt, offset, self.spread
+            np.where(more, n * expected, 0.0), np.where(more, np.exp(log_freedom), 1e-3), tilt, offset
         )
 
     @property

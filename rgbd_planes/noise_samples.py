@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.noise import NoiseModel
+from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tile_planes import TilePlanes
 
 Float = npt.NDArray[np.float64]
@@ -97,8 +98,7 @@ class Samples:
 
     def typical(self, model: NoiseModel) -> tuple[float, float]:
         """Mean square residual in units of σq², from the median of the tiles: without independent parts, and all."""
-        v = 2.0 / (9.0 * np.maximum(self.expected(model)[1], 1.0))
-        median_over_mean = (1.0 - v) ** 3  # of a chi-square (Wilson and Hilferty 1931)
+        median_over_mean = ratio_at(0.0, np.maximum(self.expected(model)[1], 1.0), model.spread)
         return self._middle(model, self.rss / self.count / median_over_mean)
 
     def typical_tilt(self, model: NoiseModel) -> tuple[float, float]:

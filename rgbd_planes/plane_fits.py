@@ -87,7 +87,8 @@ class PlaneFits:
     def p_value(self) -> Float:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
-        Of the chi-square of the residual in inverse depth under ``camera.noise``. On surfaces that are flat
+        Of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
+        spread, of its ratio to a variance that differs from place to place. On surfaces that are flat
         it is uniform between 0 and 1; below the significance level a tile is ROUGH. This, the covariances
         and the standard deviations are computed together, when one of them is first asked for, and from then
         on by each fit that writes into this result.

@@ -20,7 +20,7 @@ class ResidualStatistics:
         Expected sum of squared residuals in units of σq².
     freedom : float64
         The sum of squared residuals is distributed as expected · χ²(freedom) / freedom, by its first two
-        moments (Satterthwaite 1946).
+        moments (Satterthwaite 1946), where the noise has no spread.
     tilt, offset : float64
         Factors on the variances of the slopes and of the mean inverse depth, over those of independent
         pixels.
@@ -30,7 +30,6 @@ class ResidualStatistics:
     freedom: Floats
     tilt: Floats
     offset: Floats
-    spread: float = 0.0
 
     def with_independent(
         self, along: Floats, independent: Floats, count: NDArray[Any]
@@ -42,10 +41,33 @@ class ResidualStatistics:
         number = np.maximum(count - 3.0, 1e-9)
         expected = along * self.expected + independent * number
         # Half the variance of a quadratic form is tr((PC)²), C = C₁ + independent·I.
-        inverse = np.maximum(1.0 / self.freedom - 0.5 * self.spread**2, 0.0)
-        half = (along * self.expected) ** 2 * inverse
+        half = (along * self.expected) ** 2 / self.freedom
         half = half + independent * (2.0 * along * self.expected + independent * number)
-        return expected, 1.0 / (half / expected**2 + 0.5 * self.spread**2)
+        return expected, expected**2 / half
+
+
+def inverse_freedom(spread: float | Floats) -> Any:
+    """One over the degrees of freedom ν of a noise's variance: of mean 1, distributed as (ν - 2) / χ²(ν)."""
+    return spread**2 / (2.0 + 4.0 * spread**2)
+
+
+def ratio_at(deviate: float, freedom: float | Floats, spread: float | Floats) -> Floats:
+    """The sum of squared residuals over its expected value that is as likely exceeded as this normal deviate.
+
+    A chi-square over its degrees of freedom times a variance as in `inverse_freedom` is a multiple of Fisher's F:
+    by Paulson's approximation (1942), which without a spread is Wilson and Hilferty's (1931).
+    """
+    v, w = 2.0 / 9.0 / freedom, 2.0 / 9.0 * inverse_freedom(spread)
+    a, b = 1.0 - w, 1.0 - v
+    root = a * b + deviate * np.sqrt(a * a * v + b * b * w - deviate**2 * v * w)
+    return np.asarray((root / (a * a - deviate**2 * w)) ** 3 * (1.0 - 2.0 * inverse_freedom(spread)))
+
+
+def deviate_of(ratio: Floats, freedom: float | Floats, spread: float) -> Floats:
+    """The normal deviate that is as likely exceeded as this ratio: the inverse of `ratio_at`."""
+    v, w = 2.0 / 9.0 / freedom, 2.0 / 9.0 * inverse_freedom(spread)
+    root = np.cbrt(ratio / (1.0 - 2.0 * inverse_freedom(spread)))
+    return np.asarray(((1.0 - w) * root - (1.0 - v)) / np.sqrt(w * root * root + v))
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,6 +1,7 @@
 """Covariances, p-values and what follows from them, against simulation and against plain linear algebra."""
 
 from dataclasses import replace
+from functools import partial
 
 import monte_carlo
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 from scipy import special, stats
 
 import rgbd_planes as rp
-from rgbd_planes import fit_statistics
-from rgbd_planes.kernels import chi_square
+from rgbd_planes import fit_statistics, residual_statistics
+from rgbd_planes.kernels import chi_square, variance_ratio
+from rgbd_planes.kernels.normal import WORK
+from rgbd_planes.kernels.normal import tails as normal_tails
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5, floor_length=20.0)
@@ -109,8 +112,6 @@ def test_correlated_noise_is_worked_out_exactly(side):
     np.testing.assert_allclose(made.freedom, 2.0 * expected**2 / variance, rtol=1e-9)
     np.testing.assert_allclose(made.tilt, alpha[0, 0] / independent[0, 0], rtol=1e-9)
     np.testing.assert_allclose(made.offset, alpha[2, 2] / independent[2, 2], rtol=1e-9)
-    spread = replace(CORRELATED, spread=0.4).statistics(side * side)
-    np.testing.assert_allclose(spread.freedom, 2.0 * expected**2 / (variance + (0.4 * expected) ** 2))
 
 
 def test_independent_errors_beside_correlated_ones():
@@ -123,11 +124,10 @@ def test_independent_errors_beside_correlated_ones():
     both = 1.7 * np.exp(-0.5 * squared / 3.0**2) + 0.4 * np.eye(side * side)
     expected = np.trace(residual @ both)
     freedom = expected**2 / np.trace(residual @ both @ residual @ both)
-    for spread in (0.0, 0.3):
-        model = rp.noise.NoiseModel(correlation=((1.0, 3.0),), spread=spread)
-        made = model.statistics(np.array([side * side])).with_independent(1.7, 0.4, np.array([side * side]))
-        np.testing.assert_allclose(made[0], expected, rtol=1e-9)
-        np.testing.assert_allclose(made[1], 1.0 / (1.0 / freedom + 0.5 * spread**2), rtol=1e-9)
+    model = rp.noise.NoiseModel(correlation=((1.0, 3.0),))
+    made = model.statistics(np.array([side * side])).with_independent(1.7, 0.4, np.array([side * side]))
+    np.testing.assert_allclose(made[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(made[1], freedom, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("low", "high", "error"), [(1.0, 2.0, 2e-3), (2.0, 5.0, 2e-4), (5.0, 1e6, 2e-5)])
@@ -138,18 +138,66 @@ def test_tail_of_chi_square(low, high, error, rng):
         rng.random(freedom.shape) < 0.5, 10.0 ** rng.uniform(-12.0, 0.0, freedom.shape), rng.random()
     )
     ratio = special.chdtri(freedom, p) / freedom
-    work = np.empty((chi_square.WORK, len(freedom)))
+    work = np.empty((WORK, len(freedom)))
     work[0], work[1] = ratio, freedom**-0.5
-    chi_square.tails(work, len(freedom))
+    chi_square.deviates(work, len(freedom))
+    normal_tails(work, len(freedom))
     np.testing.assert_allclose(work[0], special.chdtrc(freedom, ratio * freedom), rtol=error)
 
 
-def test_ends_of_the_tail():
+@pytest.mark.parametrize("spread", [0.05, 0.2, 0.4, 0.6])
+def test_tail_of_a_ratio_of_variances(spread, rng):
+    """As near to Fisher's F as documented, for 3 degrees of freedom or more; its limits are its inverse."""
+    freedom = np.exp(rng.uniform(np.log(3.0), np.log(1e4), 2000))
+    inverse = residual_statistics.inverse_freedom(spread)
+    assert stats.invgamma(0.5 / inverse, scale=0.5 / inverse - 1.0).std() == pytest.approx(spread, rel=1e-6)
+    work = np.empty((WORK, len(freedom)))
+    for p, low, high in (
+        (0.99, 0.99, 1.01),
+        (0.5, 0.99, 1.01),
+        (0.05, 0.97, 1.01),
+        (0.01, 0.99, 1.08),
+        (1e-3, 0.97, 1.35),
+    ):
+        ratio = stats.f.isf(p, freedom, 1.0 / inverse) * (1.0 - 2.0 * inverse)
+        work[0], work[1] = ratio, freedom**-0.5
+        variance_ratio.deviates(inverse, work, len(freedom))
+        normal_tails(work, len(freedom))
+        assert low * p < work[0].min() < work[0].max() < high * p
+        deviate = residual_statistics.deviate_of(ratio, freedom, spread)
+        np.testing.assert_allclose(work[0], stats.norm.sf(deviate), rtol=1e-5)
+        variance_ratio.limits(stats.norm.isf(p), inverse, work, len(freedom))
+        np.testing.assert_allclose(work[2], residual_statistics.ratio_at(stats.norm.isf(p), freedom, spread))
+        np.testing.assert_allclose(
+            residual_statistics.deviate_of(work[2], freedom, spread), stats.norm.isf(p), atol=1e-12
+        )
+
+
+def test_ends_of_the_tails():
     """No residual, one that is beyond all bounds, and none that is a number."""
-    work = np.empty((chi_square.WORK, 4))
-    work[0], work[1] = [0.0, 1e12, np.nan, 1e3], 0.1
-    chi_square.tails(work, 4)
-    np.testing.assert_allclose(work[0], [1.0, 0.0, np.nan, 0.0], atol=1e-12)
+    work = np.empty((WORK, 4))
+    for deviates in (chi_square.deviates, partial(variance_ratio.deviates, 0.01)):
+        work[0], work[1] = [0.0, 1e12, np.nan, 1e3], 0.1
+        deviates(work, 4)
+        normal_tails(work, 4)
+        np.testing.assert_allclose(work[0], [1.0, 0.0, np.nan, 0.0], atol=1e-12)
+
+
+def test_noise_that_differs_from_place_to_place(rng):
+    """Each frame's noise of a variance of its own: uniform p-values, and ROUGH is a small one."""
+    model = rp.noise.NoiseModel((2e-3,), spread=0.5)
+    camera = monte_carlo.tile_camera(9, model)
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 30.0)
+    runs, shape = 4000, 2.0 + 1.0 / 0.5**2
+    variance = (shape - 1.0) / rng.gamma(shape, size=(runs, 1, 1))
+    error = 2e-3 * np.sqrt(variance) * rng.standard_normal((runs, 9, 9))
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    stack = monte_carlo.fit(camera, frames)
+    assert stats.kstest(stack.p_value.ravel(), "uniform").pvalue > 1e-3
+    assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.006)
+    assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)
+    even = monte_carlo.fit(replace(camera, noise=replace(model, spread=0.0)), frames)
+    assert np.mean(even.p_value < 0.01) > 0.1
 
 
 @pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), rp.noise.time_of_flight(0.0005, 0.001)])
@@ -211,7 +259,15 @@ def test_simulated_correlated_noise(rng):
     assert np.mean(monte_carlo.normalised_error(naive, alpha)) > 30.0
 
 
-@pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), rp.noise.time_of_flight(0.001, 0.002), CORRELATED])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.kinect_v1(),
+        rp.noise.time_of_flight(0.001, 0.002),
+        CORRELATED,
+        replace(CORRELATED, spread=0.4),
+    ],
+)
 @pytest.mark.parametrize("method", METHODS)
 def test_rough_is_a_small_p_value(method, noise, rng):
     """ROUGH by significance is p_value < significance, for tiles of every size and with holes."""
@@ -259,7 +315,7 @@ def test_rough_is_a_small_p_value_for_any_number_of_pixels(noise, rng):
 
 def test_limits_of_the_default_level():
     """The numbers that are there are those that SciPy gives, and the quantiles of chi-square."""
-    limits = fit_statistics._limits(fit_statistics.DEFAULT_SIGNIFICANCE)
+    limits = fit_statistics._limits(fit_statistics.DEFAULT_SIGNIFICANCE, 0.0)
     made = fit_statistics._made_limits(fit_statistics.DEFAULT_SIGNIFICANCE)
     np.testing.assert_allclose(limits, made, rtol=1e-9)
     freedom = np.geomspace(1.0, 1e5, 200)

@@ -1,0 +1,69 @@
+"""The distribution of a ratio of two variances, Fisher's F: of a residual where noise differs from place to place.
+
+By Paulson's approximation (Annals of Mathematical Statistics 13, 1942): the cube roots of both variances are nearly
+normal (Wilson and Hilferty 1931). Its small p-values err to the safe side: for a spread of up to 0.6 those of 0.01 by
+up to 8 %, those of 0.001 by up to 35 %.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+from .normal import WHOLE, WHOLE_BITS
+
+# The bits of a double, from the exponent on, as a number: a third of it, and this, is nearly that of the cube root.
+OF_ROOT = 1023.0 * 2.0**20 * (2.0 / 3.0) - 37000.0
+
+
+@kernel(inline=True)
+def two_ninths(inverse_freedom, root):
+    """2/9 of one over the degrees of freedom of either variance: of the residual's, 1/root², and of the noise's."""
+    return (2.0 / 9.0) * root * root, (2.0 / 9.0) * inverse_freedom
+
+
+@kernel(inline=True)
+def limits(deviate, inverse_freedom, work, count):
+    """The ratios that are exceeded as often as a normal deviate, written to ``work[2]``; otherwise as `deviates`."""
+    limit = work[2]
+    for i in range(count):
+        v, w = two_ninths(inverse_freedom, work[1, i])
+        a, b = 1.0 - w, 1.0 - v
+        over = a * a - deviate * deviate * w
+        inside = max(a * a * v + b * b * w - deviate * deviate * v * w, 0.0)
+        root = max(a * b + deviate * math.sqrt(inside), 0.0) / max(over, 1e-100)
+        limit[i] = root * root * root * (1.0 - 2.0 * inverse_freedom)
+
+
+@kernel(reduction=True, inline=True)
+def deviates(inverse_freedom, work, count):
+    """Normal deviates, into ``work[4]``, that are exceeded as often as ``work[0]`` by a residual over its mean.
+
+    Parameters
+    ----------
+    inverse_freedom : float
+        One over ν, where the variance of the noise is distributed as (ν - 2) / χ²(ν).
+    work : (normal.WORK, N) float64
+        Its second row is 1/√(degrees of freedom), of at least 1.
+    count : int
+        Number of values.
+    """
+    ratio, root, cube_root, guess, deviate = work[0], work[1], work[2], work[3], work[4]
+    scale = 1.0 / (1.0 - 2.0 * inverse_freedom)
+    for i in range(count):
+        cube_root[i] = min(max(ratio[i] * scale, 1e-18), 1e18)
+    bits, guess_bits = cube_root.view(np.int64), guess.view(np.int64)
+    for i in range(count):
+        guess_bits[i] = (bits[i] >> 32) | WHOLE_BITS
+    for i in range(count):
+        guess[i] = math.floor((guess[i] - WHOLE) * (1.0 / 3.0) + OF_ROOT) + WHOLE
+    for i in range(count):
+        guess_bits[i] = guess_bits[i] << 32
+    for i in range(count):
+        x, c = cube_root[i], guess[i]
+        # Twice Halley's step, which leaves a share ε of the error as 2/3·ε³.
+        for _ in range(2):
+            cube = c * c * c
+            c *= (cube + 2.0 * x) / (2.0 * cube + x)
+        v, w = two_ninths(inverse_freedom, root[i])
+        deviate[i] = ((1.0 - w) * c - (1.0 - v)) / math.sqrt(w * c * c + v)
