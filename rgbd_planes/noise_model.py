@@ -20,7 +20,7 @@ KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class NoiseModel:
     """The noise of a sensor's inverse depth.
 
@@ -67,7 +67,7 @@ class NoiseModel:
     floor_length: float = 60.0
     spread: float = 0.0
     lateral: float = 0.0
-    evidence: Any = field(default=None, compare=False, repr=False)
+    evidence: Any = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         coefficients = tuple(float(c) for c in self.coefficients)
@@ -100,6 +100,21 @@ class NoiseModel:
                 f"{correlation!r} and {self.floor_length!r}"
             )
         object.__setattr__(self, "correlation", correlation)
+
+    def __repr__(self) -> str:
+        parts = ["σ by a function"]
+        if self.formula is None:
+            sigmas = zip(1e3 * self.sigma_depth([0.5, 1.0, 2.0]), ("0.5", "1", "2"), strict=True)
+            parts = ["σ " + ", ".join(f"{sigma:.2g} mm at {depth} m" for sigma, depth in sigmas)]
+        if self.lateral:
+            parts.append(f"lateral {self.lateral:.2g} pixels")
+        for share, length in self.correlation:
+            parts.append(f"{share:.0%} correlated over {length:g} pixels")
+        if self.floor:
+            parts.append(f"floor {self.floor:.2g} σq over {self.floor_length:g} pixels")
+        if self.spread:
+            parts.append(f"spread {self.spread:.2g}")
+        return f"<NoiseModel: {'; '.join(parts)}>"
 
     def sigma(self, inverse_depth: ArrayLike) -> Floats:
         """Standard deviation of one pixel's inverse depth, quantisation included, in 1/m.

@@ -71,7 +71,8 @@ def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
 
 
 def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
-    axes.hist(evidence.p_values, bins=20, range=(0.0, 1.0), density=True, color=_SEEN, alpha=0.8)
+    density = axes.hist(evidence.p_values, bins=20, range=(0.0, 1.0), density=True, color=_SEEN, alpha=0.8)[0]
+    axes.set_ylim(0.0, 1.25 * max(1.0, float(np.max(density))))  # the legend above the bars
     axes.axhline(1.0, color=_MODEL, label="if the model were exact")
     share = np.mean(evidence.p_values < 0.01)
     title = f"p-values of flat tiles: {share:.1%} below 1 %"

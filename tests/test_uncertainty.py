@@ -507,6 +507,15 @@ def test_propagation_against_draws(two_planes, rng):
 
 def test_models():
     noise = rp.noise
+    assert repr(noise.kinect_v1()) == "<NoiseModel: σ 0.36 mm at 0.5 m, 1.4 mm at 1 m, 5.7 mm at 2 m>"
+    for part in (
+        "30% correlated over 1.5 pixels",
+        "floor 0.5 σq over 20 pixels",
+        "spread 0.2",
+        "lateral 0.3 pixels",
+    ):
+        assert part in repr(replace(CORRELATED, spread=0.2, lateral=0.3))
+    assert "a function" in repr(noise.function(lambda q: 1e-3 * q))
     assert noise.kinect_v1().sigma(0.3) == 1.425e-3
     np.testing.assert_allclose(noise.kinect_v1().sigma_depth([1.0, 2.0]), [1.425e-3, 5.7e-3])
     np.testing.assert_allclose(noise.stereo(0.05, 400.0, 0.08).sigma([0.2, 2.0]), 0.08 / 20.0)
