@@ -5,9 +5,20 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import rgbd_planes as rp
-from bench import batch_throughput, first_call, measured, methods, operations, readme, report, sequence
+from bench import (
+    batch_throughput,
+    first_call,
+    measured,
+    methods,
+    operations,
+    readme,
+    report,
+    sequence,
+    uncertainty_real,
+)
 from bench.__main__ import main
 from rgbd_planes.kernels import summed_area
 
@@ -138,6 +149,19 @@ def test_the_page_is_what_was_measured():
     assert measured.page_of(page, with_other) != page
     text = readme.README.read_text()
     assert measured.readme_of(text, results) == text, "run python -m bench.measured --page"
+
+
+def test_shares_of_few_tiles_say_little():
+    """None of 384 may be three in a thousand, none of 2000 may not; the interval is that of its definition."""
+    wrong = uncertainty_real.wrong_beyond_chance
+    assert not wrong(0.0, 384)
+    assert wrong(0.0, 2000)
+    assert not wrong(0.05, 300)
+    assert wrong(0.05, 1162)
+    low, high = uncertainty_real.interval(0.05, 300)
+    k, n = np.arange(301), np.array([[low], [high]])
+    at = stats.binom.pmf(k, 300, n)
+    np.testing.assert_allclose([at[0, 15:].sum(), at[1, :16].sum()], 0.025, rtol=1e-6)
 
 
 def test_a_batch_is_measured():
