@@ -1,7 +1,5 @@
 """What all tests share."""
 
-import json
-
 import numpy as np
 import pytest
 import real_data
@@ -36,10 +34,7 @@ def pytest_generate_tests(metafunc):
 @pytest.fixture
 def real_frame(request):
     """(depth, camera) of a real frame."""
-    from PIL import Image
-
-    from rgbd_planes import Camera
+    from rgbd_planes import Camera, images
 
     depth, camera = request.param
-    with Image.open(depth) as image:
-        return np.asarray(image), Camera.from_dict(json.loads(camera.read_text()))
+    return images.read_depth(depth), Camera.load(camera)
