@@ -3,6 +3,7 @@
 import base64
 import html
 import io
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
 
 if TYPE_CHECKING:
+    from rgbd_planes.quadtree import QuadtreeSegmentation
     from rgbd_planes.segmentation_result import Segmentation
 
 _WIDEST = 320  # pixels of a panel
@@ -35,32 +37,42 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
     """
     if len(fits.shape) > 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}")
-    height, width = fits.camera.shape
-    step = max(1.0, width / _WIDEST)
-    cells = fits._cells(np.arange(0.0, height, step).astype(int), np.arange(0.0, width, step).astype(int))
+    cells = fits._cells(*_sampled(fits.camera.shape))
     in_image = fits.planes[..., :3] * np.sign([fits.camera.fx, fits.camera.fy, 1.0])
-    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
-    # The last is what shows where no window is: its index is -1.
-    panels = [np.vstack([c.reshape(-1, 3), MISSING])[cells] for c in (normal_colours(in_image), colours)]
-    gap = np.ones((len(cells), _GAP, 3))
-    return np.rint(255.0 * np.concatenate([panels[0], gap, panels[1]], axis=1)).astype(np.uint8)
+    return _beside(_shown(normal_colours(in_image), cells), _shown(_status_colours(fits), cells))
+
+
+def _sampled(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of a frame that a panel shows."""
+    step = max(1.0, shape[1] / _WIDEST)
+    rows, columns = (np.arange(0.0, size, step).astype(np.int64) for size in shape)
+    return rows, columns
+
+
+def _shown(colours: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The colour of each pixel's tile or window; where there is none, its index is -1."""
+    return np.vstack([colours.reshape(-1, 3), MISSING])[cells]
+
+
+def _status_colours(fits: PlacedFits) -> NDArray[np.float64]:
+    return np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
+
+
+def _beside(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.uint8]:
+    gap = np.ones((len(left), _GAP, 3))
+    return np.rint(255.0 * np.concatenate([left, gap, right], axis=1)).astype(np.uint8)
 
 
 def fits_html(fits: PlacedFits) -> str:
     """Return a few lines of HTML: what was found, a picture, and what its colours mean."""
     batch = len(fits.shape) == 3
     first = fits[0] if batch else fits  # type: ignore[index]
-    names = " ".join(
-        f'<span style="color:rgb({_css(STATUS_COLOURS[status])})">&#9632;</span>&nbsp;{status.name}'
-        for status in TileStatus
-        if (first.status == status).any()
-    )
     which = " of the first frame" if batch else ""
     return (
         f"<div><div>{html.escape(repr(fits).strip('<>'))}</div>"
         f'<img alt="normals and status" src="data:image/png;base64,{_png(fits_picture(first))}">'
         f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
-        f'<span style="color:rgb({_css(MISSING)})">&#9632;</span>&nbsp;none. Right: {names}.</small></div></div>'
+        f"{_square(MISSING)}&nbsp;none. Right: {_status_names(first)}.</small></div></div>"
     )
 
 
@@ -70,7 +82,7 @@ def segments_html(segments: "Segmentation") -> str:
     picture = np.rint(255.0 * label_image(segments)[::step, ::step]).astype(np.uint8)
     colours = label_colours(len(segments))
     largest = " ".join(
-        f'<span style="color:rgb({_css(tuple(colours[i]))})">&#9632;</span>&nbsp;{i + 1}:&nbsp;'
+        f"{_square(colours[i])}&nbsp;{i + 1}:&nbsp;"
         f"{segments.sizes[i]}&nbsp;pixels,&nbsp;d&nbsp;=&nbsp;{segments.planes[i, 3]:.3f}&nbsp;m;"
         for i in np.argsort(-segments.sizes, kind="stable")[:_LISTED]
     )
@@ -78,13 +90,36 @@ def segments_html(segments: "Segmentation") -> str:
         f"<div><div>{html.escape(repr(segments).strip('<>'))}</div>"
         f'<img alt="the planes in colours" src="data:image/png;base64,{_png(picture)}">'
         f"<div><small>The largest: {largest} "
-        f'<span style="color:rgb({_css(NO_PLANE)})">&#9632;</span>&nbsp;on no plane, white not measured.'
-        f"</small></div></div>"
+        f"{_square(NO_PLANE)}&nbsp;on no plane, white not measured.</small></div></div>"
     )
 
 
-def _css(colour: tuple[float, ...]) -> str:
-    return ",".join(str(round(255 * value)) for value in colour)
+def quadtree_html(segmentation: "QuadtreeSegmentation") -> str:
+    """Return a few lines of HTML: what was found, the clusters in colours and the elements by status."""
+    elements = segmentation.elements
+    cells = elements._cells(*_sampled(elements.camera.shape))
+    clusters = np.vstack([NO_PLANE, label_colours(len(segmentation.planes))])[segmentation.element_labels]
+    picture = _beside(_shown(clusters, cells), _shown(_status_colours(elements), cells))
+    return (
+        f"<div><div>{html.escape(repr(segmentation).strip('<>'))}</div>"
+        f'<img alt="clusters and status" src="data:image/png;base64,{_png(picture)}">'
+        f"<div><small>Left: planes, {_square(NO_PLANE)}&nbsp;none. "
+        f"Right: {_status_names(elements)}.</small></div></div>"
+    )
+
+
+def _status_names(fits: PlacedFits) -> str:
+    """The status that occur, with their colours."""
+    return " ".join(
+        f"{_square(STATUS_COLOURS[status])}&nbsp;{status.name}"
+        for status in TileStatus
+        if (fits.status == status).any()
+    )
+
+
+def _square(colour: Sequence[float] | NDArray[np.float64]) -> str:
+    css = ",".join(str(round(255 * value)) for value in colour)
+    return f'<span style="color:rgb({css})">&#9632;</span>'
 
 
 def _png(picture: NDArray[np.uint8]) -> str:

@@ -73,6 +73,12 @@ class QuadtreeSegmentation:
     def __repr__(self) -> str:
         return f"<QuadtreeSegmentation: {len(self.planes)} planes of {self.elements!r}>"
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.preview import quadtree_html
+
+        return quadtree_html(self)
+
     def plot(self, depth: npt.ArrayLike, figure: "Figure | None" = None) -> "Figure":
         """Draw the depth and the elements as the paper does; see `quadtree_figure.plot_quadtree`.
 

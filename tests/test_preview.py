@@ -61,6 +61,21 @@ def test_a_batch_shows_its_first_frame(tiles):
         fits_picture(batch)
 
 
+def test_a_quadtree_shows_itself():
+    camera = rp.presets.kinect_v1()
+    found = rp.segment_quadtree(rp.scenes.room().render(camera).measure(holes=0.05, seed=1), camera)
+    text = found._repr_html_()
+    assert f"QuadtreeSegmentation: {len(found.planes)} planes" in text
+    picture = picture_of(text)
+    assert picture.shape == (240, 648, 3)
+    labels = found.labels[::2, ::2]
+    for label in range(len(found.planes) + 1):
+        assert len(np.unique(picture[:, :320][labels == label], axis=0)) == 1
+    assert len(np.unique(picture[:, :320].reshape(-1, 3), axis=0)) == len(found.planes) + 1
+    for status in rp.TileStatus:
+        assert (f"&nbsp;{status.name}" in text) == (found.elements.status == status).any()
+
+
 def test_windows_show_themselves(tiles):
     depth = np.full(tiles.camera.shape, 2000, np.uint16)
     depth[:60, :60] = 0
