@@ -24,13 +24,15 @@ import numpy as np
 
 from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
 from rgbd_planes.batch_rows import Columns
+from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.sequences.frames import FrameSequence
 
-# Of a part: what is lost by an interruption, and what each thread holds in memory.
+# Of a part: what is lost by an interruption and how often progress shows, and what each thread holds in memory.
 MOST_FRAMES = 512
+MOST_SEGMENTED = 64  # each takes tens of times as long as the tiles of one
 FEWEST_FRAMES = 4
 MOST_ROWS = 600_000
 CONNECT_SECONDS = 30.0
@@ -197,15 +199,19 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
-    # A few parts for each thread, so that all have work to the end; but a file takes a millisecond itself.
-    fitting = MOST_ROWS // settings.rows_of_frame(sequence.camera)
-    shared = max(len(sequence) // (4 * slots), min(FEWEST_FRAMES, -(-len(sequence) // slots)))
-    size = max(1, min(MOST_FRAMES, fitting, shared))
-    rounds = -(-len(sequence) // (size * slots))  # in which each thread has a part
-    size = -(-len(sequence) // (rounds * slots))
+    size = _frames_of_part(len(sequence), settings, sequence.camera, slots)
     with write_beside(file) as beside:
         beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")
     return size
+
+
+def _frames_of_part(frames: int, settings: FitSettings, camera: Camera, slots: int) -> int:
+    # A few parts for each thread, so that all have work to the end; but a file takes a millisecond itself.
+    most = MOST_SEGMENTED if settings.segments else MOST_FRAMES
+    shared = max(frames // (4 * slots), min(FEWEST_FRAMES, -(-frames // slots)))
+    size = max(1, min(most, MOST_ROWS // settings.rows_of_frame(camera), shared))
+    rounds = -(-frames // (size * slots))  # in which each thread has a part
+    return -(-frames // (rounds * slots))
 
 
 def _file(folder: Path, task: Task) -> Path:

@@ -298,6 +298,14 @@ def test_memory_does_not_grow_with_the_sequence(tmp_path, monkeypatch):
     assert peak(3200) < 1.4 * peak(800)  # 800 frames' rows are 15 MB
 
 
+@pytest.mark.parametrize(("segments", "most"), [(False, 512), (True, 64)])
+def test_parts_are_small_enough_to_show_progress(segments, most):
+    sizes = [batch._frames_of_part(n, FitSettings(segments), CAMERA, 2) for n in (1, 7, 100, 1000, 100_000)]
+    assert sizes == sorted(sizes)
+    assert sizes[0] == 1
+    assert 0.9 * most < sizes[-1] <= most
+
+
 # After three parts nothing more is done until the process is told to stop.
 SLOW = """
 import signal, sys, time
