@@ -16,7 +16,7 @@ COLLINEAR = 1e-6
 
 @kernel(inline=True)
 def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
-    """Least squares plane q = α·(u, v, 1) of ten sums: the sum of squared residuals, and α.
+    """Least squares plane q = α·(u, v, 1) of ten sums (the paper's eq. RGBD_explicit_fit): sum of squared residuals, α.
 
     The residual is -1 and α 0 where the pixels do not determine a plane.
     """

@@ -31,7 +31,7 @@ LIMITS = 11
 # tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. One over the degrees of
 # freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the variance of q of
 # the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
-LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, SPREAD, SCALE = 0, 1, 2, 3, 4, 5
+LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, SCALE = 0, 1, 2, 3, 4, 5
 VARIANCES = np.uintp(6)
 ONE = np.uintp(1)
 
@@ -106,8 +106,8 @@ def assess(
         by_count(all_counts[first:last], tables, room)
         residual_ratio(room)
         if limits.shape[0] > 0:
-            if noise[SPREAD] > 0.0:
-                variance_ratio.limits(limits[0], noise[SPREAD], tails, BLOCK)
+            if noise[INVERSE_FREEDOM] > 0.0:
+                variance_ratio.limits(limits[0], noise[INVERSE_FREEDOM], tails, BLOCK)
             else:
                 for i in range(BLOCK):
                     limit = 0.0
@@ -119,8 +119,8 @@ def assess(
                 if room[RATIO, i] > room[LIMIT, i]:
                     mark[i] = rough
         if everything:
-            if noise[SPREAD] > 0.0:
-                variance_ratio.deviates(noise[SPREAD], tails, BLOCK)
+            if noise[INVERSE_FREEDOM] > 0.0:
+                variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, BLOCK)
             else:
                 chi_square.deviates(tails, BLOCK)
             normal.tails(tails, BLOCK)
