@@ -26,7 +26,7 @@ from rgbd_planes.fitting import (
 )
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
-from rgbd_planes.threads import choose_num_threads, run_in_ranges, submit
+from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import central_rays, check_tile, relative_rays, tile_sizes, tile_windows
 from rgbd_planes.tile_planes import TilePlanes
 
@@ -136,7 +136,7 @@ class TileFitter:
         arrays = self._arrays((), out)
         threads = choose_num_threads(self._num_threads, frame.raw.size)
         with announced((*self._compiled_for, frame.raw.dtype)):
-            run_in_ranges(self._work(frame, arrays), self._grid[0], threads)
+            run_in_ranges(self._into(arrays)(frame), self._grid[0], threads)
         return self._result(arrays) if out is None else out
 
     def fit_batch(
@@ -167,10 +167,9 @@ class TileFitter:
         def fit_some(start: int, stop: int) -> None:
             """Fit tile rows ``start`` to ``stop``, counted through all frames."""
             for i in range(start // rows, -(-stop // rows)):
-                work = self._work(
-                    as_depth_frame(frames[i], self.camera), {name: array[i] for name, array in arrays.items()}
-                )
-                work(max(start - i * rows, 0), min(stop - i * rows, rows))
+                fit = self._into({name: array[i] for name, array in arrays.items()})
+                frame = as_depth_frame(frames[i], self.camera)
+                fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
 
         pixels = len(frames) * self.camera.width * self.camera.height
         with announced((*self._compiled_for, np.asarray(frames[0]).dtype)):
@@ -208,7 +207,7 @@ class TileFitter:
     def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""
         arrays = self._arrays((), None)
-        self._work(as_depth_frame(depth, self.camera), arrays)(0, self._grid[0])
+        self._into(arrays)(as_depth_frame(depth, self.camera))(0, self._grid[0])
         return self._result(arrays)
 
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
@@ -231,44 +230,54 @@ class TileFitter:
     def _result(self, arrays: Arrays) -> TilePlanes:
         return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
 
-    def _work(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
-        """Return what fits tile rows ``start`` to ``stop`` of a frame into arrays of shape (R, C, ...)."""
-        fit = (
-            self._direct(frame, arrays) if self.implementation == "direct" else self._windowed(frame, arrays)
-        )
+    def _refitting(self, out: TilePlanes) -> Callable[[npt.ArrayLike], object]:
+        """Return what fits a frame, in this thread, into ``out``: `fit` for loops, which checks that once."""
+        fit = self._into(self._arrays((), out))
+        return lambda depth: fit(as_depth_frame(depth, self.camera))(0, self._grid[0])
+
+    def _into(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
+        """Return what, given a frame, returns what fits some of its rows of tiles into arrays of shape (R, C, ...)."""
+        fit = self._direct(arrays) if self.implementation == "direct" else self._windowed(arrays)
         if self.camera.noise is None:
             return fit
         columns = self._grid[1]
 
-        def fit_and_assess(start: int, stop: int) -> None:
-            fit(start, stop)
-            self._assess(arrays, start * columns, stop * columns)
+        def fit_and_assess(frame: DepthFrame) -> Work:
+            fit_rows = fit(frame)
+
+            def work(start: int, stop: int) -> None:
+                fit_rows(start, stop)
+                self._assess(arrays, start * columns, stop * columns)
+
+            return work
 
         return fit_and_assess
 
-    def _direct(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
-        # Numba compiles for a depth image or for a disparity image.
-        offset = frame.offset if frame.is_disparity else None
+    def _direct(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
         results = flat(arrays)
 
-        def fit(start: int, stop: int) -> None:
-            self._kernel(
-                frame.raw, frame.lowest, frame.highest, frame.scale, offset, *self._of_camera,
-                start, stop, *results,
-            )  # fmt: skip
+        def fit(frame: DepthFrame) -> Work:
+            # Numba compiles for a depth image or for a disparity image.
+            offset = frame.offset if frame.is_disparity else None
+            values = frame.raw, frame.lowest, frame.highest, frame.scale, offset
+            return lambda start, stop: self._kernel(*values, *self._of_camera, start, stop, *results)
 
         return fit
 
-    def _windowed(self, frame: DepthFrame, arrays: Arrays) -> Callable[[int, int], None]:
-        arrays["_reference"][:] = 0.0
+    def _windowed(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
         moments = arrays["_moments"].reshape(10, -1)
-        source = self._window_moments.prepare(frame)
         columns = self._grid[1]
 
-        def fit(start: int, stop: int) -> None:
-            start, stop = start * columns, stop * columns
-            source(self._windows, self._full_windows, start, stop, moments)
-            solve_planes(self.method, arrays, self._needed, self._max_error, start, stop)
+        def fit(frame: DepthFrame) -> Work:
+            arrays["_reference"][:] = 0.0
+            source = self._window_moments.prepare(frame)
+
+            def work(start: int, stop: int) -> None:
+                start, stop = start * columns, stop * columns
+                source(self._windows, self._full_windows, start, stop, moments)
+                solve_planes(self.method, arrays, self._needed, self._max_error, start, stop)
+
+            return work
 
         return fit
 
