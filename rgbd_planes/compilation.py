@@ -9,22 +9,23 @@ SECONDS_BEFORE_NOTICE = 1.0
 
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
-_announced = threading.Event()
+_announced: set[str] = set()
 _announcing = threading.Lock()
 _NOTHING = nullcontext()
 
 
-def announced(key: Hashable) -> AbstractContextManager[None]:
-    """Log one line, once in a process, if the first call for ``key`` takes long; later calls cost nothing.
+def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextManager[None]:
+    """Log one line if the first call for ``key`` takes long; later calls cost nothing.
 
-    A kernel that Numba's cache on disk holds loads in less than the time waited for.
+    Once in a process for all that ``takes`` the same time. A kernel that Numba's cache on disk holds loads in
+    less than the time waited for.
     """
-    return _NOTHING if key in _compiled or _announced.is_set() else _first_call(key)
+    return _NOTHING if key in _compiled or takes in _announced else _first_call(key, takes)
 
 
 @contextmanager
-def _first_call(key: Hashable) -> Iterator[None]:
-    timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce)
+def _first_call(key: Hashable, takes: str) -> Iterator[None]:
+    timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce, [takes])
     timer.daemon = True
     timer.start()
     try:
@@ -34,9 +35,9 @@ def _first_call(key: Hashable) -> Iterator[None]:
         timer.cancel()
 
 
-def _announce() -> None:
+def _announce(takes: str) -> None:
     with _announcing:  # threads that begin together wait for the same kernels
-        if _announced.is_set():
+        if takes in _announced:
             return
-        _announced.set()
-    _logger.warning("compiling kernels: once for this installation, a few seconds for each kind of frame")
+        _announced.add(takes)
+    _logger.warning(f"compiling kernels: {takes}, once for this installation and each kind of frame")

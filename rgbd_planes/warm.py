@@ -20,10 +20,13 @@ def warmup(
     camera: Camera | None = None,
     methods: str | Sequence[str] = "range_explicit",
     dtypes: DType | Sequence[DType] = ("uint16", "float32"),
+    *,
+    segment: bool = False,
 ) -> None:
     """Compile what fits tiles, or load it from the cache, so that the first frame is as fast as the next.
 
-    A first installation takes seconds for it, once; later processes a fraction of a second.
+    A first installation takes some seconds for it, once, and with ``segment`` up to a minute; later processes
+    a fraction of a second.
 
     Parameters
     ----------
@@ -34,6 +37,8 @@ def warmup(
         See `TileFitter`.
     dtypes : dtype or sequence of dtypes
         Of the frames to come.
+    segment : bool
+        Compile `rgbd_planes.segment`, too.
     """
     given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
     check_camera(given)
@@ -41,8 +46,22 @@ def warmup(
         8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
         depth_scale=1000.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
     )  # fmt: skip
+    several = [dtypes] if isinstance(dtypes, (str, type, np.dtype)) else dtypes
     for method in [methods] if isinstance(methods, str) else methods:
         check_choice("method", method, METHODS)
         fitter = TileFitter(small, 4, method, num_threads=1)
-        for dtype in [dtypes] if isinstance(dtypes, (str, type, np.dtype)) else dtypes:
+        for dtype in several:
             fitter.fit(np.ones(small.shape, dtype))
+    if segment:
+        _segment(small, several)
+
+
+def _segment(small: Camera, dtypes: Sequence[DType]) -> None:
+    """Segment a scene that takes every way there is, and frames of each dtype: only their first kernel differs."""
+    from rgbd_planes import scenes
+    from rgbd_planes.segmentation import segment
+
+    camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
+    segment(scenes.room().render(camera).measure(holes=0.05, patches=0.05), camera)
+    for dtype in dtypes:
+        segment(np.ones(small.shape, dtype), small)

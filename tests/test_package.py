@@ -85,7 +85,7 @@ def test_cache_loads_whatever_numba_calls_its_own_way():
 
 def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
-    monkeypatch.setattr(compilation, "_announced", threading.Event())
+    monkeypatch.setattr(compilation, "_announced", set())
     monkeypatch.setattr(compilation, "_compiled", set())
     with compilation.announced("quick"):
         pass
@@ -100,7 +100,32 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     with compilation.announced("one"), compilation.announced("other"):
         time.sleep(0.1)
     assert len(caplog.messages) == 2
-    assert caplog.messages[0].startswith("compiling kernels")
+    assert caplog.messages[0].startswith("compiling kernels: some seconds")
+    # What takes far longer is said all the same.
+    with compilation.announced("segment", "up to a minute"):
+        time.sleep(0.1)
+    assert caplog.messages[2].startswith("compiling kernels: up to a minute")
+
+
+def test_warmup_for_segments_leaves_nothing_to_compile():
+    """Whatever the scene: what kernels are compiled for, in all their modules, stays the same."""
+    code = """
+import importlib, pkgutil, numpy as np, rgbd_planes as rp, rgbd_planes.kernels as kernels
+from rgbd_planes import scenes
+def compiled():
+    modules = [importlib.import_module(m.name) for m in pkgutil.iter_modules(kernels.__path__, "rgbd_planes.kernels.")]
+    return {k: d.signatures for m in modules for k, d in vars(m).items() if hasattr(d, "signatures")}
+distorted = rp.Camera(200, 150, 170.0, 170.0, 99.5, 74.5, (0.1, -0.2, 0.0, 0.0, 0.0), depth_scale=5000.0)
+rp.warmup(distorted, dtypes=["uint16", "float32"], segment=True)
+before = compiled()
+assert before["find_regions"] and before["join_planes"]
+for scene in (scenes.room(), scenes.room((0.1, -1.5, 0.0)), scenes.plane((0.0, 0.0, -1.0), 2.0)):
+    depth = scene.render(distorted).measure(holes=0.05, patches=0.1)
+    rp.segment(depth, distorted)
+    rp.segment((depth / 5000).astype(np.float32), distorted, noise=rp.noise.kinect_v1())
+print({k: v for k, v in compiled().items() if v != before[k]})
+"""
+    assert run(code).strip() == "{}"
 
 
 def test_works_without_a_place_for_a_cache():
