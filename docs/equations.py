@@ -8,13 +8,18 @@ from latex2mathml.converter import convert
 _CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 _DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
 _INLINE = re.compile(r"\$([^$\n]+?)\$")
+_FUNCTION = re.compile(r"(\\(?:tan|ln)) *(?=\\[a-z])")  # before a letter, from which MathML has no space
+
+
+def _mathml(equation: str, display: str) -> str:
+    return convert(_FUNCTION.sub(r"\1\\,", equation.strip()), display=display)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Replace the equations outside code, in the way that mkdocs calls its hooks."""
     parts = _CODE.split(markdown)
     for i in range(0, len(parts), 2):
-        shown = _DISPLAY.sub(lambda found: convert(found[1].strip(), display="block"), parts[i])
+        shown = _DISPLAY.sub(lambda found: _mathml(found[1], "block"), parts[i])
         # In a span: Markdown takes <math> for a block where a line begins with it.
-        parts[i] = _INLINE.sub(lambda found: f"<span>{convert(found[1].strip())}</span>", shown)
+        parts[i] = _INLINE.sub(lambda found: f"<span>{_mathml(found[1], 'inline')}</span>", shown)
     return "".join(parts)

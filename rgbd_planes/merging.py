@@ -13,7 +13,9 @@ from rgbd_planes.plane_fits import PlaneFits, allocate
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MergedPlanes(PlaneFits):
-    """The planes of N unions of tiles: arrays of shape (N, ...), row i belongs to label i + 1.
+    """The planes of N unions of tiles, arrays of shape S = (N,): row i belongs to label i + 1.
+
+    p-values and covariances are those of `TilePlanes`.
 
     Attributes
     ----------

@@ -3,6 +3,8 @@
 Noise lives in q = 1/Z. A disparity sensor's is constant there, σq = σ_disparity / (f·baseline); published
 axial noise converts by σq = σZ / Z².
 
+Examples
+--------
 >>> import rgbd_planes as rp
 >>> camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=1000.0, noise=rp.noise.kinect_v1())
 """

@@ -4,6 +4,8 @@ A ray leaves the camera through the centre of every pixel and meets the nearest 
 is the noise-free depth, which surface each pixel sees, and that surface's plane. ``Rendering.measure``
 then turns the depth into what a sensor would deliver: noise, missing pixels, integer units.
 
+Examples
+--------
 >>> from rgbd_planes import Camera, scenes
 >>> camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=1000.0)
 >>> rendering = scenes.room().render(camera)

@@ -46,7 +46,7 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     Parameters
     ----------
     depth : (H, W) array_like
-        Integers in the camera's raw units, or floats in metres; see `as_depth_frame`.
+        Integers in the camera's raw units, or floats in metres; see `fit_tiles`.
     camera : Camera
     noise : float, callable or noise model, optional
         Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
@@ -64,7 +64,7 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     Raises
     ------
     TypeError, ValueError
-        As `as_depth_frame`, and for a `noise` or a `min_size` that cannot be.
+        As `fit_tiles`, and for a `noise` or a `min_size` that cannot be.
 
     Notes
     -----

@@ -18,7 +18,7 @@ from rgbd_planes.tile_grid import tile_sizes
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TilePlanes(PlacedFits):
-    """The planes of all tiles of a frame, (R, C), or of a batch of frames, (F, R, C).
+    """The planes of all tiles of a frame, arrays of shape S = (R, C), or of a batch, S = (F, R, C).
 
     Attributes
     ----------

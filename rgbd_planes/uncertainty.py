@@ -35,10 +35,10 @@ def same_plane(
 
     Examples
     --------
-    Tiles and their neighbours to the right::
+    Tiles and their neighbours to the right:
 
-        a, c = tiles.alpha, tiles.alpha_covariance
-        p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
+    >>> a, c = tiles.alpha, tiles.alpha_covariance
+    >>> p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
     """
     first, second = _array("alpha", alpha, (3,)), _array("other_alpha", other_alpha, (3,))
     first_covariance = _array("covariance", covariance, (3, 3))

@@ -17,7 +17,9 @@ from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WindowPlanes(PlacedFits):
-    """The planes of windows of a frame: arrays of shape (K, ...).
+    """The planes of K windows of a frame, arrays of shape S = (K,).
+
+    p-values, covariances and `plot` are those of `TilePlanes`.
 
     Attributes
     ----------
