@@ -32,8 +32,8 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
 
     Returns
     -------
-    (H', W', 3) uint8
-        Each panel as large as the frame, but at most 320 pixels wide. Colours as in `TilePlanes.plot`.
+    (H', W', 4) uint8
+        RGB and opacity. Each panel as large as the frame, but at most 320 pixels wide. Colours as in `TilePlanes.plot`.
     """
     if len(fits.shape) > 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}")
@@ -59,8 +59,9 @@ def _status_colours(fits: PlacedFits) -> NDArray[np.float64]:
 
 
 def _beside(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.uint8]:
-    gap = np.ones((len(left), _GAP, 3))
-    return np.rint(255.0 * np.concatenate([left, gap, right], axis=1)).astype(np.uint8)
+    gap = np.zeros((len(left), _GAP, 4))  # transparent: a page may be light or dark
+    opaque = [np.dstack([panel, np.ones(panel.shape[:2])]) for panel in (left, right)]
+    return np.rint(255.0 * np.concatenate([opaque[0], gap, opaque[1]], axis=1)).astype(np.uint8)
 
 
 def fits_html(fits: PlacedFits) -> str:
@@ -78,8 +79,8 @@ def fits_html(fits: PlacedFits) -> str:
 
 def segments_html(segments: "Segmentation") -> str:
     """Return a few lines of HTML: what was found, a picture of the planes, and the largest of them."""
-    step = max(1, -(-segments.camera.width // _WIDEST))
-    picture = np.rint(255.0 * label_image(segments)[::step, ::step]).astype(np.uint8)
+    rows, columns = _sampled(segments.camera.shape)
+    picture = np.rint(255.0 * label_image(segments)[rows[:, None], columns]).astype(np.uint8)
     colours = label_colours(len(segments))
     largest = " ".join(
         f"{_square(colours[i])}&nbsp;{i + 1}:&nbsp;"

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -382,6 +383,22 @@ def test_command_line(recording, tmp_path, capsys):
     assert "expected a ROS bag" in capsys.readouterr().err
     assert cli.main([*topic, "--format", "tum"]) == 2
     assert "--topic is for ROS bags, got it with --format tum" in capsys.readouterr().err
+
+
+def test_what_is_wrong_with_many_frames_is_said_once(recording, tmp_path, capsys):
+    replace(CAMERA, width=60, height=80).save(tmp_path / "swapped.json")
+    (recording / "depth" / "12.png").write_bytes(b"")
+    camera = str(tmp_path / "swapped.json")
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "t"), "--camera", camera]
+    for _ in range(2):  # the second time from what is written
+        assert cli.main(arguments) == 1
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 4
+        transposed = "got (60, 80): is it transposed?"
+        assert sum(line.startswith("rgbd-planes batch: skipped frame ") for line in lines[:2]) == 2
+        assert sum(line.endswith(transposed) for line in lines) == 2
+        assert lines[2].startswith("29 frames, 0 to 11, 13 to 29: expected a depth frame of shape")
+        assert lines[3] == "Skipped 30 of 30 frames."
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from PIL import Image
 import rgbd_planes as rp
 from rgbd_planes import scenes
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
+from rgbd_planes.plotting_segments import label_image
 from rgbd_planes.preview import fits_picture
 
 
@@ -29,7 +30,11 @@ def picture_of(text):
 
 def test_the_picture_has_each_tile_where_it_is(tiles):
     picture = fits_picture(tiles)
-    assert picture.shape == (240, 320 + 8 + 320, 3)
+    assert picture.shape == (240, 320 + 8 + 320, 4)
+    opacity = np.full(picture.shape[:2], 255)
+    opacity[:, 320:328] = 0  # whatever is behind it
+    assert np.array_equal(picture[..., 3], opacity)
+    picture = picture[..., :3]
     for row, column in np.ndindex(tiles.shape):
         # The middle of the tile, in a picture of 320 columns for 400.
         y = int((28 * row + tiles.tile_heights[row] / 2) / 1.25)
@@ -66,7 +71,7 @@ def test_a_quadtree_shows_itself():
     found = rp.segment_quadtree(rp.scenes.room().render(camera).measure(holes=0.05, seed=1), camera)
     text = found._repr_html_()
     assert f"QuadtreeSegmentation: {len(found.planes)} planes" in text
-    picture = picture_of(text)
+    picture = picture_of(text)[..., :3]
     assert picture.shape == (240, 648, 3)
     labels = found.labels[::2, ::2]
     for label in range(len(found.planes) + 1):
@@ -74,6 +79,15 @@ def test_a_quadtree_shows_itself():
     assert len(np.unique(picture[:, :320].reshape(-1, 3), axis=0)) == len(found.planes) + 1
     for status in rp.TileStatus:
         assert (f"&nbsp;{status.name}" in text) == (found.elements.status == status).any()
+
+
+def test_segments_show_themselves_as_large_as_tiles(tiles):
+    depth = scenes.room().render(tiles.camera).measure(seed=2)
+    found = rp.segment(depth, tiles.camera)
+    picture = picture_of(found._repr_html_())
+    assert picture.shape == (240, 320, 3)  # of 300 x 400
+    rows, columns = np.arange(240) * 5 // 4, np.arange(320) * 5 // 4
+    assert np.array_equal(picture, np.rint(255 * label_image(found)[rows[:, None], columns]))
 
 
 def test_windows_show_themselves(tiles):
@@ -84,7 +98,7 @@ def test_windows_show_themselves(tiles):
     assert "WindowPlanes (3,), range_explicit: 2 OK, 1 TOO_FEW" in text
     picture = picture_of(text)
     assert np.array_equal(picture, fits_picture(windows))
-    status = picture[:, 328:] / 255.0
+    status = picture[:, 328:, :3] / 255.0
     for (y, x), colour in (
         ((10, 10), STATUS_COLOURS[rp.TileStatus.TOO_FEW]),
         ((100, 200), STATUS_COLOURS[rp.TileStatus.OK]),

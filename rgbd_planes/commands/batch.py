@@ -6,6 +6,8 @@ from pathlib import Path
 
 from rgbd_planes.commands.arguments import CommandError, Run, add_fit_options, add_noise
 
+_LISTED = 10  # ranges of skipped frames
+
 
 def batch(parser: argparse.ArgumentParser) -> Run:
     """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
@@ -57,11 +59,14 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             max_error=arguments.max_error,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: not where nobody looks
+        skipped: dict[str, list[int]] = {}  # frames by the reason, which is said once, and again at the end
 
         def progress(done: Progress) -> None:
-            for problem in done.problems:
-                line = f"rgbd-planes batch: skipped frame {problem.frame}, {problem.name}: {problem.reason}"
-                bar.write(line, file=sys.stderr)
+            for frame, name, reason in done.problems:
+                if reason not in skipped:
+                    line = f"rgbd-planes batch: skipped frame {frame}, {name}: {reason}"
+                    bar.write(line, file=sys.stderr)
+                skipped.setdefault(reason, []).append(frame)
             bar.update(done.frames)
 
         try:
@@ -89,8 +94,20 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             shares = ", ".join(f"{work} {seconds / total:.0%}" for work, seconds in report.seconds.items())
             print(f"Of the work: {shares}.")
         print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
+        for reason, frames in skipped.items():
+            if len(frames) > 1:
+                print(f"{len(frames)} frames, {_ranges(frames)}: {reason}", file=sys.stderr)
         if report.problems:
             print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
         return 1 if report.problems else 0
 
     return run
+
+
+def _ranges(frames: list[int]) -> str:
+    """Numbers in words: "0 to 4, 7", the first ranges of many."""
+    there = set(frames)
+    starts = sorted(frame for frame in there if frame - 1 not in there)
+    ends = sorted(frame for frame in there if frame + 1 not in there)
+    ranges = [str(a) if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
+    return ", ".join(ranges[:_LISTED]) + (", ..." if len(ranges) > _LISTED else "")
