@@ -16,6 +16,14 @@ _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
     "brown_conrady",
     "kannala_brandt4",
 )
+_OTHERS = (  # a key of other files, and what takes their camera
+    ("intrinsic_matrix", "open3d"),
+    ("K", "ros"),
+    ("k", "ros"),
+    ("ppx", "realsense"),
+    ("camera_matrix", "opencv"),
+    ("mtx", "opencv"),
+)
 _ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14)}
 
 
@@ -52,9 +60,9 @@ def from_opencv(
 
 def whose(keys: list[str]) -> str:
     """Which other format has such keys, as the end of a message; nothing if none is known."""
-    for key, other in (("intrinsic_matrix", "open3d"), ("K", "ros"), ("k", "ros"), ("ppx", "realsense")):
+    for key, other in _OTHERS:
         if key in keys:
-            return f": Camera.from_{other} reads that, Camera.save writes it as here"
+            return f": Camera.from_{other} takes that, Camera.save writes it as here"
     return ""
 
 

@@ -1,10 +1,18 @@
 """What many doors check of an argument: it can be used, or an error says what was expected and what came."""
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+_CAMERA_FROM = (
+    (str, "load reads a file"),
+    (os.PathLike, "load reads a file"),
+    (Mapping, "from_dict takes one"),
+    (np.ndarray, "from_opencv takes a matrix"),
+)
 
 
 def check_camera(camera: Any) -> None:
@@ -12,7 +20,9 @@ def check_camera(camera: Any) -> None:
     from rgbd_planes.camera import Camera
 
     if not isinstance(camera, Camera):
-        raise TypeError(f"expected a Camera, got {type(camera).__name__}")
+        reads = next((name for kind, name in _CAMERA_FROM if isinstance(camera, kind)), None)
+        reason = "" if reads is None else f": Camera.{reads}"
+        raise TypeError(f"expected a Camera, got {type(camera).__name__}{reason}")
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:

@@ -6,6 +6,7 @@ for the inverse depth, so that a frame is read once and nothing is converted bef
 
 import functools
 import math
+import os
 import struct
 import sys
 import warnings
@@ -85,7 +86,7 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     Raises
     ------
     TypeError
-        The dtype is neither integer nor floating point, or the array is masked.
+        It is no array, or masked, or the dtype is neither integer nor floating point.
     ValueError
         The shape is not (camera.height, camera.width), or an integer frame came with a camera that has
         neither `depth_scale` nor `disparity`.
@@ -94,7 +95,8 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     -----
     UserWarning
         A frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
-        farther says that it is not. A frame of 8 bits that ends before 1 m: most likely a picture.
+        farther says that it is not. A frame of 8 bits that ends before 1 m: most likely a picture, unless
+        `depth_range` ends before that, too.
 
     Notes
     -----
@@ -107,7 +109,7 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     if "numpy.ma" in sys.modules and isinstance(depth, np.ma.MaskedArray):
         raise TypeError("expected a plain array, got a masked array: fill it first, depth.filled(0)")
     array = np.asarray(depth)
-    _check_shape(array, camera)
+    _check_shape(depth, array, camera)
     kind = array.dtype.kind
     if kind in "ui":
         if camera.depth_scale is None and camera.disparity is None:
@@ -146,16 +148,25 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     return DepthFrame(raw, lowest, highest, depth_scale, 0.0, False)
 
 
-def _check_shape(array: NDArray[Any], camera: "Camera") -> None:
+def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: "Camera") -> None:
     expected = (camera.height, camera.width)
     if array.shape == expected:
         return
-    if array.ndim == 3 and array.shape[2] in (3, 4):
-        reason = ": is it a colour image?"
+    if depth is None or isinstance(depth, (str, os.PathLike)):
+        reason = "has the file been read?" if depth is None else "rgbd_planes.images.read_depth reads a file"
+        raise TypeError(f"expected a depth frame as an array, got {type(depth).__name__}: {reason}")
+    if array.ndim == 3 and array.shape[2] == 3 and array.dtype.kind == "f":
+        reason = ": is it a colour image, or points, whose depth is [..., 2]?"
+    elif array.ndim == 3 and array.shape[2] in (3, 4):
+        reason = ": is it a colour image? cv2.imread makes one of depth, too, without IMREAD_UNCHANGED"
     elif array.ndim == 3 and 1 in array.shape:
         reason = ": squeeze it"
+    elif array.ndim == 3 and array.shape[1:] == expected:
+        reason = ": TileFitter.fit_batch takes several frames"
     elif array.shape == expected[::-1]:
-        reason = ": is it transposed?"
+        reason = ": is it transposed, or are the camera's width and height swapped?"
+    elif array.ndim == 2 and array.size and array.shape[0] * expected[1] == array.shape[1] * expected[0]:
+        reason = ": is the calibration that of another resolution?"
     else:
         reason = ""
     raise ValueError(
@@ -171,7 +182,8 @@ def _warn_of_units(
     farthest = _PLAINLY_NOT_METRES * depth_scale
     if dtype == np.uint16 and 2.0 * farthest > 65535:
         return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
-    if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and depth_range is None:
+    near = depth_range is not None and depth_range[1] <= _PLAINLY_TOO_NEAR
+    if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and not near:
         warn_caller(
             f"a frame of 8 bits with a depth_scale of {depth_scale:g} per metre ends at {255 / depth_scale:.2g} m: "
             "is it a picture of the depth?"

@@ -61,7 +61,12 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
             f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]"
         )
     if array.shape != fits.shape:
-        raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}")
+        of_pixels = (
+            ": Segmentation.tile_labels has those of tiles" if array.shape == fits.camera.shape else ""
+        )
+        raise ValueError(
+            f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{of_pixels}"
+        )
     largest_label = np.iinfo(np.int32).max
     if array.size and not 0 <= array.min() <= array.max() <= largest_label:
         raise ValueError(f"labels must be 0 to {largest_label}, got {array.min()} to {array.max()}")

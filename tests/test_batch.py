@@ -394,7 +394,7 @@ def test_what_is_wrong_with_many_frames_is_said_once(recording, tmp_path, capsys
         assert cli.main(arguments) == 1
         lines = capsys.readouterr().err.splitlines()
         assert len(lines) == 4
-        transposed = "got (60, 80): is it transposed?"
+        transposed = "got (60, 80): is it transposed, or are the camera's width and height swapped?"
         assert sum(line.startswith("rgbd-planes batch: skipped frame ") for line in lines[:2]) == 2
         assert sum(line.endswith(transposed) for line in lines) == 2
         assert lines[2].startswith("29 frames, 0 to 11, 13 to 29: expected a depth frame of shape")

@@ -284,8 +284,8 @@ def test_save_where_nothing_can_be_written(tmp_path):
             '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "scale": 7, "k1": 0}',
             "also k1, scale$",
         ),
-        ('{"width": 1, "height": 2, "intrinsic_matrix": []}', "Camera.from_open3d reads that"),
-        ('{"width": 1, "height": 2, "K": []}', "Camera.from_ros reads that"),
+        ('{"width": 1, "height": 2, "intrinsic_matrix": []}', "Camera.from_open3d takes that"),
+        ('{"width": 1, "height": 2, "K": []}', "Camera.from_ros takes that"),
         (
             '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "depth_scale": 0.001}',
             "got 0.001: if these are metres per unit, 1000 is meant",

@@ -1,5 +1,7 @@
 """What cannot be used is refused at the door, with what was expected and what came."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,45 @@ def test_no_camera(use):
 
 
 @pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        ("camera.json", "got str: Camera.load reads a file"),
+        (Path("camera.json"), "Camera.load reads a file"),
+        (CAMERA.to_dict(), "got dict: Camera.from_dict takes one"),
+        (np.eye(3), "got ndarray: Camera.from_opencv takes a matrix"),
+        (None, "got NoneType$"),
+    ],
+)
+def test_what_makes_a_camera(camera, message):
+    with pytest.raises(TypeError, match=message):
+        rp.fit_tiles(DEPTH, camera)
+    if camera is not None:
+        with pytest.raises(TypeError, match=message):
+            rp.open_sequence(".", camera)
+
+
+@pytest.mark.parametrize(
+    ("depth", "error", "message"),
+    [
+        (None, TypeError, "as an array, got NoneType: has the file been read?"),
+        ("depth.png", TypeError, "as an array, got str: rgbd_planes.images.read_depth reads a file"),
+        (Path("depth.png"), TypeError, "Path: rgbd_planes.images.read_depth reads a file"),
+        (3, ValueError, r"got \(\)$"),
+        (np.zeros((48, 64, 3), np.uint8), ValueError, "is it a colour image.* IMREAD_UNCHANGED$"),
+        (CAMERA.points(DEPTH), ValueError, r"or points, whose depth is \[..., 2\]"),
+        (DEPTH[None], ValueError, "squeeze it$"),
+        ([DEPTH, DEPTH], ValueError, "TileFitter.fit_batch takes several frames$"),
+        (DEPTH.T, ValueError, "is it transposed, or are the camera's width and height swapped"),
+        (DEPTH[::2, ::2], ValueError, "is the calibration that of another resolution"),
+        (DEPTH[1:], ValueError, r"got \(47, 64\)$"),
+    ],
+)
+def test_no_depth_frame(depth, error, message):
+    with pytest.raises(error, match=message):
+        rp.fit_tiles(depth, CAMERA)
+
+
+@pytest.mark.parametrize(
     ("use", "error", "message"),
     [
         (lambda: rp.fit_tiles(DEPTH, CAMERA, max_missing="a"), TypeError, "max_missing as a number, got 'a'"),
@@ -44,6 +85,7 @@ def test_no_camera(use):
         (lambda: rp.TileFitter(CAMERA).fit(DEPTH, DEPTH), ValueError, "out must be a result of this fitter"),
         (lambda: rp.TileFitter(CAMERA).fit_batch(iter([DEPTH])), TypeError, "got list_iterator: fit_stream"),
         (lambda: rp.estimate_noise(iter([DEPTH]), CAMERA), TypeError, "sequence of frames, got list_iterator"),
+        (lambda: rp.merge(rp.fit_tiles(DEPTH, CAMERA), DEPTH), ValueError, "tile_labels has those of tiles"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=np.nan), TypeError, "whole number of pixels, got nan"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=2), ValueError, "min_size must be at least 3, got 2"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=True), ValueError, "positive standard deviation"),

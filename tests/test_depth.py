@@ -232,12 +232,15 @@ def test_integers_in_unlikely_units_draw_a_warning():
         with pytest.warns(UserWarning, match="is it in millimetres, depth_scale=1000") as caught:
             as_depth_frame(depth.astype(dtype), camera((480, 640), depth_scale=1.0))
         assert caught[0].filename == __file__
-    with pytest.warns(UserWarning, match=r"ends at 0\.26 m: is it a picture of the depth"):
-        as_depth_frame((depth // 10).astype(np.uint8), camera((480, 640), depth_scale=1000.0))
+    picture = (depth // 10).astype(np.uint8)
+    for depth_range in (None, (0, 20)):
+        with pytest.warns(UserWarning, match=r"ends at 0\.26 m: is it a picture of the depth"):
+            as_depth_frame(picture, camera((480, 640), depth_scale=1000.0, depth_range=depth_range))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        as_depth_frame(picture, camera((480, 640), depth_scale=1000.0, depth_range=(0, 0.2)))
         as_depth_frame(depth, camera((480, 640), depth_scale=1.0, depth_range=(1, 4000)))
-        as_depth_frame((depth // 10).astype(np.uint8), camera((480, 640), depth_scale=100.0))
+        as_depth_frame(picture, camera((480, 640), depth_scale=100.0))
         as_depth_frame(np.full((480, 640), 65535, np.uint16), camera((480, 640), depth_scale=1000.0))
 
 
@@ -279,7 +282,8 @@ def test_masked_arrays_are_refused():
         ((4, 6, 1), "squeeze"),
         ((1, 4, 6), "squeeze"),
         ((6, 4), "transposed"),
-        ((8, 12), r"got \(8, 12\)$"),
+        ((8, 12), r"got \(8, 12\): .* of another resolution"),
+        ((8, 13), r"got \(8, 13\)$"),
         ((24,), r"got \(24,\)$"),
         ((), r"got \(\)$"),
         ((0, 0), r"got \(0, 0\)$"),

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera
 from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
@@ -64,6 +65,8 @@ def open_sequence(
     ValueError
         It is of no known format, or damaged.
     """
+    if camera is not None:
+        check_camera(camera)
     place = Path(path)
     if not place.exists():
         raise FileNotFoundError(f"{path}: there is no such file or folder")
