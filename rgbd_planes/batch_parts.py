@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rgbd_planes.batch_rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
@@ -173,22 +172,15 @@ class _TileAdder:
     def __init__(self, settings: FitSettings) -> None:
         self._settings = settings
         self._camera: Camera | None = None
-        self._tiles: TilePlanes
-        self._grid: Grid
-        self._refit: Callable[[NDArray[Any]], object]
 
     def __call__(self, frame: Frame, number: int, rows: Rows) -> None:
-        if frame.camera is self._camera:
-            self._refit(frame.depth)
-            rows.add_tiles(number, self._grid, self._tiles)
-            return
-        fitter = _fitter(frame.camera, self._settings)
-        self._tiles = fitter.fit(frame.depth)
-        self._grid = Grid(self._tiles.shape, frame.camera.shape, self._tiles.tile)  # type: ignore[arg-type]
-        # Asks for the uncertainties, which from then on are fitted, too.
-        rows.add_tiles(number, self._grid, self._tiles)
-        self._refit = fitter._refitting(self._tiles)
-        self._camera = frame.camera
+        if frame.camera is not self._camera:
+            self._camera = frame.camera
+            self._fitter = _fitter(frame.camera, self._settings)
+            self._tiles: TilePlanes | None = None
+        self._tiles = tiles = self._fitter.fit(frame.depth, self._tiles)
+        grid = Grid(tiles.shape, frame.camera.shape, tiles.tile)  # type: ignore[arg-type]
+        rows.add_tiles(number, grid, tiles)
 
 
 def _add_segments(frame: Frame, number: int, rows: Rows) -> None:

@@ -133,11 +133,15 @@ class TileFitter:
             Arrays of shape (R, C, ...).
         """
         frame = as_depth_frame(depth, self.camera)
-        arrays = self._arrays((), out)
+        if out is None:
+            arrays = self._arrays((), None)
+            fit, out = self._into(arrays), self._result(arrays)
+        else:
+            fit = self._into_result(out)
         threads = choose_num_threads(self._num_threads, frame.raw.size)
         with announced((*self._compiled_for, frame.raw.dtype)):
-            run_in_ranges(self._into(arrays)(frame), self._grid[0], threads)
-        return self._result(arrays) if out is None else out
+            run_in_ranges(fit(frame), self._grid[0], threads)
+        return out
 
     def fit_batch(
         self, frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], out: TilePlanes | None = None
@@ -230,10 +234,15 @@ class TileFitter:
     def _result(self, arrays: Arrays) -> TilePlanes:
         return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
 
-    def _refitting(self, out: TilePlanes) -> Callable[[npt.ArrayLike], object]:
-        """Return what fits a frame, in this thread, into ``out``: `fit` for loops, which checks that once."""
-        fit = self._into(self._arrays((), out))
-        return lambda depth: fit(as_depth_frame(depth, self.camera))(0, self._grid[0])
+    def _into_result(self, out: TilePlanes) -> Callable[[DepthFrame], Work]:
+        """`_into` the arrays of a result; kept with it, since to check and make that takes 5 µs."""
+        statistics = getattr(out, "__dict__", {}).get("_statistics")
+        kept = getattr(out, "_kept", None)
+        if kept is None or kept[0] is not self or kept[1] is not statistics:
+            kept = self, statistics, self._into(self._arrays((), out))
+            out.__dict__["_kept"] = kept
+        fit: Callable[[DepthFrame], Work] = kept[2]
+        return fit
 
     def _into(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
         """Return what, given a frame, returns what fits some of its rows of tiles into arrays of shape (R, C, ...)."""
