@@ -71,7 +71,8 @@ class QuadtreeSegmentation:
         return labels
 
     def __repr__(self) -> str:
-        return f"<QuadtreeSegmentation: {len(self.planes)} planes of {self.elements!r}>"
+        elements = f"{len(self.elements.windows)} elements, {self.elements._summary()}"
+        return f"<QuadtreeSegmentation: {len(self.planes)} planes of {elements}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""

@@ -70,7 +70,8 @@ def test_a_quadtree_shows_itself():
     camera = rp.presets.kinect_v1()
     found = rp.segment_quadtree(rp.scenes.room().render(camera).measure(holes=0.05, seed=1), camera)
     text = found._repr_html_()
-    assert f"QuadtreeSegmentation: {len(found.planes)} planes" in text
+    counts = f"{len(found.planes)} planes of {len(found.elements.windows)} elements, range_explicit: "
+    assert f"<div>QuadtreeSegmentation: {counts}" in text
     picture = picture_of(text)[..., :3]
     assert picture.shape == (240, 648, 3)
     labels = found.labels[::2, ::2]
