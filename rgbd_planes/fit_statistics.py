@@ -1,6 +1,7 @@
 """What the sensor's noise says of fitted planes: covariances, p-values, and which tiles are too rough."""
 
 import functools
+import math
 import operator
 from statistics import NormalDist
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ from rgbd_planes.checks import number
 from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.residual_statistics import inverse_freedom
+from rgbd_planes.threads import Work
 
 if TYPE_CHECKING:
     from rgbd_planes.fitting import Arrays
@@ -58,7 +60,7 @@ class FitStatistics:
         assess = Assessment(fits.camera, fits.method, 0.0, most)
         arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
         for frame in np.ndindex(frames):
-            assess({name: array[frame] for name, array in arrays.items()})
+            assess.of({name: array[frame] for name, array in arrays.items()})(0, math.prod(cells))
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
@@ -159,31 +161,34 @@ class Assessment:
         self._of_noise = _settings(camera.noise, camera.fx, camera.fy)
         self._in_range_space = method.startswith("range")
 
-    def __call__(self, arrays: "Arrays", start: int = 0, stop: int | None = None) -> None:
-        """Mark tiles ``start`` to ``stop`` of one frame, and write their statistics.
+    def of(self, arrays: "Arrays") -> Work:
+        """Return what marks tiles ``start`` to ``stop`` of one frame, and writes their statistics.
 
         ``arrays`` are those of `plane_fits.allocate` and perhaps ``_statistics``, (RESULTS, R, C) or (RESULTS, K).
         """
-        if self._noise is None:
-            return
-        results = arrays.get("_statistics")
+        noise, results = self._noise, arrays.get("_statistics")
+        if noise is None or (results is None and not len(self._limits)):
+            return lambda start, stop: None
         if results is None:
-            if not len(self._limits):
-                return
             results = _NOTHING
         moments, reference, planes, errors, counts, status = _arguments(arrays)
         if status.ndim == 1:
             moments, reference, results = moments[:, None], reference[:, None], results[:, None]
             planes, errors, counts, status = planes[None], errors[None], counts[None], status[None]
-        stop = status.size if stop is None else stop
-        tables = self._tables
-        if tables is None:
+        fits = moments, reference, planes, errors
+        settings = self._in_range_space, self._of_noise, self._limits
+        if self._tables is not None:
+            of_counts = counts, self._tables
+            return lambda start, stop: statistics.assess(
+                *fits, *of_counts, *settings, start, stop, status, ROUGH, results
+            )
+
+        def assess(start: int, stop: int) -> None:
             # There may be nothing yet in other parts.
             index = np.zeros(status.size, counts.dtype)
             numbers, inverse = np.unique(counts.ravel()[start:stop], return_inverse=True)
             index[start:stop] = inverse
-            tables, counts = _some_tables(self._noise, numbers), index.reshape(status.shape)
-        statistics.assess(
-            moments, reference, planes, errors, counts, tables, self._in_range_space, self._of_noise,
-            self._limits, start, stop, status, ROUGH, results,
-        )  # fmt: skip
+            of_counts = index.reshape(status.shape), _some_tables(noise, numbers)
+            statistics.assess(*fits, *of_counts, *settings, start, stop, status, ROUGH, results)
+
+        return assess

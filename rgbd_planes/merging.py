@@ -81,7 +81,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
     largest = int(arrays["valid_count"].max(initial=0))
-    Assessment(fits.camera, fits.method, significance, largest)(arrays)
+    Assessment(fits.camera, fits.method, significance, largest).of(arrays)(0, count)
     return MergedPlanes(camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), **arrays)
 
 

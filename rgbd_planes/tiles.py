@@ -96,7 +96,7 @@ class TileFitter:
         self._grid = len(sizes[0]), len(sizes[1])
         self._needed = valid_needed(np.outer(*sizes), max_missing).ravel()
         self._compiled_for = method, implementation, camera.is_separable
-        self._assess = Assessment(camera, method, significance, self.tile[0] * self.tile[1])
+        self._assessment = Assessment(camera, method, significance, self.tile[0] * self.tile[1])
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
@@ -249,14 +249,14 @@ class TileFitter:
         fit = self._direct(arrays) if self.implementation == "direct" else self._windowed(arrays)
         if self.camera.noise is None:
             return fit
-        columns = self._grid[1]
+        assess, columns = self._assessment.of(arrays), self._grid[1]
 
         def fit_and_assess(frame: DepthFrame) -> Work:
             fit_rows = fit(frame)
 
             def work(start: int, stop: int) -> None:
                 fit_rows(start, stop)
-                self._assess(arrays, start * columns, stop * columns)
+                assess(start * columns, stop * columns)
 
             return work
 

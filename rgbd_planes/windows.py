@@ -85,7 +85,7 @@ def fit_windows(
 
     arrays = allocate((), (len(rectangles),))
     largest = int(rectangles[:, 2:].prod(axis=1).max(initial=0))
-    assess = Assessment(camera, method, significance, largest)
+    assess = Assessment(camera, method, significance, largest).of(arrays)
     needed = valid_needed(rectangles[:, 2] * rectangles[:, 3], max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
@@ -97,7 +97,7 @@ def fit_windows(
             window_moments.camera_moments(rectangles, start, stop, full)
             source(rectangles, full, start, stop, arrays["_moments"])
             solve_planes(method, arrays, needed, error, start, stop)
-            assess(arrays, start, stop)
+            assess(start, stop)
 
         run_in_ranges(fit_some, len(rectangles), threads)
     return WindowPlanes(camera=camera, method=method, windows=rectangles, **arrays)
