@@ -85,6 +85,7 @@ def plot_segments(
     axes.imshow(label_image(segmentation, depth), interpolation="nearest")
     _write_numbers(segmentation, axes)
     axes.set_title(f"{len(segmentation)} planes, {segmentation.share:.0%} of the measured pixels")
+    axes.set_xlabel("grey: on no plane     white: not measured", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
     return figure

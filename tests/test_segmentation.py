@@ -482,6 +482,7 @@ def test_plot_draws(room):
     assert figure._repr_png_().startswith(b"\x89PNG")
     (axes,) = figure.axes
     assert f"{len(found)} planes" in axes.get_title()
+    assert axes.get_xlabel().startswith("grey: on no plane")
     assert len(axes.images) == 1
 
 
