@@ -182,6 +182,59 @@ def describe(moments, a, noise, described):
 
 
 @kernel()
+def find_best(pairs, cost, agreeing, best, least):
+    """Write to ``best`` (N,) which of the ``agreeing`` pairs costs a region least, or -1; to ``least`` its cost."""
+    best[:] = -1
+    least[:] = np.inf
+    for i in agreeing:
+        for side in range(2):
+            a = pairs[i, side]
+            better = cost[i] < least[a]
+            if cost[i] == least[a]:
+                better = scrambled(i) < scrambled(best[a])
+            best[a] = i if better else best[a]
+            least[a] = cost[i] if better else least[a]
+
+
+@kernel()
+def contract(contacts, count, parent, changed):
+    """Make the pairs of regions pairs of what these have become; returns how many are left.
+
+    Parameters
+    ----------
+    contacts, count
+        As in `merge`.
+    parent : (N,) int64
+        The region that each one went into.
+    changed : (N,) bool
+        Whether another one went into it since the pairs were last contracted.
+    """
+    pairs, where, table = contacts
+    slots = table[:]  # no more than the pairs need: what is small stays in the cache
+    while len(slots) >= 4 * count and len(slots) > 2:
+        slots = slots[: len(slots) // 2]
+    kept = 0
+    for i in range(count):
+        a, b = root_of(parent, pairs[i, 0]), root_of(parent, pairs[i, 1])
+        if a == b:
+            continue
+        # Pairs that disagree stay: one of the two may change yet.
+        pairs[kept, 2] = -1
+        if changed[a] or changed[b]:
+            a, b = min(a, b), max(a, b)
+            row = row_of(a, b, pairs, kept, slots)
+            if row < kept:
+                for k in range(3):
+                    where[row, k] += where[i, k]
+                continue
+        pairs[kept, 0] = a
+        pairs[kept, 1] = b
+        copy(where[i], where[kept])
+        kept += 1
+    return kept
+
+
+@kernel()
 def merge(moments, contacts, count, noise, rules, tolerance, parent):
     """Join neighbouring regions until no pair agrees.
 
@@ -208,8 +261,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     best = np.empty(regions, np.int64)
     least = np.empty(regions)
     agreeing = np.empty(count, np.int64)
-    pairs, where, table = contacts
-    slots = table[:]
+    pairs = contacts.pairs
     for a in range(regions):
         parent[a] = a
         describe(moments, a, noise, described)
@@ -219,17 +271,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
         for i in range(count):
             agreeing[agreed] = i
             agreed += 1 if cost[i] <= 1.0 else 0
-        best[:] = -1
-        least[:] = np.inf
-        for k in range(agreed):
-            i = agreeing[k]
-            for side in range(2):
-                c = pairs[i, side]
-                better = cost[i] < least[c]
-                if cost[i] == least[c]:
-                    better = scrambled(i) < scrambled(best[c])
-                best[c] = i if better else best[c]
-                least[c] = cost[i] if better else least[c]
+        find_best(pairs, cost, agreeing[:agreed], best, least)
         changed[:] = False
         joined = 0
         for k in range(agreed):
@@ -256,27 +298,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
         for a in range(regions):
             if changed[a]:
                 describe(moments, a, noise, described)
-        while len(slots) >= 4 * count and len(slots) > 2:
-            slots = slots[: len(slots) // 2]
-        kept = 0
-        for i in range(count):
-            a, b = root_of(parent, pairs[i, 0]), root_of(parent, pairs[i, 1])
-            if a == b:
-                continue
-            # Pairs that disagree stay: one of the two may change yet.
-            pairs[kept, 2] = -1
-            if changed[a] or changed[b]:
-                a, b = min(a, b), max(a, b)
-                row = row_of(a, b, pairs, kept, slots)
-                if row < kept:
-                    for k in range(3):
-                        where[row, k] += where[i, k]
-                    continue
-            pairs[kept, 0] = a
-            pairs[kept, 1] = b
-            copy(where[i], where[kept])
-            kept += 1
-        count = kept
+        count = contract(contacts, count, parent, changed)
     for a in range(regions):
         parent[a] = root_of(parent, a)
 
