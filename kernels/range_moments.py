@@ -117,20 +117,9 @@ def add_range_rows(
     row = row_start
     while row + 4 <= row_stop:
         add_four_range_rows(
-            raw,
-            lowest,
-            highest,
-            scale,
-            offset,
-            v,
-            row,
-            row - row_start,
-            left,
-            count,
-            reference_q,
-            sums,
-            codes,
-        )
+            raw, lowest, highest, scale, offset, v, row, row - row_start, left, count,
+            reference_q, sums, codes,
+        )  # fmt: skip
         row += 4
     while row < row_stop:
         add_two_range_rows(

@@ -21,6 +21,8 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
+# Second moments may be off by this share of what they were summed up from: what is smaller is no scatter.
+ROUNDING = 128 * 2.0**-53
 
 # The methods in (X, Y, Z) by number.
 STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(3)
@@ -30,17 +32,21 @@ WORK = 26
 
 
 @kernel(inline=True)
-def explicit(moments, reference, count, solution, residual):
+def explicit(moments, reference, total, count, solution, residual, lost):
     """Least squares of w on (u, v, 1): the paper's eq. explicit_fit_std and eq. RGBD_explicit_fit.
 
     Centred on the valid pixels' mean, MᵀM leaves a 2x2 system.
 
     Parameters
     ----------
+    total : float
+        Of moments that are differences of sums over the frame: Σuu + Σvv of the frame; otherwise 0.
     solution : (3, N) float64, written
         a, b, c of w = a·u + b·v + c.
     residual : (N,) float64, written
         Sum of squared residuals; NaN where the pixels are collinear.
+    lost : (N,) float64, written
+        Rounding errors as a share of the smaller eigenvalue of the scatter.
     """
     for i in range(count):
         mean = 1.0 / moments[0, i]
@@ -65,11 +71,13 @@ def explicit(moments, reference, count, solution, residual):
         )
         left = c_ww - a * c_uw - b * c_vw
         left = left if left > 0.0 else 0.0
-        residual[i] = left if determinant > COLLINEAR * trace * trace else math.nan
+        rounding = ROUNDING * (total + moments[4, i] + moments[7, i]) * trace
+        residual[i] = left if determinant > COLLINEAR * trace * trace + rounding else math.nan
+        lost[i] = rounding * inverse
 
 
 @kernel(inline=True)
-def range_planes(implicit, moments, reference, needed, count, work):
+def range_planes(implicit, moments, reference, total, needed, count, work):
     """Solve q = α·m (eq. RGBD_space_plane_eq).
 
     Parameters
@@ -77,6 +85,8 @@ def range_planes(implicit, moments, reference, needed, count, work):
     implicit : True or None
         Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). For None Numba compiles
         nothing of that.
+    total : float
+        As in `explicit`.
     needed : (N,) float64
         Number of valid pixels that a tile needs.
     work : (WORK, TILES) float64
@@ -84,7 +94,7 @@ def range_planes(implicit, moments, reference, needed, count, work):
         where there is no plane, and 5 the distance below which a plane passes through the camera centre.
     """
     solution, own, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
-    explicit(moments, reference, count, solution, residual)
+    explicit(moments, reference, total, count, solution, residual, nearest)
     if implicit is not None:
         for i in range(count):
             own[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
@@ -106,16 +116,16 @@ def range_planes(implicit, moments, reference, needed, count, work):
 
 
 @kernel(inline=True)
-def standard_planes(method, moments, reference, count, work):
+def standard_planes(method, moments, reference, total, count, work):
     """Planes from the moments of (X, Y, Z): as `range_planes`.
 
     ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. implicit_plane_fitting_error: smallest eigenvector of
     eq. XYZ_scattermatrix, all four coefficients of norm 1) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3
-    scatter matrix).
+    scatter matrix). ``total`` is ΣXX + ΣYY + ΣZZ of the frame where it is not 0, see `explicit`.
     """
     solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
     if method == STANDARD_EXPLICIT:
-        explicit(moments, reference, count, solution, value)
+        explicit(moments, reference, total, count, solution, value, nearest)
         for i in range(count):
             mean = 1.0 / moments[0, i]
             a, b = solution[0, i], solution[1, i]
@@ -126,7 +136,7 @@ def standard_planes(method, moments, reference, count, work):
             solution[2, i] = inverse
             own[i] = math.sqrt(value[i] * mean)
             metric[i] = own[i] / math.sqrt(1.0 + a * a + b * b)
-            nearest[i] = CENTRE * (reference[2, i] + moments[3, i] * mean)
+            nearest[i] = (CENTRE + nearest[i]) * (reference[2, i] + moments[3, i] * mean)
         return
     mean, matrix, determined = work[7:10], work[10:16], work[16]
     for i in range(count):
@@ -143,11 +153,12 @@ def standard_planes(method, moments, reference, count, work):
         mean[0, i] = reference[0, i] + s_x * inverse
         mean[1, i] = reference[1, i] + s_y * inverse
         mean[2, i] = reference[2, i] + s_z * inverse
-        nearest[i] = CENTRE * mean[2, i]
         # λ₂λ₃ and λ₂ + λ₃ or more, so this bounds λ₂ against λ₃.
         minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
         trace = c_xx + c_yy + c_zz
-        determined[i] = 0.0 if minors > COLLINEAR * trace * trace else math.nan
+        rounding = ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i]) * trace
+        determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
+        nearest[i] = (CENTRE + rounding / minors) * mean[2, i]
     if method == STANDARD_IMPLICIT:
         eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[17:], value, solution)
         for i in range(count):
@@ -220,7 +231,7 @@ def write_planes(
 
 @kernel()
 def fit_moments(
-    implicit, standard, moments, reference, needed, max_error, start, stop,
+    implicit, standard, moments, reference, total, needed, max_error, start, stop,
     planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
     """Planes from moments that are there: entries ``start`` to ``stop`` of (10, T). Results as in `write_planes`.
@@ -231,6 +242,8 @@ def fit_moments(
         Of moments in range space, see `range_planes`.
     standard : int or None
         Of moments in (X, Y, Z), see `standard_planes`; None for those in range space.
+    total : float
+        See `explicit`.
     """
     room = np.empty((13 + WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
@@ -240,9 +253,9 @@ def fit_moments(
         copy(moments, first, last, block_moments)
         copy(reference, first, last, block_reference)
         if standard is None:
-            range_planes(implicit, block_moments, block_reference, needed[first:last], count, work)
+            range_planes(implicit, block_moments, block_reference, total, needed[first:last], count, work)
         else:
-            standard_planes(standard, block_moments, block_reference, count, work)
+            standard_planes(standard, block_moments, block_reference, total, count, work)
         write_planes(
             work, block_moments[0], needed[first:last], max_error, count,
             planes[4 * first : 4 * last], alpha[3 * first : 3 * last],

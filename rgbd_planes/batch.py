@@ -133,7 +133,7 @@ def fit_sequence(
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
     if len(sequence) == 0:
         raise ValueError("expected a sequence with frames, got none")
-    check_num_threads(num_threads)
+    num_threads = check_num_threads(num_threads)
     settings = settings or FitSettings()
     settings.check(sequence.camera)
     if len({camera.noise is None for camera in sequence.cameras}) > 1:

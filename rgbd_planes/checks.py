@@ -31,24 +31,28 @@ def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
 
 
-def check_share(name: str, value: float) -> None:
-    """Raise TypeError or ValueError unless ``value`` is a number between 0 and 1."""
-    if not 0.0 <= number(name, value, finite=False) <= 1.0:
+def check_share(name: str, value: float) -> float:
+    """Return a number between 0 and 1 as a float."""
+    share = number(name, value, finite=False)
+    if not 0.0 <= share <= 1.0:
         raise ValueError(f"{name} must be between 0 and 1, got {value!r}")
+    return share
 
 
-def check_whole(name: str, value: int, least: int, kind: str = "whole number") -> None:
-    """Raise TypeError or ValueError unless ``value`` is a whole number of at least ``least``."""
+def check_whole(name: str, value: int, least: int, kind: str = "whole number") -> int:
+    """Return a whole number of at least ``least`` as an int: small integers of NumPy's would overflow."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be a {kind}, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value!r}")
+    return int(value)
 
 
-def check_num_threads(num_threads: int | None) -> None:
-    """Raise TypeError or ValueError unless ``num_threads`` is None or a whole number of at least 1."""
-    if num_threads is not None:
-        check_whole("num_threads", num_threads, 1, "whole number, or None")
+def check_num_threads(num_threads: int | None) -> int | None:
+    """Return a whole number of at least 1 as an int, or None."""
+    return (
+        None if num_threads is None else check_whole("num_threads", num_threads, 1, "whole number, or None")
+    )
 
 
 def check_error(max_error: float | None) -> float:

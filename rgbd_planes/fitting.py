@@ -43,15 +43,21 @@ def flat(arrays: Arrays) -> list[npt.NDArray[Any]]:
 
 
 def solve_planes(
-    method: str, arrays: Arrays, needed: npt.NDArray[np.float64], max_error: float, start: int, stop: int
+    method: str,
+    arrays: Arrays,
+    needed: npt.NDArray[np.float64],
+    max_error: float,
+    start: int,
+    stop: int,
+    total: float = 0.0,
 ) -> None:
     """Fill in the planes of tiles ``start`` to ``stop`` of one frame from their moments.
 
-    ``arrays`` are those of `plane_fits.allocate`.
+    ``arrays`` are those of `plane_fits.allocate`, ``total`` that of the moments' `Source`.
     """
     moments, reference, *results = flat(arrays)
     solve.fit_moments(
-        *SOLVES[method], moments.reshape(10, -1), reference.reshape(3, -1), needed, max_error, start, stop,
+        *SOLVES[method], moments.reshape(10, -1), reference.reshape(3, -1), total, needed, max_error, start, stop,
         *results,
     )  # fmt: skip
 
@@ -111,7 +117,7 @@ class WindowMoments:
         values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
         if not self._integral:
             pixels = naive.range_window_moments if self._range else naive.standard_window_moments
-            return Source(pixels, (*values, tan_x, tan_y))
+            return Source(pixels, (*values, tan_x, tan_y), 0.0)
         height, width = self._table_shape
         valid = frame.raw, frame.lowest, frame.highest
         holes = summed_area.count_missing(*valid)
@@ -122,14 +128,15 @@ class WindowMoments:
             if holes:
                 missing = self._kept("missing", (height, width, 1))
                 summed_area.missing_table(*valid, missing)
-            return Source(summed_area.standard_window_moments, (tables, missing))
+            return Source(summed_area.standard_window_moments, (tables, missing), _total(tables, 3, 6, 8))
         summed_area.range_tables(*values, tan_x, tan_y, tables)
         before, sums = np.empty((0, 0), np.int32), np.empty((0, 5))
         if holes:
             before = self._kept("before", (height - 1, width), np.int32)
             sums = np.empty((holes + 1, 5))
             summed_area.missing_rays(*valid, tan_x, tan_y, before, sums)
-        return Source(summed_area.range_window_moments, (tables, before, sums))
+        total = _total(self._camera_tables, 3, 5)
+        return Source(summed_area.range_window_moments, (tables, before, sums), total)
 
     def _kept(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
         """This thread's array of a name: fresh memory for every frame would cost as much as filling it."""
@@ -140,12 +147,21 @@ class WindowMoments:
         return array
 
 
-class Source:
-    """A frame made ready: call it for the moments of some windows."""
+def _total(tables: npt.NDArray[np.float64], *channels: int) -> float:
+    """What all pixels of the frame come to in some channels."""
+    return float(tables[-1, -1, list(channels)].sum())
 
-    def __init__(self, kernel: Any, arguments: tuple[Any, ...]) -> None:
+
+class Source:
+    """A frame made ready: call it for the moments of some windows.
+
+    ``total`` is what `solve_planes` needs to know rounding from scatter: the squares of which the tables are made.
+    """
+
+    def __init__(self, kernel: Any, arguments: tuple[Any, ...], total: float) -> None:
         self._kernel = kernel
         self._arguments = arguments
+        self.total = total
 
     def __call__(
         self,

@@ -120,11 +120,10 @@ class QuadtreeFitter:
         check_camera(camera)
         check_choice("method", method, METHODS)
         check_choice("implementation", implementation, ("direct", "integral"))
-        check_share("max_missing", max_missing)
-        check_whole("tile", tile, 2, "whole number of pixels")
-        check_whole("max_subdivisions", max_subdivisions, 0)
-        finest = tile // 2**max_subdivisions
-        if finest < 2 or finest * 2**max_subdivisions != tile:
+        tile = check_whole("tile", tile, 2, "whole number of pixels")
+        max_subdivisions = check_whole("max_subdivisions", max_subdivisions, 0)
+        finest = tile >> max_subdivisions
+        if finest < 2 or finest << max_subdivisions != tile:
             raise ValueError(
                 f"tile must be 2**max_subdivisions times a whole number of at least 2 pixels, got {tile} "
                 f"for max_subdivisions {max_subdivisions}"
@@ -134,7 +133,7 @@ class QuadtreeFitter:
         self.implementation = implementation
         self._sizes = [tile >> level for level in range(max_subdivisions + 1)]
         self._max_error = check_error(max_error)
-        self._max_missing = max_missing
+        self._max_missing = check_share("max_missing", max_missing)
         if implementation == "direct":
             self._finest = TileFitter(camera, finest, method, num_threads=1)
         else:
@@ -144,7 +143,7 @@ class QuadtreeFitter:
     def fit(self, depth: npt.ArrayLike) -> QuadtreePlanes:
         """Fit the elements of a frame, splitting where the residual is too large."""
         with announced(("quadtree", self.method, self.implementation)):
-            source = self._direct(depth) if self.implementation == "direct" else self._integral(depth)
+            source, total = self._direct(depth) if self.implementation == "direct" else self._integral(depth)
             row, column = (index.ravel() for index in np.indices(self._grid(self._sizes[0])))
             leaves: list[dict[str, npt.NDArray[np.generic]]] = []
             for level, size in enumerate(self._sizes):
@@ -152,7 +151,7 @@ class QuadtreeFitter:
                 arrays = allocate((), (len(windows),))
                 source(level, row, column, windows, arrays)
                 needed = valid_needed(windows[:, 2] * windows[:, 3], self._max_missing)
-                solve_planes(self.method, arrays, needed, self._max_error, 0, len(windows))
+                solve_planes(self.method, arrays, needed, self._max_error, 0, len(windows), total)
                 split = (arrays["status"] == TileStatus.ROUGH) & (level + 1 < len(self._sizes))
                 arrays |= {"windows": windows, "level": np.full(len(windows), level)}
                 leaves.append(
@@ -199,15 +198,15 @@ class QuadtreeFitter:
         inside = (row < rows) & (column < columns)
         return row[inside], column[inside]
 
-    def _integral(self, depth: npt.ArrayLike) -> Source:
+    def _integral(self, depth: npt.ArrayLike) -> tuple[Source, float]:
         source = self._tables.prepare(as_depth_frame(depth, self.camera))
 
         def moments_of(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
             source(windows, self._full[level][:, row, column], 0, len(windows), arrays["_moments"])
 
-        return moments_of
+        return moments_of, source.total
 
-    def _direct(self, depth: npt.ArrayLike) -> Source:
+    def _direct(self, depth: npt.ArrayLike) -> tuple[Source, float]:
         finest = self._finest.fit(depth)
         levels = [(finest._moments, finest._reference)]
         for size in self._sizes[-2::-1]:
@@ -221,7 +220,7 @@ class QuadtreeFitter:
             arrays["_moments"][:] = moments[:, row, column]
             arrays["_reference"][:] = reference[:, row, column]
 
-        return moments_of
+        return moments_of, 0.0
 
 
 def segment_quadtree(
@@ -280,8 +279,7 @@ def segment_quadtree(
 
     Papadakis and Willis 2017, section "Planar Segmentation Application".
     """
-    check_whole("clusters", clusters, 1)
-    check_whole("seed", seed, 0)
+    clusters, seed = check_whole("clusters", clusters, 1), check_whole("seed", seed, 0)
     elements = QuadtreeFitter(
         camera, tile, method, max_subdivisions=max_subdivisions, max_error=max_error, max_missing=max_missing
     ).fit(depth)

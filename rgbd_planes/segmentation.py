@@ -75,7 +75,7 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     the same frame, always.
     """
     check_camera(camera)
-    check_whole("min_size", min_size, 3, "whole number of pixels")
+    min_size = check_whole("min_size", min_size, 3, "whole number of pixels")
     frame = as_depth_frame(depth, camera)
     given = camera.noise if noise is None else noise
     sigma, lateral = _as_function(given), float(getattr(given, "lateral", 0.0))

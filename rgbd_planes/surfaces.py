@@ -114,14 +114,13 @@ def _surfaces(
 ) -> tuple[Floats, Floats]:
     """Return normals and surface variation, the latter empty for ``normals_only`` when that is quicker."""
     check_camera(camera)
-    _check_window(window)
-    check_share("max_missing", max_missing)
-    check_num_threads(num_threads)
+    window, max_missing = _check_window(window), check_share("max_missing", max_missing)
+    avoid_edges = bool(avoid_edges)  # else Numba would compile once more for a 1
     frame = as_depth_frame(depth, camera)
     height, width = frame.raw.shape
     values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
     needs_surfaces = avoid_edges or not normals_only or not camera.is_separable
-    threads = choose_num_threads(num_threads, frame.raw.size)
+    threads = choose_num_threads(check_num_threads(num_threads), frame.raw.size)
 
     made = np.empty((height, width, 3), np.float32)
     variance = np.empty((height, width) if needs_surfaces else (0, 0), np.float32)
@@ -133,16 +132,14 @@ def _surfaces(
 
         def work(start: int, stop: int) -> None:
             dense.separable(
-                *values, *rays, int(window), float(max_missing), needs_surfaces, bool(avoid_edges),
-                start, stop, *arrays,
-            )  # fmt: skip
+                *values, *rays, window, max_missing, needs_surfaces, avoid_edges, start, stop, *arrays
+            )
     else:
 
         def work(start: int, stop: int) -> None:
             dense.distorted(
-                *values, camera.tan_x, camera.tan_y, int(window), float(max_missing), bool(avoid_edges),
-                start, stop, *arrays,
-            )  # fmt: skip
+                *values, camera.tan_x, camera.tan_y, window, max_missing, avoid_edges, start, stop, *arrays
+            )
 
     with announced(("normals", camera.is_separable, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)
@@ -152,7 +149,7 @@ def _surfaces(
 
         def choose(start: int, stop: int) -> None:
             window_choice.choose_windows(
-                frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, int(window) // 2, _ratio(window),
+                frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, window // 2, _ratio(window),
                 arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
             )  # fmt: skip
 
@@ -160,10 +157,11 @@ def _surfaces(
     return chosen, chosen_variation
 
 
-def _check_window(window: int) -> None:
-    check_whole("window", window, 3, "whole number of pixels")
-    if window > 31 or window % 2 == 0:
+def _check_window(window: int) -> int:
+    side = check_whole("window", window, 3, "whole number of pixels")
+    if side > 31 or side % 2 == 0:
         raise ValueError(f"window must be odd, from 3 to 31 pixels, got {window}")
+    return side
 
 
 def _ratio(window: int) -> float:

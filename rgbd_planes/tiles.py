@@ -83,14 +83,13 @@ class TileFitter:
         check_camera(camera)
         check_choice("method", method, METHODS)
         check_choice("implementation", implementation, IMPLEMENTATIONS)
-        check_share("max_missing", max_missing)
-        check_num_threads(num_threads)
+        max_missing = check_share("max_missing", max_missing)
         self.camera = camera
         self.tile = check_tile(tile, camera.shape)
         self.method = method
         self.implementation = implementation
         self._max_error = check_error(max_error)
-        self._num_threads = num_threads
+        self._num_threads = check_num_threads(num_threads)
 
         sizes = tile_sizes(camera.height, self.tile[0]), tile_sizes(camera.width, self.tile[1])
         self._grid = len(sizes[0]), len(sizes[1])
@@ -284,7 +283,7 @@ class TileFitter:
             def work(start: int, stop: int) -> None:
                 start, stop = start * columns, stop * columns
                 source(self._windows, self._full_windows, start, stop, moments)
-                solve_planes(self.method, arrays, self._needed, self._max_error, start, stop)
+                solve_planes(self.method, arrays, self._needed, self._max_error, start, stop, source.total)
 
             return work
 

@@ -73,8 +73,7 @@ def segment_sequence(
         One for each frame, made when it is asked for.
     """
     check_camera(camera)
-    check_whole("memory", memory, 0, "whole number of frames")
-    tracker = Tracker(camera, memory)
+    tracker = Tracker(camera, check_whole("memory", memory, 0, "whole number of frames"))
     return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in frames)
 
 

@@ -77,8 +77,8 @@ def fit_windows(
     check_camera(camera)
     check_choice("method", method, METHODS)
     check_choice("implementation", implementation, ("integral", "naive"))
-    check_share("max_missing", max_missing)
-    check_num_threads(num_threads)
+    max_missing = check_share("max_missing", max_missing)
+    num_threads = check_num_threads(num_threads)
     error = check_error(max_error)
     rectangles = _check_windows(windows, camera)
     frame = as_depth_frame(depth, camera)
@@ -96,7 +96,7 @@ def fit_windows(
         def fit_some(start: int, stop: int) -> None:
             window_moments.camera_moments(rectangles, start, stop, full)
             source(rectangles, full, start, stop, arrays["_moments"])
-            solve_planes(method, arrays, needed, error, start, stop)
+            solve_planes(method, arrays, needed, error, start, stop, source.total)
             assess(start, stop)
 
         run_in_ranges(fit_some, len(rectangles), threads)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import export, metrics, noise, scenes
+from rgbd_planes import export, metrics, noise, scenes, sequences
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
@@ -109,6 +109,20 @@ def test_no_such_argument(use, error, message):
         use()
 
 
+def test_whole_numbers_of_numpy():
+    """Those of 8 bits would overflow as soon as something is counted with them."""
+    few, many = np.int8(2), np.uint8(16)
+    fits = rp.fit_tiles(DEPTH, CAMERA, many, num_threads=few)
+    np.testing.assert_array_equal(fits.planes, rp.fit_tiles(DEPTH, CAMERA, 16).planes)
+    windows = np.repeat([[0, 0, 8, 8]], 300, axis=0)
+    assert rp.fit_windows(DEPTH, CAMERA, windows, num_threads=few).fitted.all()
+    found = rp.segment_quadtree(DEPTH, CAMERA, many, max_subdivisions=few)
+    np.testing.assert_array_equal(found.labels, rp.segment_quadtree(DEPTH, CAMERA, 16).labels)
+    for edges in (True, 1):
+        normals = rp.normals(DEPTH, CAMERA, np.uint8(17), avoid_edges=edges, num_threads=few)
+        np.testing.assert_array_equal(normals, rp.normals(DEPTH, CAMERA, 17, avoid_edges=True))
+
+
 def test_labels_that_int32_cannot_hold():
     tiles = rp.fit_tiles(DEPTH, CAMERA)
     for label in (2**31, 2**32 + 1):
@@ -128,7 +142,40 @@ def test_results_keep_what_was_asked():
 
 
 def test_faces_of_points_that_are_not_there(tmp_path):
-    for faces in ([[0, 1, 3]], [[0, 1, -1]], [[0, 1]], [[0.0, 1.0, 2.0]]):
+    for faces in ([[0, 1, 3]], [[0, 1, -1]], [[0, 1]], [[0.0, 1.0, 2.0]], [[0] * 256]):
         with pytest.raises(ValueError, match="faces must be"):
             export.write_ply(tmp_path / "mesh.ply", np.eye(3), faces=faces)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_points_and_what_they_have_are_as_many(tmp_path):
+    for arrays, message in (
+        ({"points": np.zeros((3, 2))}, r"points of shape \(..., 3\), got \(3, 2\)"),
+        ({"points": np.eye(3), "normals": np.eye(3)[:2]}, r"normals of shape \(..., 3\), 3 in all"),
+        ({"points": np.eye(3), "colours": np.zeros((3, 4))}, r"colours of .* got \(3, 4\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            export.write_ply(tmp_path / "points.ply", **arrays)
+    assert list(tmp_path.iterdir()) == []
+    nowhere = np.where(np.eye(3) > 0, np.nan, 1.0)[:, [0, 0, 0]]
+    export.write_ply(tmp_path / "points.ply", nowhere, colours=nowhere)
+    assert b"element vertex 2" in (tmp_path / "points.ply").read_bytes()
+
+
+def test_frames_of_no_camera():
+    with pytest.raises(TypeError, match="expected a Camera, got str"):
+        sequences.FrameSequence([sequences.FrameEntry("a", 0.0, "camera", 0)], np.zeros)
+
+
+def test_scores_of_a_segmentation_are_told_apart():
+    """Not compared array by array, of which the truth is ambiguous."""
+    labels = np.ones(CAMERA.shape, int)
+    first, second = metrics.compare_labels(labels, labels), metrics.compare_labels(labels, labels)
+    for one, other in (
+        (first, second),
+        (first.hoover(), second.hoover()),
+        (first.detection(), second.detection()),
+    ):
+        assert one == one
+        assert one != other
+        assert hash(one) != hash(other)

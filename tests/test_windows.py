@@ -45,6 +45,27 @@ def test_threads_change_no_bit(implementation, rng):
     np.testing.assert_array_equal(one.planes, three.planes)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_one_line_of_pixels_is_no_plane(method):
+    """Sums over a whole frame leave rounding errors in those of a row or a column: no scatter, no plane."""
+    camera = rp.presets.primesense()
+    depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
+    rng = np.random.default_rng(0)
+    for height, width in ((1, 3), (3, 1), (1, 7), (20, 1), (1, 200)):
+        corner = rng.integers(0, (481 - height, 641 - width), (500, 2))
+        windows = np.column_stack([corner, np.tile([height, width], (500, 1))])
+        for implementation in ("integral", "naive"):
+            fits = rp.fit_windows(
+                depth, camera, windows, method, implementation=implementation, max_missing=1.0
+            )
+            assert set(fits.status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
+    corner = rng.integers(0, (479, 639), (500, 2))
+    smallest = np.column_stack([corner, np.full((500, 2), 2)])  # but four pixels are one
+    fits = rp.fit_windows(depth, camera, smallest, method, max_missing=0.0)
+    usual = rp.fit_windows(depth, camera, smallest, method, implementation="naive", max_missing=0.0)
+    assert (fits.status == usual.status).mean() > 0.98
+
+
 def test_no_windows_no_planes():
     camera = make_camera()
     assert rp.fit_windows(np.ones(camera.shape), camera, []).planes.shape == (0, 4)
