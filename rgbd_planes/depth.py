@@ -101,9 +101,9 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     Notes
     -----
     Missing are depths that are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
-    `camera.depth_range`. The raw values of a disparity image are missing where 1/Z = scale * raw + offset is
-    not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a measurement there, unless
-    `invalid_values` names it.
+    `camera.depth_range`; and what float32 has no normal number for, below 1.2e-38 m or above 3.4e38 m. The
+    raw values of a disparity image are missing where 1/Z = scale * raw + offset is not positive, by
+    `invalid_values`, and by `depth_range`: a raw 0 can be a measurement there, unless `invalid_values` names it.
     """
     # Without their module, which takes time to import, there are no masked arrays.
     if "numpy.ma" in sys.modules and isinstance(depth, np.ma.MaskedArray):

@@ -143,20 +143,24 @@ def write_ply(
         RGB in 0..1.
     faces : (F, K) array_like of int, optional
         Polygons of K points each, by the number of the point.
+
+    Raises
+    ------
+    ValueError
+        Arrays of other shapes, or a face of a point that there is not.
     """
-    xyz = np.asarray(points, np.float64).reshape(-1, 3)
-    columns = [("xyz"[i], "<f4", xyz[:, i]) for i in range(3)]
+    xyz = _triples("points", points)
+    written = np.isfinite(xyz).all(axis=1) if faces is None else np.ones(len(xyz), bool)
+    columns = [("xyz"[i], "<f4", xyz[written, i]) for i in range(3)]
     if normals is not None:
-        n = np.asarray(normals, np.float64).reshape(len(xyz), 3)
-        columns += [("n" + "xyz"[i], "<f4", n[:, i]) for i in range(3)]
+        n = _triples("normals", normals, len(xyz))
+        columns += [("n" + "xyz"[i], "<f4", n[written, i]) for i in range(3)]
     if colours is not None:
-        rgb = np.clip(np.rint(255.0 * np.asarray(colours, np.float64).reshape(len(xyz), 3)), 0, 255)
-        columns += [(("red", "green", "blue")[i], "u1", rgb[:, i]) for i in range(3)]
-    vertices = np.empty(len(xyz), [(name, dtype) for name, dtype, _ in columns])
+        rgb = np.clip(np.rint(255.0 * _triples("colours", colours, len(xyz))), 0, 255)
+        columns += [(("red", "green", "blue")[i], "u1", rgb[written, i]) for i in range(3)]
+    vertices = np.empty(np.count_nonzero(written), [(name, dtype) for name, dtype, _ in columns])
     for name, _, values in columns:
         vertices[name] = values
-    if faces is None:
-        vertices = vertices[np.isfinite(xyz).all(axis=1)]
     names = {"<f4": "float", "u1": "uchar"}
     header = ["ply", "format binary_little_endian 1.0", "comment metres, x right, y down, z forward"]
     header.append(f"element vertex {len(vertices)}")
@@ -164,9 +168,9 @@ def write_ply(
     body = vertices.tobytes()
     if faces is not None:
         corners = np.asarray(faces)
-        if corners.ndim != 2 or corners.shape[1] < 3 or corners.dtype.kind not in "iu":
+        if corners.ndim != 2 or not 3 <= corners.shape[1] < 256 or corners.dtype.kind not in "iu":
             raise ValueError(
-                f"faces must be (F, K) integers, K at least 3, got {corners.shape} of {corners.dtype}"
+                f"faces must be (F, K) integers, K from 3 to 255, got {corners.shape} of {corners.dtype}"
             )
         if corners.size and not 0 <= corners.min() <= corners.max() < len(xyz):
             raise ValueError(
@@ -178,6 +182,15 @@ def write_ply(
         body += polygons.tobytes()
     with write_beside(path) as beside:
         beside.write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + body)
+
+
+def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
+    """(N, 3) float64 of (..., 3) numbers: so many, if that is known."""
+    array = np.asarray(values, np.float64)
+    if array.shape[-1:] != (3,) or count not in (None, array.size // 3):
+        expected = "(..., 3)" if count is None else f"(..., 3), {count} in all, as many as points"
+        raise ValueError(f"expected {name} of shape {expected}, got {array.shape}")
+    return array.reshape(-1, 3)
 
 
 def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 LARGEST_TABLE = 1 << 22
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HooverCounts:
     """Hoover's five counts, and which regions are meant (labels of the truth and of the prediction)."""
 
@@ -28,7 +28,7 @@ class HooverCounts:
     noise_labels: NDArray[np.int64]  # of the prediction
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DetectionScores:
     """Regions matched one to one at a threshold on intersection over union."""
 
@@ -40,7 +40,7 @@ class DetectionScores:
     pairs: NDArray[np.int64]  # (matches, 2): label of the truth, label of the prediction
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelComparison:
     """A predicted segmentation beside the true one; made by `compare_labels`.
 
@@ -267,7 +267,7 @@ def _consecutive(given: NDArray[np.generic], name: str) -> tuple[NDArray[np.intp
     return number[labels], np.flatnonzero(present)[1:].astype(np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlaneErrors:
     """How far planes are from the true ones, pair by pair."""
 

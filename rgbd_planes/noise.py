@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rgbd_planes.checks import number
 from rgbd_planes.noise_model import KINECT_V1 as KINECT_V1
 from rgbd_planes.noise_model import Floats
 from rgbd_planes.noise_model import NoiseModel as NoiseModel
@@ -59,7 +60,7 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
     for name, value in (
         ("baseline", baseline), ("focal_length", focal_length), ("disparity_noise", disparity_noise)
     ):  # fmt: skip
-        if not 0.0 < value < math.inf:
+        if not number(name, value) > 0.0:
             raise ValueError(f"expected a positive {name}, got {value!r}")
     return NoiseModel((disparity_noise / (focal_length * baseline),))
 
@@ -140,7 +141,7 @@ def quantised(model: NoiseModel, step: "float | Camera") -> NoiseModel:
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")
     if not isinstance(step, Camera):
-        if not step > 0.0:
+        if not number("step", step) > 0.0:
             raise ValueError(f"expected a positive step in metres, got {step!r}")
         return replace(model, step=math.hypot(model.step, step))
     if step.disparity is not None:

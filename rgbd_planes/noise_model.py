@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.checks import number, numbers
 from rgbd_planes.residual_statistics import ResidualStatistics, square_statistics
 
 Floats = NDArray[np.float64]
@@ -70,10 +71,10 @@ class NoiseModel:
     evidence: Any = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        coefficients = tuple(float(c) for c in self.coefficients)
-        if not 1 <= len(coefficients) <= 3 or not np.isfinite(coefficients).all():
-            raise ValueError(f"expected 1 to 3 finite coefficients, got {self.coefficients!r}")
-        if max(coefficients) < 0.0:
+        coefficients = numbers("coefficients", self.coefficients)
+        if not 1 <= len(coefficients) <= 3:
+            raise ValueError(f"expected 1 to 3 coefficients, got {self.coefficients!r}")
+        if max(coefficients) <= 0.0 > min(coefficients):
             raise ValueError(f"expected a standard deviation that is not negative, got {self.coefficients!r}")
         object.__setattr__(self, "coefficients", coefficients)
         if self.samples is not None:
@@ -86,8 +87,8 @@ class NoiseModel:
                 )
             object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
         for name in ("step", "disparity_step", "floor", "spread", "lateral"):
-            value = float(getattr(self, name))
-            if not 0.0 <= value < math.inf:
+            value = number(name, getattr(self, name))
+            if value < 0.0:
                 raise ValueError(f"expected {name} of 0 or more, got {value!r}")
             object.__setattr__(self, name, value)
         correlation = tuple((float(share), float(length)) for share, length in self.correlation)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ResidualStatistics:
     """What noise does to plane fits, by number of pixels; for independent pixels N - 3, N - 3, 1 and 1.
 

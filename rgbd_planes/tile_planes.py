@@ -2,8 +2,6 @@
 
 import json
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -123,13 +121,11 @@ class TilePlanes(PlacedFits):
         try:
             with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
                 about = json.loads(str(file["about"]))
+                height, width = about["tile"]
+                method, camera = about["method"], Camera.from_dict(about["camera"])
                 arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
-        except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except OSError:
+            raise
+        except Exception as error:  # of the archive, its compression, an array or what is said about them
             raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}") from error
-        height, width = about["tile"]
-        return cls(
-            camera=Camera.from_dict(about["camera"]),
-            method=about["method"],
-            tile=(height, width),
-            **arrays,
-        )
+        return cls(camera=camera, method=method, tile=(height, width), **arrays)

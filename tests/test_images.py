@@ -124,6 +124,23 @@ def test_a_truncated_file_is_an_error_that_names_it(tmp_path, suffix, share):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+@pytest.mark.filterwarnings("ignore")  # what libraries say on top
+def test_a_file_with_some_bytes_wrong_is_read_or_an_error_that_names_it(tmp_path, suffix):
+    path, whole, rng = tmp_path / f"depth{suffix}", encoded(suffix), np.random.default_rng(0)
+    for _ in range(200):
+        wrong = bytearray(whole)
+        for place in rng.integers(0, min(len(whole), 200), 4):
+            wrong[place] = rng.integers(256)
+        path.write_bytes(wrong)
+        said = str(path)
+        try:
+            images.read_depth(path)
+        except ValueError as error:
+            said = str(error)
+        assert str(path) in said
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
 def test_a_file_of_another_format(tmp_path, suffix):
     Image.fromarray(a_frame(np.uint8)).save(tmp_path / "image.jpg")
     (tmp_path / f"depth{suffix}").write_bytes((tmp_path / "image.jpg").read_bytes())

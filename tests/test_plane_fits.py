@@ -38,11 +38,12 @@ def test_save_and_load(tiles, tmp_path):
 
 def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "other.npz", a=np.ones(3))
+    np.savez(tmp_path / "about.npz", about=np.array('{"camera": {}}'))
     np.save(tmp_path / "other.npy", np.ones(3))
     (tmp_path / "other.txt").write_text("nothing")
     tiles.save(tmp_path / "planes.npz")
     (tmp_path / "half.npz").write_bytes((tmp_path / "planes.npz").read_bytes()[:4000])
-    for name in ("other.npz", "other.npy", "other.txt", "half.npz"):
+    for name in ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz"):
         with pytest.raises(ValueError, match=rf"TilePlanes.save wrote, got .*{name}"):
             rp.TilePlanes.load(tmp_path / name)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera
 from rgbd_planes.images import read_depth
 
 
@@ -55,11 +56,18 @@ class FrameSequence(Sequence[Frame]):
     entries : iterable of FrameEntry
     read : callable
         Takes an entry's location, returns its (H, W) depth as stored; a function of a module.
+
+    Raises
+    ------
+    TypeError
+        The camera of an entry is none.
     """
 
     def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
         self.entries = tuple(entries)
         self._read = read
+        for camera in {id(entry.camera): entry.camera for entry in self.entries}.values():
+            check_camera(camera)
 
     def __len__(self) -> int:
         return len(self.entries)
