@@ -21,7 +21,8 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
-# Second moments may be off by this share of what they were summed up from: what is smaller is no scatter.
+# Second moments that are differences of sums over a frame may be off by this share of them: what is smaller is no
+# scatter. The moments of one tile's pixels alone never come near it before COLLINEAR: their kernels leave it out.
 ROUNDING = 128 * 2.0**-53
 
 # The methods in (X, Y, Z) by number.
@@ -71,9 +72,9 @@ def explicit(moments, reference, total, count, solution, residual, lost):
         )
         left = c_ww - a * c_uw - b * c_vw
         left = left if left > 0.0 else 0.0
-        rounding = ROUNDING * (total + moments[4, i] + moments[7, i]) * trace
+        rounding = ROUNDING * (total + moments[4, i] + moments[7, i]) * trace if total > 0.0 else 0.0
         residual[i] = left if determinant > COLLINEAR * trace * trace + rounding else math.nan
-        lost[i] = rounding * inverse
+        lost[i] = rounding * inverse if total > 0.0 else 0.0
 
 
 @kernel(inline=True)
@@ -156,9 +157,11 @@ def standard_planes(method, moments, reference, total, count, work):
         # λ₂λ₃ and λ₂ + λ₃ or more, so this bounds λ₂ against λ₃.
         minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
         trace = c_xx + c_yy + c_zz
-        rounding = ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i]) * trace
+        rounding = (
+            ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i]) * trace if total > 0.0 else 0.0
+        )
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
-        nearest[i] = (CENTRE + rounding / minors) * mean[2, i]
+        nearest[i] = (CENTRE + (rounding / minors if total > 0.0 else 0.0)) * mean[2, i]
     if method == STANDARD_IMPLICIT:
         eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[17:], value, solution)
         for i in range(count):
