@@ -62,11 +62,12 @@ def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, Index]:
         parts.append((planes + some // cells, some % cells, total[some], *means))
         planes += len(alpha)
     plane, cell, weight, residual, x, y = (np.concatenate(part) for part in zip(*parts, strict=True))
-    if not planes:
+    if not len(plane):
         return np.full(shape, np.nan), numbers.reshape(shape)
+    different, plane = np.unique(plane, return_inverse=True)  # of some no pixel may be near enough
     rays = np.stack([x, y, np.ones(len(x))], axis=1)
     prior = together * weight.sum() / numbers.sum()
-    bias = _bias(plane, cell, weight, residual, rays, prior, planes, cells)
+    bias = _bias(plane, cell, weight, residual, rays, prior, len(different), cells)
     return bias.reshape(shape), numbers.reshape(shape)
 
 

@@ -43,6 +43,7 @@ FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
 LATERALS = np.linspace(0.0, 1.2, 25)
 """Candidates for the lateral error, in pixels."""
 _TAIL = 0.95  # quantile at which the spread is matched: above are also tiles that are not flat
+_EXACT = 1e-9  # residuals below this share of 1/Z are rounding errors of float64
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
@@ -66,7 +67,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     Raises
     ------
     ValueError
-        Too little in the frames is flat.
+        Too little in the frames is flat, or what is flat has no noise.
 
     Notes
     -----
@@ -96,6 +97,12 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
             f"found {count} in {len(opened)} frames"
         )
     samples = all_samples(tiles, flat)
+    for some in samples.values():
+        if np.median(some.rss / (some.count * some.q**2)) < _EXACT**2:
+            raise ValueError(
+                "expected frames with noise, got flat tiles without any residual but that of rounding: "
+                "rendered without noise?"
+            )
     # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
     reaching = samples
     if 2 * WINDOW in tiles:
@@ -119,7 +126,8 @@ def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
     one is taken. Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
     """
     bins = bins_of(samples.q, 60)
-    q = np.array([np.median(samples.q[chosen]) for chosen in bins])
+    q, first = np.unique([np.median(samples.q[chosen]) for chosen in bins], return_index=True)
+    bins = [bins[i] for i in first]  # where all is at one depth, one bin tells as much as several
     seen = samples.rss / samples.count
     seen = np.maximum(seen, 1e-3 * np.median(seen))
     best = np.inf, 0.0, np.zeros(len(q))

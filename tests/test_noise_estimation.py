@@ -131,6 +131,19 @@ def test_frames_without_anything_flat(rng):
         rp.estimate_noise([np.ones((20, 22))], replace(CAMERA, width=22, height=20))
 
 
+def test_frames_without_noise():
+    """What rounding leaves of flat tiles is no noise to make a model of."""
+    with pytest.raises(ValueError, match="expected frames with noise"):
+        rp.estimate_noise([rendering(*VIEWS[0]).depth], CAMERA)
+
+
+def test_all_tiles_at_one_depth(rng):
+    """Bins by depth may have the very same one."""
+    pattern = 20000 + rng.integers(-50, 51, (12, 12))
+    model = rp.estimate_noise(np.tile(pattern, (32, 40)).astype(np.uint16), CAMERA)
+    assert model.sigma_depth(2.0) == pytest.approx(1e-4 * pattern.std(), rel=0.3)
+
+
 def test_one_frame_and_a_stack_are_taken(rng):
     seen = np.stack(list(frames(rp.noise.kinect_v1(), rng, VIEWS[:2])))
     as_stack, as_list = rp.estimate_noise(seen, CAMERA), rp.estimate_noise(list(seen), CAMERA)
