@@ -70,7 +70,7 @@ def fit_range_tiles(
                 solve.copy_back(block_moments, first, last, moments)
                 solve.copy_back(block_reference, first, last, reference)
                 solve.range_planes(
-                    implicit, block_moments, block_reference, 0.0, needed[first:last], filled, work
+                    implicit, block_moments, block_reference, None, needed[first:last], filled, work
                 )
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
@@ -129,7 +129,7 @@ def fit_standard_tiles(
                     standard_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
                 solve.copy_back(block_moments, first, last, moments)
                 solve.copy_back(block_reference, first, last, reference)
-                solve.standard_planes(method, block_moments, block_reference, 0.0, filled, work)
+                solve.standard_planes(method, block_moments, block_reference, None, filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
                     planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last],

@@ -21,8 +21,8 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
-# Second moments that are differences of sums over a frame may be off by this share of them: what is smaller is no
-# scatter. The moments of one tile's pixels alone never come near it before COLLINEAR: their kernels leave it out.
+# Second moments may be off by this share of what they were summed up from: what is smaller is no scatter. Those about a
+# tile's own centre never come near it before COLLINEAR: their kernels leave it out.
 ROUNDING = 128 * 2.0**-53
 
 # The methods in (X, Y, Z) by number.
@@ -40,8 +40,9 @@ def explicit(moments, reference, total, count, solution, residual, lost):
 
     Parameters
     ----------
-    total : float
-        Of moments that are differences of sums over the frame: Σuu + Σvv of the frame; otherwise 0.
+    total : float or None
+        Of moments that are differences of sums over the frame: Σuu + Σvv of the frame; 0 for other moments about a
+        point that may be far away. For None Numba compiles nothing of that.
     solution : (3, N) float64, written
         a, b, c of w = a·u + b·v + c.
     residual : (N,) float64, written
@@ -72,9 +73,9 @@ def explicit(moments, reference, total, count, solution, residual, lost):
         )
         left = c_ww - a * c_uw - b * c_vw
         left = left if left > 0.0 else 0.0
-        rounding = ROUNDING * (total + moments[4, i] + moments[7, i]) * trace if total > 0.0 else 0.0
+        rounding = 0.0 if total is None else ROUNDING * (total + moments[4, i] + moments[7, i]) * trace
         residual[i] = left if determinant > COLLINEAR * trace * trace + rounding else math.nan
-        lost[i] = rounding * inverse if total > 0.0 else 0.0
+        lost[i] = 0.0 if total is None else rounding * inverse
 
 
 @kernel(inline=True)
@@ -86,7 +87,7 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     implicit : True or None
         Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). For None Numba compiles
         nothing of that.
-    total : float
+    total
         As in `explicit`.
     needed : (N,) float64
         Number of valid pixels that a tile needs.
@@ -122,7 +123,7 @@ def standard_planes(method, moments, reference, total, count, work):
 
     ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. implicit_plane_fitting_error: smallest eigenvector of
     eq. XYZ_scattermatrix, all four coefficients of norm 1) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3
-    scatter matrix). ``total`` is ΣXX + ΣYY + ΣZZ of the frame where it is not 0, see `explicit`.
+    scatter matrix). ``total`` is as in `explicit`, but ΣXX + ΣYY + ΣZZ of the frame.
     """
     solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
     if method == STANDARD_EXPLICIT:
@@ -157,11 +158,11 @@ def standard_planes(method, moments, reference, total, count, work):
         # λ₂λ₃ and λ₂ + λ₃ or more, so this bounds λ₂ against λ₃.
         minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
         trace = c_xx + c_yy + c_zz
-        rounding = (
-            ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i]) * trace if total > 0.0 else 0.0
-        )
+        rounding = 0.0
+        if total is not None:
+            rounding = ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i]) * trace
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
-        nearest[i] = (CENTRE + (rounding / minors if total > 0.0 else 0.0)) * mean[2, i]
+        nearest[i] = (CENTRE + (0.0 if total is None else rounding / minors)) * mean[2, i]
     if method == STANDARD_IMPLICIT:
         eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[17:], value, solution)
         for i in range(count):
