@@ -126,11 +126,13 @@ def fit_sequence(
     ------
     ModuleNotFoundError
         pyarrow, or distributed with a scheduler, is not installed.
-    ValueError
+    TypeError, ValueError
         `out` holds another table, or something else; or an argument cannot be used.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
+    if not isinstance(sequence, FrameSequence):
+        raise TypeError(f"expected a FrameSequence, which open_sequence makes, got {type(sequence).__name__}")
     if len(sequence) == 0:
         raise ValueError("expected a sequence with frames, got none")
     num_threads = check_num_threads(num_threads)

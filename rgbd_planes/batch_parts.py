@@ -4,7 +4,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -44,6 +44,10 @@ class FitSettings:
         """Raise what fitting a frame of this camera would raise for these settings."""
         if not self.segments:
             _fitter(camera, self)
+            return
+        of_tiles = [f.name for f in fields(self)[1:] if getattr(self, f.name) != f.default]
+        if of_tiles:
+            raise ValueError(f"segments take no options of tiles, got {', '.join(of_tiles)}")
 
     def rows_of_frame(self, camera: Camera) -> int:
         """Number of tiles of a frame; 1 for segments, of which there are few."""

@@ -23,7 +23,7 @@ class CommandError(Exception):
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a fit of tiles."""
-    parser.add_argument("--tile", type=tile_size, default=(16, 16), metavar="N or HxW", help="tile size (16)")
+    parser.add_argument("--tile", type=tile_size, default=16, metavar="N or HxW", help="tile size (16)")
     parser.add_argument(
         "--method",
         default="range_explicit",
