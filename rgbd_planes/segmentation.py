@@ -79,7 +79,7 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     frame = as_depth_frame(depth, camera)
     given = camera.noise if noise is None else noise
     sigma, lateral = _as_function(given), float(getattr(given, "lateral", 0.0))
-    with announced(("segment", frame.raw.dtype), "up to a minute"):
+    with announced(("segment", frame.raw.dtype), "about a minute"):
         return segment_frame(frame, camera, sigma, min_size, Rules(), lateral)
 
 

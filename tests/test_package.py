@@ -102,9 +102,9 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     assert len(caplog.messages) == 2
     assert caplog.messages[0].startswith("compiling kernels: some seconds")
     # What takes far longer is said all the same.
-    with compilation.announced("segment", "up to a minute"):
+    with compilation.announced("segment", "about a minute"):
         time.sleep(0.1)
-    assert caplog.messages[2].startswith("compiling kernels: up to a minute")
+    assert caplog.messages[2].startswith("compiling kernels: about a minute")
 
 
 def test_warmup_for_segments_leaves_nothing_to_compile():

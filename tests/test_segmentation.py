@@ -476,6 +476,18 @@ def test_plane_covariance_is_that_of_alpha_carried_over(room):
         np.testing.assert_allclose(found.plane_covariance[i], expected, atol=1e-6 * expected.max())
 
 
+def test_fitted_depth_is_where_rays_meet_planes(room):
+    _, depth = room
+    found = segment(depth, CAMERA)
+    fitted = found.fitted_depth()
+    inside = found.labels > 0
+    assert np.array_equal(np.isfinite(fitted), inside)
+    n_x, n_y, n_z, d = found.planes[found.labels[inside] - 1].T
+    z = -d / (n_x * CAMERA.tan_x[inside] + n_y * CAMERA.tan_y[inside] + n_z)
+    np.testing.assert_allclose(fitted[inside], z, rtol=1e-9)
+    assert np.median(np.abs(fitted[inside] - depth[inside] / 1000.0)) < 0.01
+
+
 def test_plot_draws(room):
     found = segment(room[1], CAMERA)
     figure = found.plot(room[1])
