@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes import camera_formats, distortion
 from rgbd_planes.checks import number, numbers
 from rgbd_planes.depth import as_depth_frame, warn_caller
-from rgbd_planes.files import write_beside
+from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise import NoiseModel
 
 Array = NDArray[np.float64]
@@ -318,10 +318,8 @@ class Camera:
             Naming the file.
         """
         values = camera_formats.read_json(path)
-        try:
+        with naming(path):
             return cls.from_dict(values)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{os.fspath(path)}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera to a JSON file; the file appears whole or not at all."""
@@ -386,8 +384,11 @@ class Camera:
         **depth
             `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
         """
-        values = source if isinstance(source, Mapping) else camera_formats.read_json(source)
-        return cls(**camera_formats.from_open3d(values), **depth)
+        if isinstance(source, Mapping):
+            return cls(**camera_formats.from_open3d(source), **depth)
+        values = camera_formats.read_json(source)
+        with naming(source):
+            return cls(**camera_formats.from_open3d(values), **depth)
 
     @classmethod
     def from_realsense(cls, intrinsics: Any, *, depth_units: float | None = None, **depth: Any) -> Self:
@@ -421,6 +422,6 @@ def _read_only(array: Array) -> Array:
 
 
 def _size(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"expected {name} as a whole number of pixels, at least 1, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 < value < 2**31:
+        raise ValueError(f"expected {name} as a whole number of pixels, 1 to {2**31 - 1}, got {value!r}")
     return int(value)

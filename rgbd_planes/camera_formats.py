@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes.checks import check_whole, number
+
+Floats = NDArray[np.float64]
 
 _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
     "none",
@@ -29,12 +33,12 @@ _ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14)}
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
-    with open(path, encoding="utf-8") as file:
+    with open(path, encoding="utf-8-sig") as file:  # some editors begin a file with a mark
         try:
             values = json.load(file)
         except UnicodeDecodeError:
             raise ValueError(f"expected a JSON file, got {os.fspath(path)}, which is no text") from None
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"expected a JSON file, got {os.fspath(path)}: {error}") from None
     if not isinstance(values, dict):
         raise ValueError(f"expected a JSON object in {os.fspath(path)}, got {type(values).__name__}")
@@ -47,7 +51,7 @@ def from_opencv(
     matrix = _matrix("camera_matrix", camera_matrix)
     if np.shape(size) != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
-    coefficients = [] if distortion is None else np.asarray(distortion, np.float64).ravel().tolist()
+    coefficients = [] if distortion is None else _floats("distortion", distortion).ravel().tolist()
     return {
         "width": size[0],
         "height": size[1],
@@ -67,22 +71,22 @@ def whose(keys: list[str]) -> str:
 
 
 def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
-    width, height = int(_get(info, "width")), int(_get(info, "height"))
-    matrix = np.asarray(_get(info, "P", "p") if rectified else _get(info, "K", "k"), np.float64)
-    columns = 4 if rectified else 3
+    width, height = _whole(info, "width"), _whole(info, "height")
+    name, columns = ("P", 4) if rectified else ("K", 3)
+    matrix = _floats(name, _get(info, name, name.lower()))
     if matrix.size != 3 * columns:
-        raise ValueError(f"expected {3 * columns} numbers in {'P' if rectified else 'K'}, got {matrix.size}")
-    pinhole = _pinhole(_matrix("P" if rectified else "K", matrix.reshape(3, columns)[:, :3]))
+        raise ValueError(f"expected {3 * columns} numbers in {name}, got {matrix.size}")
+    pinhole = _pinhole(_matrix(name, matrix.reshape(3, columns)[:, :3]))
 
     x_offset = y_offset = 0
     roi = _get(info, "roi", default=None)
     if roi is not None:
-        x_offset, y_offset = int(_get(roi, "x_offset", default=0)), int(_get(roi, "y_offset", default=0))
+        x_offset, y_offset = _whole(roi, "x_offset", default=0), _whole(roi, "y_offset", default=0)
         # A width or height of 0 means the full resolution.
-        width = int(_get(roi, "width", default=0)) or width
-        height = int(_get(roi, "height", default=0)) or height
-    binning_x = int(_get(info, "binning_x", default=0)) or 1
-    binning_y = int(_get(info, "binning_y", default=0)) or 1
+        width = _whole(roi, "width", default=0) or width
+        height = _whole(roi, "height", default=0) or height
+    binning_x = _whole(info, "binning_x", default=0) or 1
+    binning_y = _whole(info, "binning_y", default=0) or 1
     return {
         "width": width // binning_x,
         "height": height // binning_y,
@@ -95,7 +99,7 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
 
 
 def _ros_distortion(info: Any) -> list[float]:
-    coefficients = [float(v) for v in _get(info, "D", "d", default=())]
+    coefficients = _floats("D", _get(info, "D", "d")).ravel().tolist()
     if not any(coefficients):
         return []
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
@@ -113,7 +117,7 @@ def _ros_distortion(info: Any) -> list[float]:
 
 def from_open3d(values: Mapping[str, Any]) -> dict[str, Any]:
     intrinsic = values.get("intrinsic", values)
-    numbers = np.asarray(_get(intrinsic, "intrinsic_matrix"), np.float64)
+    numbers = _floats("intrinsic_matrix", _get(intrinsic, "intrinsic_matrix"))
     if numbers.shape != (9,):
         raise ValueError(
             f"expected intrinsic_matrix as nine numbers, column-major, got shape {numbers.shape}"
@@ -123,7 +127,7 @@ def from_open3d(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]:
-    coefficients = [float(v) for v in _get(intrinsics, "coeffs", default=())]
+    coefficients = _floats("coeffs", _get(intrinsics, "coeffs")).ravel().tolist()
     made: dict[str, Any] = {
         "width": _get(intrinsics, "width"),
         "height": _get(intrinsics, "height"),
@@ -132,7 +136,7 @@ def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]
         "cx": _get(intrinsics, "ppx"),
         "cy": _get(intrinsics, "ppy"),
     }
-    model = _realsense_model(_get(intrinsics, "model", default="none"))
+    model = _realsense_model(_get(intrinsics, "model"))
     if any(coefficients) and model != "none":
         if model not in ("brown_conrady", "inverse_brown_conrady"):
             raise ValueError(
@@ -141,8 +145,8 @@ def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]
             )
         made |= {"distortion": coefficients, "distortion_model": model}
     if depth_units is not None:
-        units = float(depth_units)
-        if not 0 < units < np.inf:
+        units = number("depth_units", depth_units)
+        if not units > 0:
             raise ValueError(f"expected depth_units > 0 (metres per raw unit), got {depth_units!r}")
         # The device states its unit in float32; 0.001 must not come out as 999.99995 units per metre.
         if float(np.float32(units)) == units:
@@ -175,9 +179,21 @@ def _get(source: Any, *names: str, **default: Any) -> Any:
     raise ValueError(f"expected {' or '.join(names)} in the {type(source).__name__}, got none")
 
 
-def _matrix(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _whole(source: Any, name: str, **default: int) -> int:
+    """A whole number, not negative, that a mapping or an object has."""
+    return check_whole(name, _get(source, name, **default), 0)
+
+
+def _floats(name: str, values: ArrayLike) -> Floats:
+    try:
+        return np.asarray(values, np.float64)
+    except (OverflowError, TypeError, ValueError):
+        raise TypeError(f"expected {name} as numbers, got {values!r}") from None
+
+
+def _matrix(name: str, values: ArrayLike) -> Floats:
     """A camera matrix without skew."""
-    matrix = np.asarray(values, np.float64)
+    matrix = _floats(name, values)
     if matrix.shape != (3, 3):
         raise ValueError(f"expected {name} of shape (3, 3), got {matrix.shape}")
     empty = matrix.copy()
@@ -190,7 +206,7 @@ def _matrix(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64
     return matrix
 
 
-def _pinhole(matrix: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
+def _pinhole(matrix: Floats) -> dict[str, float]:
     return {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
 
 

@@ -45,6 +45,8 @@ def check_whole(name: str, value: int, least: int, kind: str = "whole number") -
         raise TypeError(f"{name} must be a {kind}, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value!r}")
+    if value >= 2**63:  # which no kernel takes
+        raise ValueError(f"{name} must be below 2**63, got {value!r}")
     return int(value)
 
 
@@ -70,6 +72,8 @@ def number(name: str, value: Any, *, finite: bool = True) -> float:
         raise TypeError(f"expected {name} as a number, got {value!r}")
     try:
         made = float(value)
+    except OverflowError:  # of a whole number that no float holds
+        made = math.inf if value > 0 else -math.inf
     except (TypeError, ValueError):
         raise TypeError(f"expected {name} as a number, got {value!r}") from None
     if finite and not math.isfinite(made):
@@ -79,6 +83,7 @@ def number(name: str, value: Any, *, finite: bool = True) -> float:
 
 def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:
     """Return a sequence of numbers as floats."""
-    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)):
+    listed = isinstance(values, Sequence) or (isinstance(values, np.ndarray) and values.ndim > 0)
+    if not listed or isinstance(values, (str, bytes)):
         raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
     return tuple(number(name, value, finite=finite) for value in values)

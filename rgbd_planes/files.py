@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Files appear whole or not at all, and errors about them name them."""
 
 import os
 import threading
@@ -30,6 +30,17 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         beside.replace(target)
     finally:
         beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Begin the TypeError or ValueError of the block, which is about the content of a file, with its path."""
+    try:
+        yield
+    except TypeError as error:
+        raise TypeError(f"{os.fspath(path)}: {error}") from None
+    except ValueError as error:
+        raise ValueError(f"{os.fspath(path)}: {error}") from None
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

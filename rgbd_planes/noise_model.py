@@ -1,7 +1,6 @@
 """A model of a sensor's noise: what `rgbd_planes.noise` makes and a `Camera` has."""
 
 import functools
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
@@ -78,29 +77,26 @@ class NoiseModel:
             raise ValueError(f"expected a standard deviation that is not negative, got {self.coefficients!r}")
         object.__setattr__(self, "coefficients", coefficients)
         if self.samples is not None:
-            samples = np.array(self.samples, np.float64)
-            if samples.ndim != 2 or samples.shape[1] != 2 or not np.isfinite(samples).all():
-                raise ValueError(f"expected samples as pairs (inverse depth, sigma), got {self.samples!r}")
-            if not (np.diff(samples[:, 0]) > 0.0).all() or not (samples[:, 1] > 0.0).all():
+            samples = _pairs("samples", self.samples, "inverse depth, sigma")
+            if not (samples.size and (np.diff(samples[:, 0]) > 0.0).all() and (samples[:, 1] > 0.0).all()):
                 raise ValueError(
                     f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}"
                 )
             object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
-        for name in ("step", "disparity_step", "floor", "spread", "lateral"):
+        for name in ("step", "disparity_step", "floor", "floor_length", "spread", "lateral"):
             value = number(name, getattr(self, name))
             if value < 0.0:
                 raise ValueError(f"expected {name} of 0 or more, got {value!r}")
             object.__setattr__(self, name, value)
-        correlation = tuple((float(share), float(length)) for share, length in self.correlation)
-        shares = [share for share, _ in correlation]
-        if any(share < 0.0 for share in shares) or sum(shares) > 1.0 + 1e-9:
+        correlation = _pairs("correlation", self.correlation, "share, length")
+        shares, lengths = correlation.T.tolist()
+        if min(shares, default=0.0) < 0.0 or sum(shares) > 1.0 + 1e-9:
             raise ValueError(f"expected shares of correlation that add up to at most 1, got {shares}")
-        if any(not 0.0 < length < math.inf for length in [self.floor_length, *(c[1] for c in correlation)]):
+        if min([self.floor_length, *lengths]) <= 0.0:
             raise ValueError(
-                "expected positive correlation lengths in pixels, got "
-                f"{correlation!r} and {self.floor_length!r}"
+                f"expected positive correlation lengths in pixels, got {lengths} and {self.floor_length!r}"
             )
-        object.__setattr__(self, "correlation", correlation)
+        object.__setattr__(self, "correlation", tuple(zip(shares, lengths, strict=True)))
 
     def __repr__(self) -> str:
         parts = ["σ by a function"]
@@ -224,8 +220,15 @@ class NoiseModel:
             raise ValueError(
                 f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}"
             )
-        made = dict(values)
-        for name in ("correlation", "samples"):
-            if made.get(name) is not None:
-                made[name] = tuple(tuple(pair) for pair in made[name])
-        return cls(**made)
+        return cls(**values)
+
+
+def _pairs(name: str, values: Any, of: str) -> Floats:
+    """(N, 2) finite numbers."""
+    try:
+        pairs = np.array([tuple(pair) for pair in values], np.float64).reshape(len(values), 2)
+    except (OverflowError, TypeError, ValueError):
+        pairs = np.full((1, 2), np.nan)
+    if not np.isfinite(pairs).all():
+        raise ValueError(f"expected {name} as pairs ({of}), got {values!r}")
+    return pairs

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 import pickle
 import re
 import threading
@@ -160,7 +161,7 @@ def test_a_camera_is_a_value():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"width": 0}, "expected width .* at least 1, got 0"),
+        ({"width": 0}, "expected width .* 1 to 2147483647, got 0"),
         ({"height": 4.0}, "expected height as a whole number .* got 4.0"),
         ({"height": True}, "expected height .* got True"),
         ({"fx": 0}, "expected fx in pixels, not 0"),
@@ -299,6 +300,12 @@ def test_load_a_file_that_is_none(tmp_path, text, message):
         Camera.load(path)
 
 
+def test_load_a_file_that_begins_with_a_mark(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text("\r\n".join(json.dumps(small().to_dict(), indent=1).splitlines()), encoding="utf-8-sig")
+    assert Camera.load(path) == small()
+
+
 def test_load_a_missing_or_binary_file(tmp_path):
     with pytest.raises(FileNotFoundError):
         Camera.load(tmp_path / "camera.json")
@@ -406,6 +413,10 @@ def test_from_open3d(tmp_path):
         Camera.from_open3d(values | {"intrinsic_matrix": MATRIX})
 
 
+def without(values, key):
+    return {k: v for k, v in values.items() if k != key}
+
+
 def realsense(**changed):
     return {
         "width": 848,
@@ -449,6 +460,74 @@ def test_from_realsense():
 def test_from_realsense_models(model, expected):
     camera = Camera.from_realsense(realsense(model=model, coeffs=KINECT))
     assert (camera.distortion_model, camera.distortion) == (expected, KINECT)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: small(fx=10**400), "expected fx as a finite number, got 1000"),
+        (lambda: small(width=10**400), "expected width as a whole number of pixels, 1 to"),
+        (lambda: small(distortion=np.array(5.0)), r"expected distortion as a sequence of numbers, got array"),
+        (lambda: Camera.from_opencv([["a"]], None, (1, 1)), "expected camera_matrix as numbers, got .*'a'"),
+        (lambda: Camera.from_opencv(MATRIX, "ab", (1, 1)), "expected distortion as numbers, got 'ab'"),
+        (lambda: Camera.from_ros(camera_info(width=math.inf)), "width must be a whole number, got inf"),
+        (lambda: Camera.from_ros(camera_info(binning_x=2.7)), "binning_x must be a whole number, got 2.7"),
+        (lambda: Camera.from_ros(camera_info(binning_y=-1)), "binning_y must be at least 0, got -1"),
+        (
+            lambda: Camera.from_ros(camera_info(roi={"x_offset": "4"})),
+            "x_offset must be a whole number, got '4'",
+        ),
+        (lambda: Camera.from_ros(camera_info(K=[10**400] * 9)), "expected K as numbers, got"),
+        (lambda: Camera.from_ros(camera_info(D=5)), "4 or 5 coefficients in D for plumb_bob, got 1"),
+        (lambda: Camera.from_open3d({"intrinsic": None}), "expected intrinsic_matrix in the NoneType"),
+        (lambda: Camera.from_open3d({"intrinsic_matrix": [[1], 2]}), "expected intrinsic_matrix as numbers"),
+        (lambda: Camera.from_realsense(realsense(coeffs=["k"] * 5)), "expected coeffs as numbers, got"),
+        (
+            lambda: Camera.from_realsense(realsense(), depth_units="a"),
+            "expected depth_units as a number, got 'a'",
+        ),
+        # What says how the lens bends must not be left out in silence.
+        (lambda: Camera.from_realsense(without(realsense(coeffs=KINECT), "model")), "expected model in"),
+        (lambda: Camera.from_realsense(without(realsense(), "coeffs")), "expected coeffs in"),
+        (lambda: Camera.from_ros(without(camera_info(), "D")), "expected D or d in"),
+    ],
+)
+def test_what_no_format_has(make, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        make()
+
+
+def test_a_file_is_named_with_what_is_wrong_in_it(tmp_path):
+    path = tmp_path / "camera.json"
+    for values, message in (
+        ({"width": 4, "height": 3, "intrinsic_matrix": [1.0] * 8}, "nine numbers, column-major, got shape"),
+        (
+            {"width": "4", "height": 3, "intrinsic_matrix": [9.0, 0, 0, 0, 9.0, 0, 1, 1, 1]},
+            "width as a whole",
+        ),
+    ):
+        path.write_text(json.dumps(values))
+        with pytest.raises(ValueError, match=rf"camera\.json: expected .*{message}"):
+            Camera.from_open3d(path)
+    path.write_text("[" * 100_000)
+    with pytest.raises(ValueError, match=r"expected a JSON file, got .*camera\.json: maximum recursion"):
+        Camera.load(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"correlation": 5}, "expected correlation as pairs .share, length., got 5"),
+        ({"correlation": (0.5, 3.0)}, "expected correlation as pairs"),
+        ({"correlation": ((0.5, "a"),)}, "expected correlation as pairs"),
+        ({"samples": ((1.0, 2.0), (3.0,))}, "expected samples as pairs .inverse depth, sigma."),
+        ({"samples": ()}, "expected samples of growing"),
+        ({"floor_length": "a"}, "expected floor_length as a number, got 'a'"),
+    ],
+)
+def test_noise_that_cannot_be(changed, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        Camera.from_dict(small().to_dict() | {"noise": changed})
 
 
 def test_from_realsense_models_that_cannot_be():

@@ -92,6 +92,7 @@ def test_no_depth_frame(depth, error, message):
         (lambda: rp.segment(DEPTH, CAMERA, noise=lambda q: -q), ValueError, "noise of 0 or more at all inverse"),
         (lambda: rp.fit_sequence("recording", "out"), TypeError, "which open_sequence makes, got str"),
         (lambda: rp.FitSettings(segments=True, tile=8).check(CAMERA), ValueError, "options of tiles, got tile"),
+        (lambda: rp.segment(DEPTH, CAMERA, min_size=10**30), ValueError, "min_size must be below 2"),
         (lambda: rp.segment_sequence([], CAMERA, memory=1.5), TypeError, "whole number of frames, got 1.5"),
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, tile=32.0), TypeError, "whole number of pixels, got 32.0"),
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, clusters="a"), TypeError, "clusters must be a whole number"),
