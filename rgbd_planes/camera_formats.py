@@ -145,14 +145,19 @@ def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]
             )
         made |= {"distortion": coefficients, "distortion_model": model}
     if depth_units is not None:
-        units = number("depth_units", depth_units)
-        if not units > 0:
-            raise ValueError(f"expected depth_units > 0 (metres per raw unit), got {depth_units!r}")
-        # The device states its unit in float32; 0.001 must not come out as 999.99995 units per metre.
-        if float(np.float32(units)) == units:
-            units = float(str(np.float32(units)))
-        made["depth_scale"] = 1.0 / units
+        made["depth_scale"] = depth_scale_of(depth_units)
     return made
+
+
+def depth_scale_of(depth_units: float) -> float:
+    """Raw units per metre, of metres per raw unit."""
+    units = number("depth_units", depth_units)
+    if not units > 0:
+        raise ValueError(f"expected depth_units > 0 (metres per raw unit), got {depth_units!r}")
+    # The device states its unit in float32; 0.001 must not come out as 999.99995 units per metre.
+    if float(np.float32(units)) == units:
+        units = float(str(np.float32(units)))
+    return 1.0 / units
 
 
 def _realsense_model(model: Any) -> str:

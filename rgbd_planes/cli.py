@@ -46,12 +46,12 @@ def main(argv: list[str] | None = None) -> int:
             warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
             warnings.showwarning = _show_each_once()
             status: int | None = arguments.run(arguments)
-            sys.stdout.flush()
+            print(end="", flush=True)  # also where there is no stdout
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
         status = 0
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (CommandError, ModuleNotFoundError, OSError, TypeError, ValueError) as error:
-        print(f"rgbd-planes {arguments.command}: {_one_line(error)}", file=sys.stderr)
+    except (CommandError, MemoryError, ModuleNotFoundError, OSError, TypeError, ValueError) as error:
+        print(f"rgbd-planes {arguments.command}: {_one_line(error) or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -43,6 +43,18 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
         raise ValueError(f"{os.fspath(path)}: {error}") from None
 
 
+def existing_file(path: str | os.PathLike[str]) -> Path:
+    """The path, if it is a file: to open a pipe would wait for what may never come."""
+    file = Path(path)
+    if not file.exists():
+        raise FileNotFoundError(f"{path}: there is no such file")
+    if not file.is_file():
+        raise ValueError(
+            f"{path}: expected a file, got {'a folder' if file.is_dir() else 'a device or a pipe'}"
+        )
+    return file
+
+
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now the OSError that writing `path` would raise after the work is done."""
     target = Path(os.path.realpath(path))

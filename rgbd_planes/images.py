@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.files import write_beside
+from rgbd_planes.files import existing_file, write_beside
 
 Frame = NDArray[Any]
 
@@ -37,15 +37,11 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         The suffix is none of these, the file is damaged or truncated or of another format, or what it holds
         is not one image of one channel.
     """
-    file = Path(path)
-    if not file.exists():
-        raise FileNotFoundError(f"{path}: there is no such file")
-    if file.is_dir():
+    if Path(path).is_dir():
         raise ValueError(
             f"{path}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)"
         )
-    if not file.is_file():
-        raise ValueError(f"{path}: expected a file, got a device or a pipe")
+    file = existing_file(path)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}")

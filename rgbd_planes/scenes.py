@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_share, number
+from rgbd_planes.checks import check_camera, check_share, check_whole, number
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 
@@ -178,7 +178,8 @@ class Rendering:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
         check_share("holes", holes)
         check_share("patches", patches)
-        generator = np.random.default_rng(seed)
+        drawn = isinstance(seed, np.random.Generator)
+        generator = seed if drawn else np.random.default_rng(check_whole("seed", seed, 0))
         shape = self.depth.shape
         # Always drawn, in this order, so that asking for holes leaves the noise of a seed as it was.
         gauss = generator.standard_normal(shape)

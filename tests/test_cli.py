@@ -195,6 +195,11 @@ BAD_INPUT = {
     "figure is no picture": (None, ["--figure", "p.docx"], r"\.png or"),
     "out in no folder": (None, ["--out", "none/p.npz"], "no folder"),
     "out is a folder": (lambda folder: os.mkdir("p.npz"), ["--out", "p.npz"], "is a folder"),
+    "figure is read": (
+        None,
+        ["--figure", "./depth.png"],
+        r"depth\.png: --figure would write over another file",
+    ),
     "unknown option": (None, ["--colour"], "--colour"),
 }
 
@@ -249,6 +254,10 @@ def test_warnings_are_one_line(folder, capsys):
     assert err.count("\n") == 1
 
 
+def test_a_seed_that_is_none(tmp_path, capsys):
+    assert "seed must be at least 0, got -1" in fails(capsys, "demo", "--out", tmp_path, "--seed", "-1")
+
+
 def test_no_command_and_an_unknown_one(capsys):
     assert "COMMAND" in fails(capsys)
     assert "segmint" in fails(capsys, "segmint")
@@ -290,6 +299,22 @@ def test_help_needs_no_heavy_import():
         "sys.exit(str(heavy) if heavy else 0)"
     )
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="without a shell of POSIX")
+def test_without_a_place_for_what_it_says(folder):
+    command = f"{sys.executable} -m rgbd_planes fit depth.png --camera camera.json"
+    ran = subprocess.run(f"{command} --out p.npz >&-", shell=True, stderr=subprocess.PIPE, text=True)
+    assert (ran.returncode, "Traceback" in ran.stderr) == (0, False)
+    assert rp.TilePlanes.load("p.npz").fitted.any()
+
+
+def test_too_little_memory_is_one_line(folder, capsys, monkeypatch):
+    def fail(*arguments, **options):
+        raise MemoryError
+
+    monkeypatch.setattr(rp, "fit_tiles", fail)
+    assert "not enough memory" in fails(capsys, "fit", "depth.png", "--camera", "camera.json")
 
 
 def test_a_reader_that_leaves_early_is_no_error(folder):

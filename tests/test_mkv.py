@@ -93,6 +93,8 @@ def test_what_is_wrong_with_a_recording(tmp_path, frames):
     bad = {"calibration.json": calibration(purposes=["CALIBRATION_CameraPurposePhotoVideo"])}
     assert "cannot read the calibration that is attached" in error_of(depth, bad)
     assert "cannot read the calibration" in error_of(depth, {"calibration.json": b"{"})
+    deep = {"calibration.json": b"[" * 100_000}
+    assert "cannot read the calibration" in error_of(depth, deep)
     odd = {"DEPTH": timed(frames[:, :60, :80])}
     assert "expected depth of 320 x 288, 640 x 576" in error_of(odd, good)
     (tmp_path / "b.mkv").write_bytes(b"nothing" * 100)

@@ -115,6 +115,9 @@ def test_command_passes_its_options_on(folder, capsys):
         (["--polygons"], "give --out"),
         (["--out", "planes.txt"], "ends in .json"),
         (["--min-size", "1"], "min_size must be at least 3"),
+        (["--labels", "a.png", "--figure", "a.png"], "a.png: --figure would write over another file"),
+        (["--points", "a.ply", "--mesh", "./a.ply"], "a.ply: --mesh would write over another file"),
+        (["--labels", "depth.png"], "depth.png: --labels would write over another file"),
     ],
 )
 def test_command_fails_in_one_line(folder, capsys, options, message):

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import pickle
 import struct
 import zlib
@@ -173,6 +174,7 @@ def test_scannet_sens(tmp_path, frames, compression):
     same(sequences.scannet_sens(path, presets.scannet()), frames, presets.scannet(), times=times)
 
 
+@pytest.mark.filterwarnings("ignore:.* take an image with a .* of 2147483647")
 def test_sens_that_is_damaged(tmp_path, frames):
     path = tmp_path / "a.sens"
     write_sens(path, frames)
@@ -186,11 +188,17 @@ def test_sens_that_is_damaged(tmp_path, frames):
         (b"\x03" + whole[1:], "version 4, got 3"),
         (b"\x04\0\0\0" + b"\xff" * 40, "not a .sens file"),
         (whole[:281] + b"\x02" + whole[282:], "got occi_ushort"),
+        (whole[:293] + b"\xff" * 8 + whole[301:], "expected width as a whole number of pixels, 1 to"),
     ):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=message) as error:
             rp.open_sequence(path)
         assert "a.sens" in str(error.value)
+    # A size that no file of this length can hold is no reason to ask for the memory.
+    path.write_bytes(whole[:293] + b"\xff\xff\xff\x7f" * 2 + whole[301:])
+    sequence = rp.open_sequence(path)
+    with pytest.raises(ValueError, match=r"a\.sens: damaged depth frame at byte \d+: expected \d+ bytes"):
+        sequence[0]
     # One bad frame does not hide the others.
     path.write_bytes(whole[:start] + b"nonsense" + whole[start + 8 :])
     sequence = rp.open_sequence(path)
@@ -225,6 +233,50 @@ def test_arkitscenes_has_a_camera_for_each_frame(tmp_path, frames):
     same(
         rp.open_sequence(tmp_path / "b", CAMERA, "arkitscenes"), frames, CAMERA, times=[99.95, 100.05, 100.15]
     )
+
+
+@pytest.mark.parametrize("size", ["inf 6", "8.5 6", "nan 6", "8", "8 6 1"])
+def test_arkitscenes_with_a_calibration_that_is_none(tmp_path, frames, size):
+    write_arkitscenes(tmp_path, frames)
+    file = tmp_path / "lowres_wide_intrinsics" / "41048190_100.050.pincam"
+    file.write_text(f"{size} 7.0 7.5 3.5 2.5\n")
+    with pytest.raises(ValueError, match=r"100\.050\.pincam: expected one line, width height fx fy cx cy"):
+        rp.open_sequence(tmp_path)
+    file.rename(file.with_name("41048190_nan.pincam"))
+    with pytest.raises(ValueError, match=r"nan\.pincam: expected a name such as 41048190_3414\.453\.pincam"):
+        rp.open_sequence(tmp_path)
+
+
+def test_names_and_marks_of_other_systems(tmp_path, frames):
+    """Digits that are no numbers, a byte order mark, Windows' ends of lines, files elsewhere."""
+    for name, frame in zip(("1².png", "1²2.png", "é 1.png"), frames, strict=True):
+        images.write_png(tmp_path / name, frame)
+    sequence = rp.open_sequence(tmp_path, CAMERA)
+    assert sorted(sequence.names) == ["1².png", "1²2.png", "é 1.png"]
+    elsewhere = tmp_path / "é 1.png"
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "depth.txt").write_text(
+        f"# times\r\n2 {elsewhere}\r\n\r\n1 ../1².png\r\n", encoding="utf-8-sig"
+    )
+    same(sequences.folder(folder, CAMERA)[:2], frames[[2, 0]], CAMERA, times=[2.0, 1.0])
+    assert sequences.folder(folder, CAMERA).names == (elsewhere.as_posix(), "../1².png")
+    write_arkitscenes(tmp_path / "scan", frames)
+    for file in (tmp_path / "scan" / "lowres_wide_intrinsics").iterdir():
+        file.write_text(file.read_text(), encoding="utf-8-sig")
+    assert rp.open_sequence(tmp_path / "scan").camera == CAMERA
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("suffix", ["sens", "bag", "mkv"])
+def test_a_pipe_is_no_recording(tmp_path, suffix):
+    for library in {"bag": ["rosbags"], "mkv": ["av"]}.get(suffix, []):
+        pytest.importorskip(library)
+    os.mkfifo(tmp_path / f"a.{suffix}")
+    with pytest.raises(ValueError, match="expected a file, got a device or a pipe"):
+        {"sens": sequences.scannet_sens, "bag": sequences.rosbag, "mkv": sequences.mkv}[suffix](
+            tmp_path / f"a.{suffix}"
+        )
 
 
 def test_folder(tmp_path, frames):
@@ -364,6 +416,14 @@ def test_rosbag_of_a_realsense(tmp_path, frames):
     )
     camera = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=10000.0)
     same(rp.open_sequence(path), frames, camera, times=[100.5, 101.5, 3e-9])
+    zero = store.types["std_msgs/msg/Float32"](0.0)
+    topics = {
+        f"{sensor}/Depth_0/image/data": [(1, depth[0])],
+        f"{sensor}/Depth_0/info/camera_info": [(1, info)],
+    }
+    write_bag(tmp_path / "b.bag", topics | {f"{sensor}/option/Depth_Units/value": [(1, zero)]})
+    with pytest.raises(ValueError, match=r"b\.bag: expected depth_units > 0"):
+        rp.open_sequence(tmp_path / "b.bag")
 
 
 def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
@@ -383,7 +443,7 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
     write_bag(tmp_path / "b.bag", {"/colour": [(1, colour[0])], "/camera_info": [(1, info)]})
     with pytest.raises(ValueError, match=r"depth is in none; there is .*/colour \(sensor_msgs/msg/Image\)"):
         rp.open_sequence(tmp_path / "b.bag")
-    with pytest.raises(FileNotFoundError, match=r"gone\.bag: there is no such file or folder"):
+    with pytest.raises(FileNotFoundError, match=r"gone\.bag: there is no such file"):
         sequences.rosbag(tmp_path / "gone.bag")
     with pytest.raises(ValueError, match=r"expected a ROS bag, a file or a folder with metadata\.yaml"):
         sequences.rosbag(tmp_path)
@@ -391,6 +451,18 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
         (tmp_path / "c.bag").write_bytes(content)
         with pytest.raises(ValueError, match=r"c\.bag: not a ROS bag, or damaged"):
             rp.open_sequence(tmp_path / "c.bag")
+    # What its own library stumbles over, or would ask for memory for, is said with the file, too.
+    depth2, info2 = messages(type_store(tmp_path / "two")[0], frames)
+    write_bag(tmp_path / "two", {"/depth": [(1, depth2[0])], "/camera_info": [(1, info2)]})
+    for file, content in (
+        ("metadata.yaml", b"\xff\xfe"),
+        ("two.db3", (tmp_path / "two" / "two.db3").read_bytes()[:5000] + b"\xff" * 3000),
+    ):
+        whole = (tmp_path / "two" / file).read_bytes()
+        (tmp_path / "two" / file).write_bytes(content)
+        with pytest.raises(ValueError, match="two: not a ROS bag, or damaged"):
+            rp.open_sequence(tmp_path / "two")
+        (tmp_path / "two" / file).write_bytes(whole)
     monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
     with pytest.raises(ModuleNotFoundError, match=r'this needs rosbags: pip install "rgbd-planes\[ros\]"'):
         rp.open_sequence(path, CAMERA)

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -76,15 +77,21 @@ def tile_size(text: str) -> tuple[int, int]:
         raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None
 
 
-def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Refuse now what could not be written after the work."""
+def check_outputs(arguments: argparse.Namespace, **suffixes: tuple[str, ...]) -> None:
+    """Refuse now what could not be written after the work, or over what is read or written already."""
     from rgbd_planes.files import check_writable
 
-    if path is None:
-        return
-    if path.suffix.lower() not in suffixes:
-        raise CommandError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
-    check_writable(path)
+    taken = {os.path.realpath(arguments.depth), os.path.realpath(arguments.camera)}
+    for name, allowed in suffixes.items():
+        path: Path | None = getattr(arguments, name)
+        if path is None:
+            continue
+        if path.suffix.lower() not in allowed:
+            raise CommandError(f"{path}: expected a name that ends in {' or '.join(allowed)}")
+        if os.path.realpath(path) in taken:
+            raise CommandError(f"{path}: --{name} would write over another file of this command")
+        taken.add(os.path.realpath(path))
+        check_writable(path)
 
 
 def add_frame(parser: argparse.ArgumentParser) -> None:
@@ -119,6 +126,9 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
         file=sys.stderr,
     )
     return depth, camera, 1
+
+
+FIGURES = (".png", ".pdf", ".svg")
 
 
 def write_figure(figure: Any, path: Path) -> None:

@@ -5,11 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import (
+    FIGURES,
     Run,
     add_fit_options,
     add_frame,
     add_noise,
-    check_output,
+    check_outputs,
     describe_tiles,
     read_frame,
     write_figure,
@@ -33,8 +34,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import fit_tiles
 
-        check_output(arguments.out, (".npz",))
-        check_output(arguments.figure, (".png", ".pdf", ".svg"))
+        check_outputs(arguments, out=(".npz",), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         if arguments.noise is not None:
             camera = replace(camera, noise=arguments.noise)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import Run, add_frame, check_output, read_frame, write_figure
+from rgbd_planes.commands.arguments import FIGURES, Run, add_frame, check_outputs, read_frame, write_figure
 
 
 def normals(parser: argparse.ArgumentParser) -> Run:
@@ -33,8 +33,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
         import rgbd_planes as rp
         from rgbd_planes.files import write_beside
 
-        check_output(arguments.out, (".npy",))
-        check_output(arguments.figure, (".png", ".pdf", ".svg"))
+        check_outputs(arguments, out=(".npy",), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         options = {
             "avoid_edges": arguments.avoid_edges,

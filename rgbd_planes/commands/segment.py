@@ -4,11 +4,12 @@ import argparse
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import (
+    FIGURES,
     CommandError,
     Run,
     add_frame,
     add_noise,
-    check_output,
+    check_outputs,
     read_frame,
     write_figure,
 )
@@ -36,11 +37,9 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         from rgbd_planes import segment as segment_depth
         from rgbd_planes.extras import needs
 
-        check_output(arguments.out, (".json",))
-        check_output(arguments.labels, (".png",))
-        check_output(arguments.figure, (".png", ".pdf", ".svg"))
-        check_output(arguments.points, (".ply",))
-        check_output(arguments.mesh, (".ply",))
+        check_outputs(
+            arguments, out=(".json",), labels=(".png",), figure=FIGURES, points=(".ply",), mesh=(".ply",)
+        )
         if arguments.polygons and arguments.out is None:
             raise CommandError("--polygons goes into the JSON: give --out, too")
         outlined = arguments.polygons or arguments.mesh is not None

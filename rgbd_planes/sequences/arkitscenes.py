@@ -1,6 +1,7 @@
 """Apple's ARKitScenes."""
 
 import bisect
+import math
 import os
 from pathlib import Path
 
@@ -72,14 +73,19 @@ class _Calibrations:
 
 def _read_pincam(file: Path) -> Camera:
     try:
-        width, height, fx, fy, cx, cy = map(float, file.read_text(encoding="utf-8").split())
-        return Camera(int(width), int(height), fx, fy, cx, cy, depth_scale=1000.0)
+        width, height, *pinhole = map(float, file.read_text(encoding="utf-8-sig").split())
+        if not (width.is_integer() and height.is_integer() and len(pinhole) == 4):
+            raise ValueError(f"got {width:g} {height:g} and {len(pinhole)} more")
+        return Camera(int(width), int(height), *pinhole, depth_scale=1000.0)
     except ValueError as error:
         raise ValueError(f"{file}: expected one line, width height fx fy cx cy: {error}") from None
 
 
 def _seconds(file: Path) -> float:
     try:
-        return float(file.stem.rpartition("_")[2])
+        seconds = float(file.stem.rpartition("_")[2])
     except ValueError:
-        raise ValueError(f"{file}: expected a name such as 41048190_3414.453{file.suffix}") from None
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise ValueError(f"{file}: expected a name such as 41048190_3414.453{file.suffix}")
+    return seconds

@@ -7,7 +7,7 @@ import re
 import struct
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
+from rgbd_planes.files import existing_file, naming
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
 
 _IMAGES = "sensor_msgs/msg/Image"
@@ -90,21 +92,27 @@ class _OpenBag:
 
     def __init__(self, path: Path) -> None:
         with needs("rosbags", "ros"):
-            from rosbags.highlevel import AnyReader, AnyReaderError
+            from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
 
         self.path = path
-        if not path.exists():
-            raise FileNotFoundError(f"{path}: there is no such file or folder")
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise ValueError(f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none")
+        if not path.is_dir():
+            existing_file(path)
         # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
-        try:
+        with self._readable():
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
-        except AnyReaderError as error:
-            raise ValueError(f"{path}: not a ROS bag, or damaged ({error})") from None
-        self._errors = (AnyReaderError, struct.error, KeyError, IndexError)
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Many kinds of errors come out of the readers of bags for files that end early or hold nonsense."""
+        try:
+            yield
+        except Exception as error:
+            reason = str(error) or type(error).__name__
+            raise ValueError(f"{self.path}: not a ROS bag, or damaged ({reason})") from error
 
     def close(self) -> None:
         self._reader.close()
@@ -117,8 +125,9 @@ class _OpenBag:
         """Time in nanoseconds, content and type of the messages of a topic."""
         connections = [c for c in self._reader.connections if c.topic == topic]
         if connections:
-            for connection, time, content in self._reader.messages(connections, **times):
-                yield time, content, connection.msgtype
+            with self._readable():
+                for connection, time, content in self._reader.messages(connections, **times):
+                    yield time, content, connection.msgtype
 
     def first(self, topic: str) -> Any:
         """The first message of a topic; None where there is none."""
@@ -127,10 +136,8 @@ class _OpenBag:
         return None
 
     def message(self, content: bytes, kind: str) -> Any:
-        try:
+        with self._readable():
             return self._reader.deserialize(content, kind)
-        except self._errors as error:
-            raise ValueError(f"{self.path}: damaged message ({error})") from None
 
     def depth_topics(self) -> list[str]:
         """Topics whose first message is a depth image."""
@@ -165,14 +172,15 @@ class _OpenBag:
                 f"there is {', '.join(sorted(infos)) or 'none'}"
             )
         rectified = re.search(r"(^|[_/])rect", topic) is not None
-        return Camera.from_ros(info, rectified=rectified, depth_scale=self._depth_scale(topic))
+        with naming(self.path):
+            return Camera.from_ros(info, rectified=rectified, depth_scale=self._depth_scale(topic))
 
     def _depth_scale(self, topic: str) -> float:
         sensor = re.match(r"(/device_\d+/sensor_\d+)/", topic)
         if sensor is not None:
             for name in self._reader.topics:
                 if re.fullmatch(re.escape(sensor[1]) + r"/option/Depth[_ ]Units/value", name):
-                    return 1.0 / float(str(np.float32(self.first(name).data)))  # 0.001, not 0.0010000000475
+                    return depth_scale_of(getattr(self.first(name), "data", None))  # type: ignore[arg-type]
         return 1000.0
 
     def times(self, topic: str) -> Iterator[tuple[float, int, int]]:
@@ -187,8 +195,9 @@ class _OpenBag:
     def _stamp(self, content: bytes) -> float:
         """Seconds of the header that both kinds of message begin with; 0 where it is not set."""
         # ROS 1: the header's number, then its time. CDR: how it is encoded, then the header's time.
-        order = "<" if not self._reader.is2 or content[1] & 1 else ">"
-        seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
+        with self._readable():
+            order = "<" if not self._reader.is2 or content[1] & 1 else ">"
+            seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
         return float(seconds + nanoseconds * 1e-9)
 
 
@@ -241,11 +250,11 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
         _, a, b = struct.unpack_from("<iff", content)
         with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
             pixels = np.array(png)
-    except (OSError, SyntaxError, ValueError, EOFError, struct.error) as error:
+    except Exception as error:  # of the bytes before it, or one of the many of Pillow
         raise ValueError(f"damaged compressed image ({error})") from None
     if pixels.ndim != 2:
         raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
     if encoding == "16UC1":
         return pixels.astype(np.uint16)
-    with np.errstate(divide="ignore"):
+    with np.errstate(all="ignore"):
         return np.where(pixels == 0, math.nan, a / (pixels.astype(np.float32) - b)).astype(np.float32)

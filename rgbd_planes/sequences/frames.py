@@ -121,12 +121,14 @@ class FrameSequence(Sequence[Frame]):
 def image_sequence(
     files: Iterable[Path], camera: Camera, root: Path, timestamps: Iterable[float] | None = None
 ) -> FrameSequence:
-    """A sequence of image files of one camera, named by their paths below `root`."""
+    """A sequence of image files of one camera, named by their paths, below `root` if they are there."""
     paths = list(files)
     times = [float("nan")] * len(paths) if timestamps is None else timestamps
     return FrameSequence(
         (
-            FrameEntry(path.relative_to(root).as_posix(), time, camera, path)
+            FrameEntry(
+                (path.relative_to(root) if path.is_relative_to(root) else path).as_posix(), time, camera, path
+            )
             for path, time in zip(paths, times, strict=True)
         ),
         read_depth,
@@ -138,7 +140,8 @@ def numbered(paths: Iterable[Path]) -> list[Path]:
     return sorted(
         paths,
         key=lambda path: [
-            (1, int(part), part) if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", path.name)
+            (1, int(part), part) if part.isdecimal() else (0, 0, part)
+            for part in re.split(r"(\d+)", path.name)
         ],
     )
 

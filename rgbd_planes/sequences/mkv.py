@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.extras import needs
+from rgbd_planes.files import existing_file, naming
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
 
 _TRACK = "DEPTH"
@@ -48,7 +49,7 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     ValueError
         It is no recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
     """
-    source = Path(path)
+    source = existing_file(path)
     recording = _OpenRecording(source)
     try:
         camera = camera or recording.camera()
@@ -82,7 +83,8 @@ class _OpenRecording:
             self._container = av.open(str(path))
         except av.FFmpegError as error:
             raise ValueError(f"{path}: not a Matroska recording, or damaged ({error.strerror})") from None
-        grey = [s for s in self._container.streams.video if str(s.codec_context.pix_fmt).startswith("gray16")]
+        tracks = [s for s in self._container.streams.video if s.codec_context is not None and s.time_base]
+        grey = [s for s in tracks if str(s.codec_context.pix_fmt).startswith("gray16")]
         named = [stream for stream in grey if stream.metadata.get("title") == _TRACK]
         if len(named or grey) != 1:
             self.close()
@@ -90,7 +92,6 @@ class _OpenRecording:
                 f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
             )
         (self._stream,) = named or grey
-        assert self._stream.time_base is not None  # Matroska always has one
         self._unit = self._stream.time_base
 
     def close(self) -> None:
@@ -152,14 +153,15 @@ def _depth_camera(content: bytes, size: tuple[int, int], path: Path) -> Camera:
         (found,) = (one for one in cameras if one["Purpose"] == "CALIBRATION_CameraPurposeDepth")
         values = [float(value) for value in found["Intrinsics"]["ModelParameters"]]
         cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = values[:14]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: cannot read the calibration that is attached ({error!r})") from None
-    return Camera(
-        *size,
-        fx=side * fx,
-        fy=side * fy,
-        cx=side * cx - left - 0.5,  # its pixels begin at integers, ours have their centres there
-        cy=side * cy - top - 0.5,
-        distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
-        depth_scale=1000.0,
-    )
+    with naming(path):
+        return Camera(
+            *size,
+            fx=side * fx,
+            fy=side * fy,
+            cx=side * cx - left - 0.5,  # its pixels begin at integers, ours have their centres there
+            cy=side * cy - top - 0.5,
+            distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
+            depth_scale=1000.0,
+        )

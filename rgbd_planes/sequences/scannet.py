@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.files import existing_file, naming
+from rgbd_planes.images import read_depth
 from rgbd_planes.sequences.frames import (
     FrameEntry,
     FrameSequence,
@@ -64,7 +66,7 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     FrameSequence
         Seconds on the sensor's clock; a frame that was not stamped has NaN.
     """
-    file = Path(path)
+    file = existing_file(path)
     with file.open("rb") as stream:
         try:
             header = _read_header(stream)
@@ -153,27 +155,27 @@ def _unpack(stream: BinaryIO, layout: str) -> tuple[Any, ...]:
 
 
 def _camera_of_matrix(root: Path, first: Path) -> Camera:
-    from PIL import Image
-
     file = root / "intrinsic" / "intrinsic_depth.txt"
     if not file.is_file():
         raise ValueError(f"{root}: expected intrinsic/intrinsic_depth.txt, or a camera")
     try:
-        matrix = np.array(file.read_text(encoding="utf-8").split(), np.float64).reshape(4, 4)
+        matrix = np.array(file.read_text(encoding="utf-8-sig").split(), np.float64).reshape(4, 4)
     except ValueError:
         raise ValueError(f"{file}: expected a 4 x 4 matrix") from None
     try:
-        with Image.open(first) as image:
-            size = image.size
-    except OSError:
-        raise ValueError(f"{first}: damaged, and the first image gives the size of the frames") from None
-    return _camera_in(file, matrix, size, 1000.0)
+        height, width = read_depth(first).shape
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{error}; the first image gives the size of the frames") from None
+    with naming(file):
+        return _camera(matrix, (width, height), 1000.0)
 
 
 def _camera_of_info(file: Path) -> Camera:
     if not file.is_file():
         raise ValueError(f"{file.parent}: expected _info.txt, or a camera")
-    pairs = (line.partition("=") for line in file.read_text(encoding="utf-8", errors="replace").splitlines())
+    pairs = (
+        line.partition("=") for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    )
     values = {name.strip(): value.split() for name, _, value in pairs}
     try:
         matrix = np.array(values["m_calibrationDepthIntrinsic"], np.float64).reshape(4, 4)
@@ -184,14 +186,8 @@ def _camera_of_info(file: Path) -> Camera:
             f"{file}: expected m_depthWidth, m_depthHeight, m_depthShift and m_calibrationDepthIntrinsic "
             f"(16 numbers), failed at {error}"
         ) from None
-    return _camera_in(file, matrix, (width, height), scale)
-
-
-def _camera_in(file: Path, matrix: NDArray[np.float64], size: tuple[int, int], depth_scale: float) -> Camera:
-    try:
-        return _camera(matrix, size, depth_scale)
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
+    with naming(file):
+        return _camera(matrix, (width, height), scale)
 
 
 def _camera(matrix: NDArray[np.float64], size: tuple[int, int], depth_scale: float) -> Camera:
