@@ -9,9 +9,7 @@ import numpy as np
 
 from ._jit import kernel
 from .sliding import PITCH
-
-# Pixels count as collinear as in `solve`.
-COLLINEAR = 1e-9
+from .solve import COLLINEAR
 
 
 @kernel(reduction=True)

@@ -177,18 +177,13 @@ class Assessment:
             planes, errors, counts, status = planes[None], errors[None], counts[None], status[None]
         fits = moments, reference, planes, errors
         settings = self._in_range_space, self._of_noise, self._limits
-        if self._tables is not None:
-            of_counts = counts, self._tables
-            return lambda start, stop: statistics.assess(
-                *fits, *of_counts, *settings, start, stop, status, ROUGH, results
-            )
 
         def assess(start: int, stop: int) -> None:
-            # There may be nothing yet in other parts.
-            index = np.zeros(status.size, counts.dtype)
-            numbers, inverse = np.unique(counts.ravel()[start:stop], return_inverse=True)
-            index[start:stop] = inverse
-            of_counts = index.reshape(status.shape), _some_tables(noise, numbers)
-            statistics.assess(*fits, *of_counts, *settings, start, stop, status, ROUGH, results)
+            index, tables = counts, self._tables
+            if tables is None:  # of these tiles' numbers of pixels: there may be nothing yet in other parts
+                numbers, inverse = np.unique(counts.ravel()[start:stop], return_inverse=True)
+                index, tables = np.zeros(counts.shape, counts.dtype), _some_tables(noise, numbers)
+                index.ravel()[start:stop] = inverse
+            statistics.assess(*fits, index, tables, *settings, start, stop, status, ROUGH, results)
 
         return assess
