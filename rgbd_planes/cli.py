@@ -2,6 +2,7 @@
 
 import argparse
 import inspect
+import io
 import os
 import shutil
 import sys
@@ -23,6 +24,8 @@ def main(argv: list[str] | None = None) -> int:
     int
         0; 1 if a frame has no measurement or frames of a batch were skipped; 2 after an error.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):  # of a name that its encoding lacks the rest is worth saying
+        sys.stdout.reconfigure(errors="backslashreplace")
     parser = _Parser(
         prog="rgbd-planes",
         description="Fit planes to depth images.",
@@ -50,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
         status = 0
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (CommandError, MemoryError, ModuleNotFoundError, OSError, TypeError, ValueError) as error:
+    except (CommandError, ImportError, MemoryError, OSError, TypeError, ValueError) as error:
         print(f"rgbd-planes {arguments.command}: {_one_line(error) or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

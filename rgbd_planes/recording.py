@@ -19,6 +19,8 @@ from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.tracking import MEMORY, Tracker
 
+_MOST_CLASSES = 65535  # of rerun: after so many planes their numbers begin again
+
 
 def record(
     sequence: FrameSequence,
@@ -98,14 +100,16 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> No
                 tracker = Tracker(frame.camera, MEMORY)
             tracked = tracker.follow(segment(frame.depth, frame.camera))
             _log_frame(rr, stream, index, frame)
-            stream.log("camera/planes", rr.SegmentationImage(tracked.labels.astype(np.uint16)))
-            most = max(most, int(tracked.ids.max(initial=0)))
+            ids = (tracked.ids - 1) % _MOST_CLASSES + 1
+            labels = np.append(0, ids)[tracked.segmentation.labels]
+            stream.log("camera/planes", rr.SegmentationImage(labels.astype(np.uint16)))
+            most = max(most, int(ids.max(initial=0)))
             colours = label_colours(most)
             outlines, own = [], []
             for plane in plane_polygons(tracked.segmentation):
                 rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
                 outlines += rings
-                own += [colours[tracked.ids[plane.label - 1] - 1]] * len(rings)
+                own += [colours[ids[plane.label - 1] - 1]] * len(rings)
             stream.log("planes/outlines", rr.LineStrips3D(outlines, colors=np.reshape(own, (-1, 3))))
             stream.log("found", rr.Scalars(float(len(tracked.ids))))
         classes = [(i, str(i), colour) for i, colour in enumerate(label_colours(most).tolist(), start=1)]

@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 
 def ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
     """std_msgs/Header; a time that is not known is 0."""
-    nanoseconds = round(stamp * 1e9) if math.isfinite(stamp) else 0
+    nanoseconds = round(stamp * 1e9) if math.isfinite(stamp * 1e9) else 0
     time = {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
     return {"stamp": time, "frame_id": frame_id}
 

@@ -178,8 +178,9 @@ class Rendering:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
         check_share("holes", holes)
         check_share("patches", patches)
-        drawn = isinstance(seed, np.random.Generator)
-        generator = seed if drawn else np.random.default_rng(check_whole("seed", seed, 0))
+        if not isinstance(seed, np.random.Generator):
+            check_whole("seed", seed, 0)
+        generator = np.random.default_rng(seed)
         shape = self.depth.shape
         # Always drawn, in this order, so that asking for holes leaves the noise of a seed as it was.
         gauss = generator.standard_normal(shape)

@@ -90,7 +90,12 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
     path : path
         Ends in .png.
     segmentation : Segmentation
+        Of at most 65535 planes.
     """
+    if len(segmentation) > 65535:
+        raise ValueError(
+            f"expected at most 65535 planes, which 16 bits can tell apart, got {len(segmentation)}"
+        )
     write_png(path, segmentation.labels.astype(np.uint16))
 
 

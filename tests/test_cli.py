@@ -309,12 +309,24 @@ def test_without_a_place_for_what_it_says(folder):
     assert rp.TilePlanes.load("p.npz").fitted.any()
 
 
-def test_too_little_memory_is_one_line(folder, capsys, monkeypatch):
+def test_a_name_that_stdout_has_no_letters_for(folder):
+    ran = run_module(
+        *("fit", "depth.png", "--camera", "camera.json", "--out", "tür.npz"),
+        env=os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "1"},
+    )
+    assert (ran.returncode, ran.stdout.splitlines()[-1]) == (0, r"Wrote t\xfcr.npz")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(MemoryError(), "not enough memory"), (ImportError("no libGL\nat all"), "no libGL at all")],
+)
+def test_what_the_machine_lacks_is_one_line(folder, capsys, monkeypatch, error, words):
     def fail(*arguments, **options):
-        raise MemoryError
+        raise error
 
     monkeypatch.setattr(rp, "fit_tiles", fail)
-    assert "not enough memory" in fails(capsys, "fit", "depth.png", "--camera", "camera.json")
+    assert words in fails(capsys, "fit", "depth.png", "--camera", "camera.json")
 
 
 def test_a_reader_that_leaves_early_is_no_error(folder):

@@ -149,6 +149,8 @@ def test_ros_messages(tiles, depth):
     cloud = round_trip(
         "sensor_msgs/msg/PointCloud2", export.to_ros_points(depth, CAMERA, "camera", float("nan"))
     )
+    beyond = export.to_ros_points(depth, CAMERA, "camera", 1e300)["header"]
+    assert beyond["stamp"] == {"sec": 0, "nanosec": 0}
     assert (cloud.height, cloud.width, cloud.is_dense) == (60, 80, False)
     dtype = np.dtype(
         {

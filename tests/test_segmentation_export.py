@@ -5,6 +5,7 @@ import io
 import json
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -208,7 +209,7 @@ def test_ros_messages(depth):
     assert np.array_equal(read, found.labels)
 
 
-def test_rerun(depth, tmp_path):
+def test_rerun(depth, tmp_path, monkeypatch):
     pytest.importorskip("rerun")
     pytest.importorskip("shapely")
     rendering = scenes.room().render(CAMERA)
@@ -232,3 +233,17 @@ def test_rerun(depth, tmp_path):
         np.testing.assert_allclose(np.array(strip), [*ring, ring[0]], rtol=1e-5, atol=1e-6)
     (classes,) = columns["/", "AnnotationContext:context"]
     assert len(classes[0]) == max(one.ids.max() for one in tracked)
+    # What is left of many ids in the 16 bits of a class: none of them is none.
+    monkeypatch.setattr(recording, "_MOST_CLASSES", 3)
+    recording.record_segments(FrameSequence(entries, frames.__getitem__), tmp_path / "few.rrd")
+    columns = columns_of(tmp_path / "few.rrd")
+    for read, one in zip(columns["/camera/planes", "SegmentationImage:buffer"], tracked, strict=True):
+        expected = np.where(one.labels, (one.labels - 1) % 3 + 1, 0)
+        assert np.array_equal(np.array(read[0], np.uint8).view(np.uint16), expected.ravel())
+
+
+def test_labels_that_16_bits_cannot_hold(depth, tmp_path):
+    many = replace(segment(depth, CAMERA), planes=np.zeros((65536, 4)))
+    with pytest.raises(ValueError, match="at most 65535 planes, which 16 bits can tell apart, got 65536"):
+        segmentation_export.write_labels(tmp_path / "labels.png", many)
+    assert not any(tmp_path.iterdir())

@@ -73,10 +73,10 @@ class _Calibrations:
 
 def _read_pincam(file: Path) -> Camera:
     try:
-        width, height, *pinhole = map(float, file.read_text(encoding="utf-8-sig").split())
-        if not (width.is_integer() and height.is_integer() and len(pinhole) == 4):
-            raise ValueError(f"got {width:g} {height:g} and {len(pinhole)} more")
-        return Camera(int(width), int(height), *pinhole, depth_scale=1000.0)
+        width, height, fx, fy, cx, cy = map(float, file.read_text(encoding="utf-8-sig").split())
+        if not (width.is_integer() and height.is_integer()):
+            raise ValueError(f"got {width:g} x {height:g} pixels")
+        return Camera(int(width), int(height), fx, fy, cx, cy, depth_scale=1000.0)
     except ValueError as error:
         raise ValueError(f"{file}: expected one line, width height fx fy cx cy: {error}") from None
 
