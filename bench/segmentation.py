@@ -39,6 +39,7 @@ from rgbd_planes.kernels import (
 )
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, segment, segment_frame
+from rgbd_planes.segmentation_noise import Given
 from rgbd_planes.segmentation_result import Segmentation
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -255,7 +256,7 @@ def _difference(rules: Rules) -> str:
 
 
 def _by_rules(frame: Frame, rules: Rules) -> Segmentation:
-    return segment_frame(as_depth_frame(frame.depth, frame.camera), frame.camera, None, 60, rules)
+    return segment_frame(as_depth_frame(frame.depth, frame.camera), frame.camera, Given(), 60, rules)
 
 
 class Baseline:

@@ -10,6 +10,7 @@ import numpy as np
 from ._jit import kernel
 from .segment_blocks import BLOCK
 from .segment_moments import fit
+from .segment_noise import sensor_variance
 
 FULL = 0.5  # share of a square's pixels that must be measured
 FEWEST = 10  # squares that tell something
@@ -51,17 +52,27 @@ def quantile(values, share):
     return values[k] + (position - k) * (following - values[k])
 
 
+@kernel(inline=True)
+def expected_variance(q, sigma):
+    """Variance of an inverse depth by `segment_noise.sensor_variance`; 1 where ``sigma`` is empty: not known."""
+    return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
+
+
 @kernel()
-def square_residuals(pyramid, level, mean_square, slope_square):
-    """Mean squared residual and squared slope of the squares of a level that have a plane; how many there are."""
+def square_residuals(pyramid, level, sigma, mean_square, slope_square):
+    """Mean squared residual and squared slope of the squares of a level that have a plane; how many there are.
+
+    Both in variances, where ``sigma`` says what these are: see `expected_variance`.
+    """
     moments, rss, slope = pyramid.moments, pyramid.rss, pyramid.slope
     least = FULL * (BLOCK << level) ** 2
     count = 0
     for i in range(pyramid.offsets[level], pyramid.offsets[level + 1]):
         if moments[0, i] < least or rss[i] < 0.0:
             continue
-        mean_square[count] = rss[i] / (moments[0, i] - 3.0)
-        slope_square[count] = slope[i]
+        expected = expected_variance(moments[3, i] / moments[0, i], sigma)
+        mean_square[count] = rss[i] / (moments[0, i] - 3.0) / expected
+        slope_square[count] = slope[i] / expected
         count += 1
     return count
 
@@ -81,7 +92,7 @@ def lateral_of(mean_square, slope_square, typical):
 
 
 @kernel()
-def together_of(pyramid, coarse, fine, typical):
+def together_of(pyramid, coarse, fine, sigma, typical):
     """By how much more the means of small squares scatter about the plane of a large one than independent noise's.
 
     Where noise is independent the mean of n pixels has an n-th of their variance; where they go together it has
@@ -98,7 +109,9 @@ def together_of(pyramid, coarse, fine, typical):
         for column in range(shapes[coarse, 1]):
             i = offsets[coarse] + row * shapes[coarse, 1] + column
             m = moments[:, i]
-            if m[0] < least or rss[i] <= 0.0 or rss[i] > most * (m[0] - 3.0) or not fit(m, alpha):
+            if m[0] < least or rss[i] <= 0.0:
+                continue
+            if rss[i] > most * (m[0] - 3.0) * expected_variance(m[3] / m[0], sigma) or not fit(m, alpha):
                 continue
             total = 0.0
             parts = -3.0  # the plane takes as many
@@ -116,7 +129,7 @@ def together_of(pyramid, coarse, fine, typical):
 
 
 @kernel()
-def estimate_noise(pyramid, growth):
+def estimate_noise(pyramid, sigma, growth):
     """Estimate the noise of a frame from the residuals of its own squares of 8, 16 and 32 pixels.
 
     Where a frame has too few squares to say, the noise is taken to be independent, and half a pixel across.
@@ -124,13 +137,16 @@ def estimate_noise(pyramid, growth):
     Parameters
     ----------
     pyramid : Pyramid
+    sigma : (K + 1,) float64
+        What is known of the noise: see `segment_noise.sensor_variance`. Empty where nothing is.
     growth : (3,) float64, written
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
 
     Returns
     -------
     typical : float
-        Variance of inverse depth, 1/m²; 0 where it is unknown.
+        Variance of inverse depth within squares of 8 pixels, 1/m², or as a multiple of what ``sigma`` says; 0 where
+        it is unknown.
     lateral : float
         Standard deviation, in pixels, of where a measurement lies.
     together : float
@@ -142,7 +158,7 @@ def estimate_noise(pyramid, growth):
     lateral = MOST_LATERAL
     typical = smallest = 0.0
     for level in range(1, len(growth) + 1):
-        count = square_residuals(pyramid, level, mean_square, slope_square)
+        count = square_residuals(pyramid, level, sigma, mean_square, slope_square)
         if count < FEWEST:
             growth[level - 1 :] = growth[max(level - 2, 0)]
             break
@@ -155,4 +171,4 @@ def estimate_noise(pyramid, growth):
         elif smallest > 0.0:
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
-    return typical, lateral, together_of(pyramid, 3, 1, typical)
+    return typical, lateral, together_of(pyramid, 3, 1, sigma, typical)

@@ -1,6 +1,5 @@
 """Segment a depth frame into planes."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from rgbd_planes.kernels import (
     segment_shape,
 )
 from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Sums
-from rgbd_planes.segmentation_noise import noise_of
+from rgbd_planes.segmentation_noise import Given, noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
@@ -50,8 +49,9 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     camera : Camera
     noise : float, callable or noise model, optional
         Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
-        or what has such a function as ``sigma``; its ``lateral`` error, in pixels, is taken from there, too, if
-        it has one. By default ``camera.noise``; what nothing says, the frame's own residuals say.
+        or what has such a function as ``sigma``: a noise model. Of a model its ``lateral`` error, in pixels, is
+        taken, too, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
+        share their errors, that counts. By default ``camera.noise``; what nothing says, the frame says.
     min_size : int
         Pixels that a plane must have.
 
@@ -77,30 +77,25 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     check_camera(camera)
     min_size = check_whole("min_size", min_size, 3, "whole number of pixels")
     frame = as_depth_frame(depth, camera)
-    given = camera.noise if noise is None else noise
-    sigma, lateral = _as_function(given), float(getattr(given, "lateral", 0.0))
+    given = _given(camera.noise if noise is None else noise)
     with announced(("segment", frame.raw.dtype), "about a minute"):
-        return segment_frame(frame, camera, sigma, min_size, Rules(), lateral)
+        return segment_frame(frame, camera, given, min_size, Rules())
 
 
-def _as_function(noise: Any) -> Callable[[Floats], Floats] | None:
-    sigma = getattr(noise, "sigma", noise)  # of a noise model
-    if sigma is None or callable(sigma):
-        return sigma  # type: ignore[no-any-return]
+def _given(noise: Any) -> Given:
+    if callable(getattr(noise, "sigma", None)):  # a noise model
+        return Given(noise.sigma, float(getattr(noise, "lateral", 0.0)), at_large=True)
+    if noise is None or callable(noise):
+        return Given(noise)
     if not isinstance(noise, (int, float, np.number)):
         raise TypeError(f"noise must be a number in 1/m, a function of inverse depth or None, got {noise!r}")
     if isinstance(noise, bool) or not 0.0 < noise < np.inf:
         raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
-    return lambda q: np.full_like(q, noise)
+    return Given(lambda q: np.full_like(q, noise))
 
 
 def segment_frame(
-    frame: DepthFrame,
-    camera: Camera,
-    sigma: Callable[[Floats], Floats] | None,
-    min_size: int,
-    rules: Rules,
-    lateral: float = 0.0,
+    frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
     rays, work = rays_of(camera), workspaces.of(camera)
@@ -110,7 +105,7 @@ def segment_frame(
         rays, inverse_depth, pyramid,
     )  # fmt: skip
     segment_blocks.sum_by_fours(pyramid, rays)
-    noise = noise_of(frame, rays, pyramid, nearest, sigma, lateral)
+    noise = noise_of(frame, rays, pyramid, nearest, given)
 
     state = np.empty(pyramid.offsets[-1], np.int8)
     segment_quadtree.join_blocks(pyramid, noise, rules, state)

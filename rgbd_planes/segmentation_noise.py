@@ -1,6 +1,7 @@
 """The noise of a depth frame, as a segmentation needs it."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,29 @@ FLATNESS = 4e-4
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
+_UNKNOWN = np.empty(0)
 _SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth: where the table has entries
 
 
-def noise_of(
-    frame: DepthFrame,
-    rays: Rays,
-    pyramid: Pyramid,
-    nearest: float,
-    sigma: Callable[[Floats], Floats] | None,
-    lateral: float,
-) -> Noise:
+class Given(NamedTuple):
+    """What the caller says of the noise.
+
+    Attributes
+    ----------
+    sigma : callable, optional
+        The sensor's standard deviation of inverse depth.
+    lateral : float
+        Standard deviation, in pixels, of where within its pixel a measurement lies; 0 if it is not known.
+    at_large : bool
+        ``sigma`` is a sensor's: some of it may be errors that neighbours share.
+    """
+
+    sigma: Callable[[Floats], Floats] | None = None
+    lateral: float = 0.0
+    at_large: bool = False
+
+
+def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given) -> Noise:
     """Noise of a frame: what is not given, the frame says, see `segment_noise_estimation.estimate_noise`.
 
     Parameters
@@ -35,23 +48,28 @@ def noise_of(
     frame, rays, pyramid
     nearest : float
         Largest inverse depth of the frame, 1/m.
-    sigma : callable, optional
-        The sensor's standard deviation of inverse depth.
-    lateral : float
-        Standard deviation, in pixels, of where within its pixel a measurement lies; 0 if it is not known.
+    given : Given
     """
     growth = np.empty(3)
-    typical, own_lateral, together = estimate_noise(pyramid, growth)
-    lateral = lateral or own_lateral
     q = _SHARES * (nearest if nearest > 0.0 else 1.0)
-    if sigma is None:
-        table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
-    else:
-        table = np.broadcast_to(np.asarray(sigma(q), dtype=np.float64), q.shape)
+    step = q[1:2]
+    known, flattest = _UNKNOWN, FLATNESS * q
+    if given.sigma is not None:
+        table = np.broadcast_to(np.asarray(given.sigma(q), dtype=np.float64), q.shape)
         if not (table[1:] >= 0.0).all():  # where q = 0 no function need be defined
             raise ValueError(f"expected noise of 0 or more at all inverse depths, got {table.tolist()}")
+        table = np.maximum(table, flattest)
+        if given.at_large:
+            known = np.concatenate([step, table])
+    typical, own_lateral, together = estimate_noise(pyramid, known, growth)
+    if given.sigma is None:
+        table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
+    elif given.at_large and typical > 0.0:
+        # An error that neighbours share is not seen within a square: it shows as growth.
+        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
+    lateral = given.lateral or own_lateral
     return Noise(
-        sigma=np.concatenate([q[1:2], np.maximum(table, FLATNESS * q)]),
+        sigma=np.concatenate([step, np.maximum(table, flattest)]),
         lateral=lateral**2,
         lateral_x=(lateral * rays.pitch_x) ** 2,
         lateral_y=(lateral * rays.pitch_y) ** 2,

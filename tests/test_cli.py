@@ -115,6 +115,12 @@ def test_noise_is_a_name_or_a_number(folder, capsys):
         assert cli.main([*arguments, given]) == 0
         wanted = rp.fit_tiles(depth, replace(CAMERA, noise=model))
         np.testing.assert_array_equal(rp.TilePlanes.load("p.npz").p_value, wanted.p_value)
+        value = 2e-3 if given == "2e-3" else model  # a segmentation takes a number at its word
+        assert cli.main(["segment", *arguments[1:4], "--out", "p.json", "--noise", given]) == 0
+        wanted_planes = [list(plane) for plane in rp.segment(depth, CAMERA, noise=value).planes]
+        assert [
+            plane["plane"] for plane in json.loads((folder / "p.json").read_text())["planes"]
+        ] == wanted_planes
     capsys.readouterr()
     for command in (["fit", "depth.png"], ["segment", "depth.png"], ["batch", "here", "--out", "table"]):
         for given in ("kinect", "-1", "0", "nan"):

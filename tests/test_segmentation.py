@@ -1,5 +1,6 @@
 """Segmentation: what a frame with known planes gives, and that no frame breaks it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, gaussian_filter
 
-from rgbd_planes import Camera, fit_tiles, scenes, segment, segmentation_workspace
+from rgbd_planes import Camera, estimate_noise, fit_tiles, scenes, segment, segmentation_workspace
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks
 from rgbd_planes.kernels.segment_noise_estimation import quantile
@@ -283,13 +284,40 @@ def test_noise_can_be_given():
     assert len(segment(depth, CAMERA)) == 2
     assert len(segment(depth, CAMERA, noise=1e-2)) == 1
     assert len(segment(depth, CAMERA, noise=lambda q: 1e-2 * np.ones_like(q))) == 1
-    assert len(segment(depth, CAMERA, noise=SimpleNamespace(sigma=lambda q: 1e-2 + 0.0 * q))) == 1
     with pytest.raises(ValueError, match="positive standard deviation"):
         segment(depth, CAMERA, noise=-1.0)
     with pytest.raises(TypeError, match="a number in 1/m"):
         segment(depth, CAMERA, noise="kinect")
     with pytest.raises(ValueError, match="min_size must be at least 3"):
         segment(depth, CAMERA, min_size=2)
+
+
+def room_of_correlated_noise(sigma, pixels):
+    """The built-in room with errors that neighbours share, in steps of a millimetre, and its labels."""
+    rendering = scenes.room().render(CAMERA)
+    noise = gaussian_filter(np.random.default_rng(1).standard_normal(CAMERA.shape), pixels)
+    q = 1.0 / rendering.depth + sigma * noise / noise.std()
+    return np.rint(1000.0 / q).astype(np.uint16), rendering.labels
+
+
+@pytest.mark.parametrize("pixels", [1.5, 2.5])
+def test_a_sensors_noise_costs_no_planes_where_neighbours_share_their_errors(pixels):
+    # All of such an error, as a tolerance between neighbours, would make one plane of many.
+    depth, truth = room_of_correlated_noise(2e-3, pixels)
+
+    def correct(noise):
+        return compare_labels(segment(depth, CAMERA, noise=noise).labels, truth).hoover(0.8).correct
+
+    assert correct(SimpleNamespace(sigma=lambda q: 2e-3 + 0.0 * q)) >= correct(None) >= 12
+    assert correct(estimate_noise([depth], CAMERA)) >= correct(None) - 1
+    assert correct(2e-3) < correct(None)  # a number is taken at its word
+
+
+def test_a_model_counts_where_a_frame_shows_no_noise():
+    # Rounding to coarse steps leaves most squares of a slanted wall without any residual.
+    q = np.broadcast_to(0.6 + 0.1 * CAMERA.tan_x, CAMERA.shape)
+    depth = np.rint(20.0 / q).astype(np.uint16)
+    assert len(segment(depth, replace(CAMERA, depth_scale=20.0), noise=NoiseModel((5e-3,)))) == 1
 
 
 @pytest.mark.parametrize(("lateral", "least", "most"), [(0.0, 0.0, 0.5), (1.5, 0.99, 1.0)])

@@ -39,11 +39,11 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_noise(parser: argparse.ArgumentParser, what_for: str) -> None:
-    """Add the sensor's noise."""
+def add_noise(parser: argparse.ArgumentParser, what_for: str, *, number_is_model: bool = True) -> None:
+    """Add the sensor's noise: a model, or also a number."""
     parser.add_argument(
         "--noise",
-        type=noise_model,
+        type=noise_model if number_is_model else model_or_number,
         metavar="NAME or SIGMA",
         help="of the sensor: kinect_v1, kinect_v1_nguyen or the standard deviation of 1/Z in 1/m, instead of the "
         f"camera's own; {what_for}",
@@ -51,6 +51,14 @@ def add_noise(parser: argparse.ArgumentParser, what_for: str) -> None:
 
 
 def noise_model(text: str) -> "NoiseModel":
+    """Parse the name of a published model, or a standard deviation at all distances."""
+    from rgbd_planes.noise import NoiseModel
+
+    value = model_or_number(text)
+    return NoiseModel((value,)) if isinstance(value, float) else value
+
+
+def model_or_number(text: str) -> "NoiseModel | float":
     """Parse the name of a published model, or a standard deviation."""
     from rgbd_planes import noise
 
@@ -65,7 +73,7 @@ def noise_model(text: str) -> "NoiseModel":
         raise argparse.ArgumentTypeError(
             f"expected {', '.join(published)} or a positive number in 1/m, got {text!r}"
         )
-    return noise.NoiseModel((sigma,))
+    return sigma
 
 
 def tile_size(text: str) -> tuple[int, int]:

@@ -21,7 +21,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes segment depth.png --camera camera.json --out planes.json
     """
     add_frame(parser)
-    add_noise(parser, "from the frame, if nothing says it")
+    add_noise(parser, "from the frame, if nothing says it", number_is_model=False)
     parser.add_argument("--min-size", type=int, default=60, metavar="N", help="pixels of a plane (60)")
     parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
     parser.add_argument(
