@@ -43,6 +43,16 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
         raise ValueError(f"{os.fspath(path)}: {error}") from None
 
 
+@contextmanager
+def readable(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
+    """Make a ValueError of what the block's library raises, for files that end early or hold nonsense: of any kind."""
+    try:
+        yield
+    except Exception as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason})") from error
+
+
 def existing_file(path: str | os.PathLike[str]) -> Path:
     """The path, if it is a file: to open a pipe would wait for what may never come."""
     file = Path(path)

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.fitting import ARRAYS
-from rgbd_planes.plane_fits import PlacedFits, TileStatus
-from rgbd_planes.tile_grid import tile_sizes
+from rgbd_planes.checks import check_choice
+from rgbd_planes.files import readable
+from rgbd_planes.fitting import ARRAYS, METHODS
+from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
+from rgbd_planes.tile_grid import check_tile, tile_sizes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,14 +120,15 @@ class TilePlanes(PlacedFits):
         OSError, ValueError
             There is none, or it is another file, or damaged.
         """
-        try:
-            with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-                about = json.loads(str(file["about"]))
-                height, width = about["tile"]
-                method, camera = about["method"], Camera.from_dict(about["camera"])
-                arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
-        except OSError:
-            raise
-        except Exception as error:  # of the archive, its compression, an array or what is said about them
-            raise ValueError(f"expected a file that TilePlanes.save wrote, got {os.fspath(path)}") from error
+        wrote = readable(path, "a file that TilePlanes.save wrote")
+        with open(path, "rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
+            about = json.loads(str(file["about"]))
+            method, camera = about["method"], Camera.from_dict(about["camera"])
+            check_choice("method", method, METHODS)
+            height, width = check_tile(tuple(about["tile"]), camera.shape)
+            arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
+            cells = len(tile_sizes(camera.height, height)), len(tile_sizes(camera.width, width))
+            for name, expected in allocate(arrays["status"].shape[:-2], cells).items():
+                if (arrays[name].shape, arrays[name].dtype) != (expected.shape, expected.dtype):
+                    raise ValueError(f"{name} of another shape or dtype")
         return cls(camera=camera, method=method, tile=(height, width), **arrays)

@@ -43,8 +43,16 @@ def test_load_of_something_else(tiles, tmp_path):
     (tmp_path / "other.txt").write_text("nothing")
     tiles.save(tmp_path / "planes.npz")
     (tmp_path / "half.npz").write_bytes((tmp_path / "planes.npz").read_bytes()[:4000])
-    for name in ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz"):
-        with pytest.raises(ValueError, match=rf"TilePlanes.save wrote, got .*{name}"):
+    with np.load(tmp_path / "planes.npz") as file:
+        arrays = dict(file)
+    np.savez(tmp_path / "rows.npz", **arrays | {"rmse": arrays["rmse"][1:]})
+    np.savez(tmp_path / "text.npz", **arrays | {"alpha": arrays["alpha"].astype(str)})
+    np.savez(tmp_path / "batch.npz", **arrays | {"status": arrays["status"][None]})
+    changed = str(arrays["about"]).replace(tiles.method, "ransac")
+    np.savez(tmp_path / "method.npz", **arrays | {"about": np.array(changed)})
+    names = ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz")
+    for name in (*names, "rows.npz", "text.npz", "batch.npz", "method.npz"):
+        with pytest.raises(ValueError, match=rf"{name}: not a file that TilePlanes.save wrote"):
             rp.TilePlanes.load(tmp_path / name)
 
 

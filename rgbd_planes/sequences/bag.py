@@ -7,7 +7,7 @@ import re
 import struct
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
-from rgbd_planes.files import existing_file, naming
+from rgbd_planes.files import existing_file, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
 
+_BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _INFOS = "sensor_msgs/msg/CameraInfo"
@@ -101,18 +102,9 @@ class _OpenBag:
         if not path.is_dir():
             existing_file(path)
         # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
-        with self._readable():
+        with readable(self.path, _BAG):
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
-
-    @contextmanager
-    def _readable(self) -> Iterator[None]:
-        """Many kinds of errors come out of the readers of bags for files that end early or hold nonsense."""
-        try:
-            yield
-        except Exception as error:
-            reason = str(error) or type(error).__name__
-            raise ValueError(f"{self.path}: not a ROS bag, or damaged ({reason})") from error
 
     def close(self) -> None:
         self._reader.close()
@@ -125,7 +117,7 @@ class _OpenBag:
         """Time in nanoseconds, content and type of the messages of a topic."""
         connections = [c for c in self._reader.connections if c.topic == topic]
         if connections:
-            with self._readable():
+            with readable(self.path, _BAG):
                 for connection, time, content in self._reader.messages(connections, **times):
                     yield time, content, connection.msgtype
 
@@ -136,7 +128,7 @@ class _OpenBag:
         return None
 
     def message(self, content: bytes, kind: str) -> Any:
-        with self._readable():
+        with readable(self.path, _BAG):
             return self._reader.deserialize(content, kind)
 
     def depth_topics(self) -> list[str]:
@@ -195,7 +187,7 @@ class _OpenBag:
     def _stamp(self, content: bytes) -> float:
         """Seconds of the header that both kinds of message begin with; 0 where it is not set."""
         # ROS 1: the header's number, then its time. CDR: how it is encoded, then the header's time.
-        with self._readable():
+        with readable(self.path, _BAG):
             order = "<" if not self._reader.is2 or content[1] & 1 else ">"
             seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
         return float(seconds + nanoseconds * 1e-9)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.extras import needs
-from rgbd_planes.files import existing_file, naming
+from rgbd_planes.files import existing_file, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
 
+_RECORDING = "a Matroska recording"
 _TRACK = "DEPTH"
 _CALIBRATION = "calibration.json"
 # Of each size (width, height) of a depth frame: sides in pixels of the whole sensor, square, and where in it the
@@ -78,14 +79,11 @@ class _OpenRecording:
         with needs("av", "mkv"):
             import av
         self.path = path
-        self._error = av.FFmpegError
-        try:
+        with readable(path, _RECORDING):
             self._container = av.open(str(path))
-        except av.FFmpegError as error:
-            raise ValueError(f"{path}: not a Matroska recording, or damaged ({error.strerror})") from None
-        tracks = [s for s in self._container.streams.video if s.codec_context is not None and s.time_base]
-        grey = [s for s in tracks if str(s.codec_context.pix_fmt).startswith("gray16")]
-        named = [stream for stream in grey if stream.metadata.get("title") == _TRACK]
+            tracks = [s for s in self._container.streams.video if s.codec_context is not None and s.time_base]
+            grey = [s for s in tracks if str(s.codec_context.pix_fmt).startswith("gray16")]
+            named = [stream for stream in grey if stream.metadata.get("title") == _TRACK]
         if len(named or grey) != 1:
             self.close()
             raise ValueError(
@@ -103,31 +101,28 @@ class _OpenRecording:
 
     def camera(self) -> Camera:
         """The depth camera of the calibration that is attached."""
-        for attached in self._container.streams.attachments:
-            if attached.name == _CALIBRATION:
-                size = self._stream.codec_context.width, self._stream.codec_context.height
-                return _depth_camera(attached.data, size, self.path)
+        with readable(self.path, _RECORDING):
+            found = [a.data for a in self._container.streams.attachments if a.name == _CALIBRATION]
+        if found:
+            size = self._stream.codec_context.width, self._stream.codec_context.height
+            return _depth_camera(found[0], size, self.path)
         raise ValueError(f"{self.path}: expected {_CALIBRATION} attached to the recording, or a camera")
 
     def times(self) -> list[tuple[float, int]]:
         """(seconds, units of the track) of each frame, in order."""
-        try:
+        with readable(self.path, _RECORDING):
             times = [p.pts for p in self._container.demux(self._stream) if p.pts is not None and p.size]
-        except self._error as error:
-            raise ValueError(f"{self.path}: damaged ({error.strerror})") from None
         return [(float(time * self._unit), time) for time in times]
 
     def read(self, time: int) -> NDArray[Any]:
         """The frame of a time."""
-        try:
+        with readable(self.path, _RECORDING):
             self._container.seek(time, stream=self._stream)
             for frame in self._container.decode(self._stream):
                 if frame.pts == time:
                     return np.asarray(frame.to_ndarray()).astype(np.uint16)
                 if frame.pts is not None and frame.pts > time:
                     break
-        except self._error as error:
-            raise ValueError(f"{self.path}: damaged frame ({error.strerror})") from None
         raise ValueError(f"{self.path}: the frame of {float(time * self._unit):.6f} s is gone")
 
 
