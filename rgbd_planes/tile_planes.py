@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
-from rgbd_planes.files import readable
+from rgbd_planes.files import readable, write_beside
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.tile_grid import check_tile, tile_sizes
@@ -104,8 +104,6 @@ class TilePlanes(PlacedFits):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an NPZ file, camera included, that `load` reads; whole or not at all."""
-        from rgbd_planes.files import write_beside
-
         arrays = {name.lstrip("_"): getattr(self, name) for name in ARRAYS}
         about = json.dumps({"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method})
         with write_beside(path) as beside, open(beside, "wb") as file:

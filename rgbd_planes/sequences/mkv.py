@@ -90,6 +90,7 @@ class _OpenRecording:
                 f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
             )
         (self._stream,) = named or grey
+        assert self._stream.time_base is not None  # of none of these tracks
         self._unit = self._stream.time_base
 
     def close(self) -> None:
