@@ -1,7 +1,7 @@
 """How fast a batch is beside `fit_batch`, and where its time goes: ``python -m bench.batch_throughput``.
 
 Frames are a rendered room with a Kinect's noise and holes. All are measured in turns in one process, so that what
-else the machine does meets all of them; ratios are medians over the rounds.
+else the machine does meets all of them; ratios are those of a round, their median and quartiles over the rounds.
 """
 
 import argparse
@@ -13,6 +13,8 @@ from collections import Counter
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
+
+import numpy as np
 
 import rgbd_planes as rp
 from rgbd_planes.images import read_depth, write_png
@@ -82,23 +84,21 @@ def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
                     seconds.setdefault(which, []).append((time.perf_counter() - start) / count)
                 else:
                     work = {name: Counter() for name in work}
-    reference = seconds["fit_batch"]
-    throughput = {
-        which: statistics.median(b / s for b, s in zip(reference, values, strict=True))
+    reference = np.array(seconds["fit_batch"])
+    quartiles = {
+        which: np.quantile(reference / values, (0.25, 0.5, 0.75)).tolist()
         for which, values in seconds.items()
     }
-    fastest = {which: min(values) for which, values in seconds.items()}
     return {
         "frames": frames,
         "threads": threads,
         "tiles": 1200,
         "bytes_per_frame": sum(map(len, contents)) / frames,
         "milliseconds": {which: 1e3 * statistics.median(values) for which, values in seconds.items()},
-        "throughput": throughput,
-        "fastest": {which: fastest["fit_batch"] / value for which, value in fastest.items()},
+        "throughput": quartiles,
         "work": {which: {k: v / of.total() for k, v in of.items()} for which, of in work.items()},
         # Writing is one thread's, the fits are of all; it waits for the disk at times.
-        "bare_share": fastest["bare"] / fastest["fit_batch"] / threads,
+        "bare_share": min(seconds["bare"]) / min(seconds["fit_batch"]) / threads,
     }
 
 
@@ -112,12 +112,13 @@ def table(result: dict[str, Any]) -> str:
         "png": "`fit_sequence`, frames in PNG files",
     }
     lines = [
-        "| | of `fit_batch`'s throughput | fastest rounds | reading | fitting | writing |",
+        "| | of `fit_batch`'s throughput | quartiles | reading | fitting | writing |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for which, name in names.items():
         shares = [f"{share:.0%}" for share in result["work"].get(which, {}).values()] or [""] * 3
-        throughput = f"{result['throughput'][which]:.0%} | {result['fastest'][which]:.0%}"
+        low, middle, high = result["throughput"][which]
+        throughput = f"{middle:.0%} | {low:.0%}–{high:.0%}"
         lines.append(f"| {name} | {throughput} | {' | '.join(shares)} |")
     kilobytes = result["bytes_per_frame"] / 1e3
     lines += [
@@ -137,7 +138,7 @@ def main() -> None:
     print(table(result))
     for which, milliseconds in result["milliseconds"].items():
         print(
-            f"{which:10} {milliseconds:.3f} ms a frame, {result['throughput'][which]:.0%} of fit_batch's throughput"
+            f"{which:10} {milliseconds:.3f} ms a frame, {result['throughput'][which][1]:.0%} of fit_batch's throughput"
         )
 
 

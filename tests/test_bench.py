@@ -167,9 +167,8 @@ def test_shares_of_few_tiles_say_little():
 def test_a_batch_is_measured():
     pytest.importorskip("pyarrow")
     result = batch_throughput.measure(frames=64, rounds=1)
-    assert result["throughput"]["fit_batch"] == 1.0
+    assert result["throughput"]["fit_batch"] == [1.0, 1.0, 1.0]
     assert set(result["throughput"]) == {"fit_batch", "out", "memory", "long", "png", "bare"}
-    assert result["fastest"]["fit_batch"] == 1.0
     assert result["work"]["memory"]["write"] + result["work"]["memory"]["fit"] > 0.5
     assert 30_000 < result["bytes_per_frame"] < 50_000
     assert "256 frames" in batch_throughput.table(result)
