@@ -14,6 +14,7 @@ from .segment_noise import sensor_variance
 
 FULL = 0.5  # share of a square's pixels that must be measured
 FEWEST = 10  # squares that tell something
+SOLID = 2  # level of the squares that are too large to be a speck
 LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
 STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
 FLAT = 4.0  # variances of a square that holds one surface
@@ -50,6 +51,22 @@ def quantile(values, share):
     for i in range(k + 2, len(values)):
         following = min(following, values[i])
     return values[k] + (position - k) * (following - values[k])
+
+
+@kernel()
+def nearest_surface(pyramid, nearest):
+    """The largest inverse depth of a surface, with some to spare; ``nearest`` is that of any pixel.
+
+    Some sensors have pixels that are near without anything there: a single one at a millimetre is a thousand
+    times as near as the rest.
+    """
+    moments, offsets = pyramid.moments, pyramid.offsets
+    least = FULL * (BLOCK << SOLID) ** 2
+    largest = 0.0
+    for i in range(offsets[SOLID], offsets[SOLID + 1]):
+        if moments[0, i] >= least:
+            largest = max(largest, moments[3, i] / moments[0, i])
+    return min(2.0 * largest, nearest) if largest > 0.0 else nearest
 
 
 @kernel(inline=True)

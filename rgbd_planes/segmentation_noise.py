@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.depth import DepthFrame
-from rgbd_planes.kernels.segment_noise_estimation import estimate_noise
+from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
 
 Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
 _UNKNOWN = np.empty(0)
-_SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth: where the table has entries
+_SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth of a surface: where the table has entries
 
 
 class Given(NamedTuple):
@@ -51,7 +51,7 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     given : Given
     """
     growth = np.empty(3)
-    q = _SHARES * (nearest if nearest > 0.0 else 1.0)
+    q = _SHARES * (nearest_surface(pyramid, nearest) or 1.0)
     step = q[1:2]
     known, flattest = _UNKNOWN, FLATNESS * q
     if given.sigma is not None:
@@ -59,6 +59,8 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
         if not (table[1:] >= 0.0).all():  # where q = 0 no function need be defined
             raise ValueError(f"expected noise of 0 or more at all inverse depths, got {table.tolist()}")
         table = np.maximum(table, flattest)
+        if not np.isfinite(table[0]):
+            table[0] = table[1]
         if given.at_large:
             known = np.concatenate([step, table])
     typical, own_lateral, together = estimate_noise(pyramid, known, growth)

@@ -320,6 +320,18 @@ def test_a_model_counts_where_a_frame_shows_no_noise():
     assert len(segment(depth, replace(CAMERA, depth_scale=20.0), noise=NoiseModel((5e-3,)))) == 1
 
 
+@pytest.mark.parametrize("noise", [None, NoiseModel((1e-3,)), lambda q: np.where(q > 0.0, 1e-3, np.nan)])
+@pytest.mark.parametrize("millimetres", [1, 20])
+def test_a_speck_before_the_lens_changes_nothing_elsewhere(room, noise, millimetres):
+    _, depth = room
+    expected = segment(depth, CAMERA, noise=noise)
+    depth = depth.copy()
+    depth[100, 100] = millimetres
+    found = segment(depth, CAMERA, noise=noise)
+    assert len(found) == len(expected) >= 15
+    assert (found.labels != expected.labels).sum() < 30
+
+
 @pytest.mark.parametrize(("lateral", "least", "most"), [(0.0, 0.0, 0.5), (1.5, 0.99, 1.0)])
 def test_the_lateral_error_of_a_model_counts(lateral, least, most):
     # Each pixel of a steep floor is seen one and a half pixels too high or too low: no frame shows how much that is.
