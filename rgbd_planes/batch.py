@@ -152,7 +152,7 @@ def fit_sequence(
         report = BatchReport(folder, len(sequence))
         missing = []
         for task in tasks:
-            done = Part.of_file(_file(folder, task))
+            done = Part.of_file(_file(folder, task[0]))
             if done is None:
                 missing.append(task)
                 continue
@@ -187,6 +187,8 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
         try:
             found = json.loads(file.read_text(encoding="utf-8"))
             size = int(found.pop("frames_per_part"))
+            if size < 1:
+                raise ValueError(size)
         except (ValueError, KeyError, AttributeError):
             raise ValueError(f"{file}: damaged; remove {folder} to begin again") from None
         if found != about:
@@ -197,6 +199,12 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
             )
         for leftover in folder.glob(".part-*"):  # of a process that was killed while it wrote
             leftover.unlink(missing_ok=True)
+        parts = {_file(folder, number) for number in range(-(-len(sequence) // size))}
+        others = sorted(p for p in folder.iterdir() if p not in parts and not p.name.startswith((".", "_")))
+        if others:
+            raise ValueError(
+                f"{others[0]}: no part of the table that was begun here; who reads the folder would take it for one"
+            )
         return size
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
@@ -216,8 +224,8 @@ def _frames_of_part(frames: int, settings: FitSettings, camera: Camera, slots: i
     return -(-frames // (rounds * slots))
 
 
-def _file(folder: Path, task: Task) -> Path:
-    return folder / f"part-{task[0]:06d}.parquet"
+def _file(folder: Path, number: int) -> Path:
+    return folder / f"part-{number:06d}.parquet"
 
 
 class _Threads:
@@ -240,7 +248,7 @@ class _Threads:
         executor = ThreadPoolExecutor(self.slots, thread_name_prefix="rgbd_planes_batch")
 
         def submit(task: Task) -> None:
-            frames, file = sequence[task[1] : task[2]], _file(folder, task)
+            frames, file = sequence[task[1] : task[2]], _file(folder, task[0])
             future = executor.submit(fit_part, frames, task[1], settings, columns, file, stopped.is_set)
             running[future] = task
 
@@ -291,7 +299,7 @@ class _Cluster:
         completed = as_completed(first, loop=self._client.loop)
         for future in completed:
             task, part = running.pop(future), future.result()
-            with write_beside(_file(folder, task)) as beside:
+            with write_beside(_file(folder, task[0])) as beside:
                 beside.write_bytes(part.content)
             future.release()
             yield task, part

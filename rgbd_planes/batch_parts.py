@@ -45,7 +45,9 @@ class FitSettings:
         if not self.segments:
             _fitter(camera, self)
             return
-        of_tiles = [f.name for f in fields(self)[1:] if getattr(self, f.name) != f.default]
+        of_tiles = [
+            f.name for f in fields(self) if f.name != "segments" and getattr(self, f.name) != f.default
+        ]
         if of_tiles:
             raise ValueError(f"segments take no options of tiles, got {', '.join(of_tiles)}")
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -240,9 +241,18 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
         with pytest.raises(ValueError, match=rf"another sequence, camera or settings \({word} differ\)"):
             rp.fit_sequence(other, out, settings)
     check_rows(out, sequence)
-    (out / "_about.json").write_text("{}")
-    with pytest.raises(ValueError, match="damaged; remove"):
-        rp.fit_sequence(sequence, out)
+    (out / ".hidden").touch()
+    for stranger in ("part-999999.parquet", "planes.txt"):
+        shutil.copy(next(out.glob("part-*")), out / stranger)
+        with pytest.raises(ValueError, match=f"{stranger}: no part of the table"):
+            rp.fit_sequence(sequence, out)
+        (out / stranger).unlink()
+    rp.fit_sequence(sequence, out)
+    about = json.loads((out / "_about.json").read_text())
+    for damaged in ({}, {**about, "frames_per_part": 0}):
+        (out / "_about.json").write_text(json.dumps(damaged))
+        with pytest.raises(ValueError, match="damaged; remove"):
+            rp.fit_sequence(sequence, out)
     (out / "_about.json").unlink()
     with pytest.raises(ValueError, match="expected an empty folder"):
         rp.fit_sequence(sequence, out)
