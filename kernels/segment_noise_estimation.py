@@ -14,6 +14,7 @@ from .segment_noise import sensor_variance
 
 FULL = 0.5  # share of a square's pixels that must be measured
 FEWEST = 10  # squares that tell something
+MIXTURE = 0.5  # residual, as a share of the mean inverse depth, of a square of what is near and what is far
 SOLID = 2  # level of the squares that are too large to be a speck
 LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
 STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
@@ -60,12 +61,14 @@ def nearest_surface(pyramid, nearest):
     Some sensors have pixels that are near without anything there: a single one at a millimetre is a thousand
     times as near as the rest.
     """
-    moments, offsets = pyramid.moments, pyramid.offsets
+    moments, rss, offsets = pyramid.moments, pyramid.rss, pyramid.offsets
     least = FULL * (BLOCK << SOLID) ** 2
     largest = 0.0
     for i in range(offsets[SOLID], offsets[SOLID + 1]):
-        if moments[0, i] >= least:
-            largest = max(largest, moments[3, i] / moments[0, i])
+        n, sum_q = moments[0, i], moments[3, i]
+        # Of a square with such a pixel in it the mean says nothing.
+        if n >= least and n * rss[i] < (MIXTURE * sum_q) ** 2:
+            largest = max(largest, sum_q / n)
     return min(2.0 * largest, nearest) if largest > 0.0 else nearest
 
 

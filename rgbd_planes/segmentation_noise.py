@@ -65,7 +65,8 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
             known = np.concatenate([step, table])
     typical, own_lateral, together = estimate_noise(pyramid, known, growth)
     if given.sigma is None:
-        table = np.maximum(np.minimum(typical**0.5, FORMLESS * q), _rounding(frame, q))
+        # Between the first two entries it is not to fall to nothing: far surfaces may lie there.
+        table = np.maximum(np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, q))
     elif given.at_large and typical > 0.0:
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
