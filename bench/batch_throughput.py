@@ -74,8 +74,8 @@ def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
         }
         for turn in range(rounds + 1):
             for which, (run, count) in turns.items():
-                for left in work:
-                    rmtree(folder / left, ignore_errors=True)
+                for left in filter(Path.exists, map(folder.joinpath, work)):
+                    rmtree(left)  # or the next batch would resume what is done
                 for bare in folder.glob("bare*"):
                     bare.unlink()
                 start = time.perf_counter()

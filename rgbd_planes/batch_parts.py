@@ -16,7 +16,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.files import write_beside
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
-from rgbd_planes.tile_grid import check_tile, tile_sizes
+from rgbd_planes.tile_grid import check_tile, grid_shape
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 
@@ -55,8 +55,8 @@ class FitSettings:
         """Number of tiles of a frame; 1 for segments, of which there are few."""
         if self.segments:
             return 1
-        height, width = check_tile(self.tile, camera.shape)
-        return len(tile_sizes(camera.height, height)) * len(tile_sizes(camera.width, width))
+        rows, columns = grid_shape(camera, check_tile(self.tile, camera.shape))
+        return rows * columns
 
 
 class Problem(NamedTuple):

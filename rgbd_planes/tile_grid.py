@@ -43,6 +43,11 @@ def tile_sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
     return np.minimum(starts + tile, length) - starts
 
 
+def grid_shape(camera: Camera, tile: tuple[int, int]) -> tuple[int, int]:
+    """Number of rows and of columns of a frame's tiles."""
+    return len(tile_sizes(camera.height, tile[0])), len(tile_sizes(camera.width, tile[1]))
+
+
 def tile_windows(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.int64]:
     """(R * C, 4) int64: row, column, height, width of every tile."""
     heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])

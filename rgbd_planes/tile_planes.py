@@ -13,7 +13,7 @@ from rgbd_planes.checks import check_choice
 from rgbd_planes.files import readable, write_beside
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
-from rgbd_planes.tile_grid import check_tile, tile_sizes
+from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sizes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,10 +123,10 @@ class TilePlanes(PlacedFits):
             about = json.loads(str(file["about"]))
             method, camera = about["method"], Camera.from_dict(about["camera"])
             check_choice("method", method, METHODS)
-            height, width = check_tile(tuple(about["tile"]), camera.shape)
+            tile = check_tile(tuple(about["tile"]), camera.shape)
             arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
-            cells = len(tile_sizes(camera.height, height)), len(tile_sizes(camera.width, width))
-            for name, expected in allocate(arrays["status"].shape[:-2], cells).items():
+            frames = arrays["status"].shape[:-2]
+            for name, expected in allocate(frames, grid_shape(camera, tile)).items():
                 if (arrays[name].shape, arrays[name].dtype) != (expected.shape, expected.dtype):
                     raise ValueError(f"{name} of another shape or dtype")
-        return cls(camera=camera, method=method, tile=(height, width), **arrays)
+        return cls(camera=camera, method=method, tile=tile, **arrays)
