@@ -218,6 +218,16 @@ def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
         batches[f"floor {threads}"] = floor_of_batch(many, threads)
     by_threads = take_turns(batches, max(5, repeats // 4))
 
+    one = rp.TileFitter(case().camera, 20, num_threads=1)
+    kept = one.fit(case().depth)
+    seen = take_turns(
+        {
+            "again": lambda: [one.fit(many[0], out=kept) for _ in many],
+            "new": lambda: [one.fit(frame, out=kept) for frame in many],
+        },
+        max(5, repeats // 4),
+    )
+
     def faster(name: str, threads: int) -> float:
         return float(by_threads[f"{name} 1"].min() / by_threads[f"{name} {threads}"].min())
 
@@ -228,6 +238,7 @@ def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
         # Of the fastest rounds: two threads are disturbed twice as often as one. The floor is the machine's own limit.
         "threads": [(n, faster("fit_batch", n)) for n in range(1, THREADS + 1)],
         "threads, floor": [(n, faster("floor", n)) for n in range(1, THREADS + 1)],
+        "new": [("again", ratio(seen["new"], seen["again"])[1])],
     }
 
 
@@ -303,7 +314,8 @@ def table(measured: dict[str, Any]) -> str:
         f"Nanoseconds a pixel, tiles of 20: {_series(points['size'])}. By side of the tile, 640x480: "
         f"{_series(points['tile'])}.",
         f"A batch of 100 frames on {threads} threads is {faster:.2f} times as fast as on one, the floor kernel "
-        f"{points['threads, floor'][-1][1]:.2f} times.",
+        f"{points['threads, floor'][-1][1]:.2f} times. A frame that has yet to come from memory takes "
+        f"{points['new'][0][1]:.2f} times as long as one that is fitted again.",
     ]
     return "\n".join(lines)
 

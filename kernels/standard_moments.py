@@ -55,16 +55,16 @@ def standard_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a,
 
 @kernel(reduction=True, inline=True)
 def add_two_standard_rows(
-    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count,
+    raw, lowest, highest, scale, offset, v, row, row_stop, k, apart, left, count,
     reference_z, sums, codes,
 ):  # fmt: skip
-    """Add two image rows, see `add_standard_rows`; the second may be missing."""
+    """Add two image rows, ``apart`` from each other, see `add_standard_rows`; the second may be missing."""
     sum_z, sum_zv, sum_zvv, sum_zz, sum_zzv, sum_zzvv = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    is_pair = row + 1 < row_stop
-    other = row + 1 if is_pair else row
+    is_pair = row + apart < row_stop
+    other = row + apart if is_pair else row
     a, b = raw[row, left : left + count], raw[other, left : left + count]
     va, vb = v[row], v[other]
-    code_a, code_b = ROW_CODES[k], ROW_CODES[k + 1]
+    code_a, code_b = ROW_CODES[k], ROW_CODES[k + apart]
     for i in range(count):
         z, zv, zvv, zz, zzv, zzvv, valid = standard_pair(
             a[i], b[i], is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_z[i]
@@ -89,9 +89,10 @@ def add_standard_rows(
     """
     if lowest > highest:
         return  # no value is valid
-    for row in range(row_start, row_stop, 2):
+    apart = (row_stop - row_start + 1) // 2
+    for k in range(apart):
         add_two_standard_rows(
-            raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
+            raw, lowest, highest, scale, offset, v, row_start + k, row_stop, k, apart, left, count,
             reference_z, sums, codes,
         )  # fmt: skip
 
@@ -224,9 +225,10 @@ def add_standard_rows_of_rays(
     sum_xy, sum_xz, sum_yy, sum_yz, sum_zz = sums[5], sums[6], sums[7], sums[8], sums[9]
     x0, y0, z0 = columns[0], columns[1], columns[2]
     metres = 1.0 / scale
-    for row in range(row_start, row_stop, 2):
-        is_pair = row + 1 < row_stop
-        other = row + 1 if is_pair else row
+    apart = (row_stop - row_start + 1) // 2
+    for row in range(row_start, row_start + apart):
+        is_pair = row + apart < row_stop
+        other = row + apart if is_pair else row
         a = raw[row, left : left + count]
         b = raw[other, left : left + count]
         tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
