@@ -354,12 +354,14 @@ class Camera:
 
     @classmethod
     def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Any) -> Self:
-        """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo.
+        """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo, or from what a calibration file of ROS holds.
 
         Parameters
         ----------
         info : mapping or object
-            With width, height, K, D, P (or k, d, p), distortion_model, binning_x, binning_y, roi.
+            With width, height, K, D, P (or k, d, p), distortion_model, binning_x, binning_y, roi. Or, as
+            camera_calibration writes them to YAML, with image_width, image_height, camera_matrix,
+            distortion_coefficients, projection_matrix, distortion_model.
         rectified : bool
             Whether the depth image is rectified (P, no distortion) or raw (K and D).
         **depth

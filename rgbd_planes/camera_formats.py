@@ -29,6 +29,11 @@ _OTHERS = (  # a key of other files, and what takes their camera
     ("mtx", "opencv"),
 )
 _ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14)}
+_ROS_FILE = {  # what a calibration file of ROS calls the matrices of the message
+    "camera_matrix": "K",
+    "distortion_coefficients": "D",
+    "projection_matrix": "P",
+}
 
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
@@ -71,6 +76,8 @@ def whose(keys: list[str]) -> str:
 
 
 def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
+    if isinstance(info, Mapping) and "image_width" in info:
+        info = _camera_info(info)
     width, height = _whole(info, "width"), _whole(info, "height")
     name, columns = ("P", 4) if rectified else ("K", 3)
     matrix = _floats(name, _get(info, name, name.lower()))
@@ -96,6 +103,16 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
         "cy": (pinhole["cy"] - y_offset) / binning_y,
         "distortion": [] if rectified else _ros_distortion(info),
     }
+
+
+def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
+    """The message that a calibration file, as camera_calibration writes it, stands for."""
+    info = {
+        "width": file["image_width"],
+        "height": _get(file, "image_height"),
+        "distortion_model": _get(file, "distortion_model", default=""),
+    }
+    return info | {name: _get(file[key], "data") for key, name in _ROS_FILE.items() if key in file}
 
 
 def _ros_distortion(info: Any) -> list[float]:
@@ -181,6 +198,10 @@ def _get(source: Any, *names: str, **default: Any) -> Any:
             return getattr(source, name)
     if "default" in default:
         return default["default"]
+    if isinstance(source, str | os.PathLike):
+        raise TypeError(
+            f"expected a mapping, or an object, got the path {os.fspath(source)!r}: read it first"
+        )
     raise ValueError(f"expected {' or '.join(names)} in the {type(source).__name__}, got none")
 
 

@@ -357,7 +357,21 @@ def as_object(info, lower):
     return SimpleNamespace(**attributes)
 
 
-@pytest.mark.parametrize("form", [dict, lambda i: as_object(i, False), lambda i: as_object(i, True)])
+def as_file(info):
+    """As camera_calibration writes it to YAML."""
+    return {
+        "image_width": info["width"],
+        "image_height": info["height"],
+        "camera_name": "camera",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": info["K"]},
+        "distortion_model": info["distortion_model"],
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": info["D"]},
+        "rectification_matrix": {"rows": 3, "cols": 3, "data": info["R"]},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": info["P"]},
+    }
+
+
+@pytest.mark.parametrize("form", [dict, lambda i: as_object(i, False), lambda i: as_object(i, True), as_file])
 def test_from_ros(form):
     info = form(camera_info())
     raw = Camera.from_ros(info, depth_scale=1000.0)
@@ -490,6 +504,14 @@ def test_from_realsense_models(model, expected):
         (lambda: Camera.from_realsense(without(realsense(coeffs=KINECT), "model")), "expected model in"),
         (lambda: Camera.from_realsense(without(realsense(), "coeffs")), "expected coeffs in"),
         (lambda: Camera.from_ros(without(camera_info(), "D")), "expected D or d in"),
+        (
+            lambda: Camera.from_ros(without(as_file(camera_info()), "distortion_coefficients")),
+            "expected D or d in",
+        ),
+        (
+            lambda: Camera.from_ros("camera.yaml"),
+            "expected a mapping, or an object, got the path 'camera.yaml'",
+        ),
     ],
 )
 def test_what_no_format_has(make, message):

@@ -22,6 +22,7 @@ PAGES = sorted((ROOT / "docs").rglob("*.md"))
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTIONAL = {
     "import pandas": "pandas",
+    "import yaml": "yaml",
     "rgbd-planes batch": "pyarrow",
     "fit_sequence": "pyarrow",
     "rosbag(": "rosbags",
@@ -37,6 +38,9 @@ def files(tmp_path_factory):
     depth = scenes.room().render(camera).measure(holes=0.05, patches=0.03, seed=1)
     images.write_png(root / "depth.png", depth)
     camera.save(root / "camera.json")
+    pinhole = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+    info = {"width": camera.width, "height": camera.height, "K": pinhole, "D": [0.0] * 5}
+    (root / "camera_info.yaml").write_text(json.dumps(info))  # JSON is YAML
     (root / "frames").mkdir()
     images.write_png(root / "frames" / "1.png", depth)
     sequence = root / "rgbd_dataset_freiburg1_xyz"
