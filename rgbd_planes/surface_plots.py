@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -47,7 +48,8 @@ def plot_surfaces(
     near, far = _limits(metres, (0.5, 99.5), (0.0, 1.0))
     image = left.imshow(metres, cmap=viridis, vmin=near, vmax=far, interpolation="nearest")
     left.set_title("Measured depth")
-    _bar(figure, left, image, f"metres     (grey: missing, {np.isnan(metres).mean():.1%} of the pixels)")
+    missing = 100 * np.isnan(metres).mean()
+    _bar(figure, left, image, f"metres     (grey: missing, {missing:.1f} % of the pixels)")
 
     # x to the right of the image and y down it, also where a focal length is negative.
     in_image = normals.astype(np.float64) * np.sign([camera.fx, camera.fy, 1.0])
@@ -70,7 +72,11 @@ def plot_surfaces(
     low, high = _limits(np.where(curvature > 0.0, curvature, np.nan), (1.0, 99.5), (1e-3, 1.0))
     image = right.imshow(curvature, cmap=magma, norm=LogNorm(low, high, clip=True), interpolation="nearest")
     right.set_title("Curvature (surface variation)")
-    _bar(figure, right, image, "share of the points' variance across the plane")
+    bar = _bar(figure, right, image, "share of the points' variance across the plane")
+    # Few enough to be legible, whatever the range: matplotlib's own overlap, or are none.
+    ticks = np.geomspace(low, high, 6).tolist()
+    bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+    bar.minorticks_off()
     for axes in (left, middle, right):
         axes.set_xticks([])
         axes.set_yticks([])
@@ -88,7 +94,8 @@ def _limits(
     return float(low), float(max(high, low * (1.0 + 1e-6) + 1e-12))
 
 
-def _bar(figure: Figure, axes: Axes, image: object, label: str) -> None:
+def _bar(figure: Figure, axes: Axes, image: object, label: str) -> Colorbar:
     bar = figure.colorbar(image, ax=axes, orientation="horizontal", shrink=0.8, aspect=30)  # type: ignore[arg-type]
     bar.ax.tick_params(labelsize=9, length=2)
     bar.set_label(label, fontsize=9)
+    return bar

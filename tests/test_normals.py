@@ -1,5 +1,6 @@
 """Normals and surface variation against the plain fit of every pixel's window."""
 
+import itertools
 import threading
 
 import numpy as np
@@ -431,3 +432,22 @@ def test_figure_of_a_frame_with_nothing_in_it():
     depth = np.zeros(camera.shape)
     figure = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0012, 0.083), (0.002, 0.008), (0.2, 0.22), (1e-9, 0.3)])
+def test_labels_of_the_curvature_are_legible(low, high):
+    camera = make_camera()
+    curvature = np.geomspace(low, high, camera.width * camera.height, dtype=np.float32)
+    depth = np.ones(camera.shape)
+    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), curvature.reshape(camera.shape))
+    figure.draw_without_rendering()
+    axis = figure.axes[-1].xaxis
+    least, most = axis.get_view_interval()
+    ticks = sorted([*axis.get_major_ticks(), *axis.get_minor_ticks()], key=lambda tick: tick.get_loc())
+    boxes = [
+        tick.label1.get_window_extent()
+        for tick in ticks
+        if tick.label1.get_text() and 0.999 * least <= tick.get_loc() <= 1.001 * most
+    ]
+    assert len(boxes) >= 2
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
