@@ -111,7 +111,7 @@ def _limits(level: float, spread: float) -> Float:
     if level == 0.0:
         return np.empty(0)
     if spread:
-        return np.array([NormalDist().inv_cdf(1.0 - level)])
+        return np.array([-NormalDist().inv_cdf(level)])
     return np.array(_DEFAULT_LIMITS) if level == DEFAULT_SIGNIFICANCE else _made_limits(level)
 
 

@@ -5,7 +5,7 @@ frame is gone through once. Label 0 is "none" on both sides: unlabelled pixels b
 region keeps all its pixels, also those that the truth leaves unlabelled.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,9 +23,11 @@ class HooverCounts:
     under_segmented: int
     missed: int
     noise: int
-    correct_pairs: NDArray[np.int64]  # (correct, 2): label of the truth, label of the prediction
-    missed_labels: NDArray[np.int64]  # of the truth
-    noise_labels: NDArray[np.int64]  # of the prediction
+    correct_pairs: NDArray[np.int64] = field(
+        repr=False
+    )  # (correct, 2): label of the truth, label of the prediction
+    missed_labels: NDArray[np.int64] = field(repr=False)  # of the truth
+    noise_labels: NDArray[np.int64] = field(repr=False)  # of the prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +39,10 @@ class DetectionScores:
     f_score: float
     panoptic_quality: float
     matched_iou: float  # mean over the matched pairs; 0 where there are none
-    pairs: NDArray[np.int64]  # (matches, 2): label of the truth, label of the prediction
+    pairs: NDArray[np.int64] = field(repr=False)  # (matches, 2): label of the truth, label of the prediction
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LabelComparison:
     """A predicted segmentation beside the true one; made by `compare_labels`.
 
@@ -57,6 +59,10 @@ class LabelComparison:
     table: NDArray[np.int64]
     truth_labels: NDArray[np.int64]
     predicted_labels: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        regions = f"{len(self.truth_labels)} true and {len(self.predicted_labels)} predicted regions"
+        return f"<LabelComparison: {regions}, {self.table.sum()} pixels>"
 
     @cached_property
     def truth_sizes(self) -> NDArray[np.int64]:

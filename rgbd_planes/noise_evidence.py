@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Float = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NoiseEvidence:
     """What an estimated noise model was estimated from.
 
@@ -57,6 +57,10 @@ class NoiseEvidence:
     noise_map: Float
     flatness: Float
     flatness_count: npt.NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        tiles = f"{len(self.p_values)} flat tiles, {np.mean(self.p_values < 0.01):.1%} of p-values below 1 %"
+        return f"<NoiseEvidence: {self.windows} flat windows, {tiles}>"
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
         """Draw the fit and the maps; see `noise_plotting.plot_evidence`."""

@@ -20,6 +20,11 @@ KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
 
 
+def two_digits(value: float) -> str:
+    """A number to two digits, 110 where the format .2g has 1.1e+02."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 @dataclass(frozen=True, repr=False)
 class NoiseModel:
     """The noise of a sensor's inverse depth.
@@ -102,7 +107,7 @@ class NoiseModel:
         parts = ["σ by a function"]
         if self.formula is None:
             sigmas = zip(1e3 * self.sigma_depth([0.5, 1.0, 2.0]), ("0.5", "1", "2"), strict=True)
-            parts = ["σ " + ", ".join(f"{sigma:.2g} mm at {depth} m" for sigma, depth in sigmas)]
+            parts = ["σ " + ", ".join(f"{two_digits(sigma)} mm at {depth} m" for sigma, depth in sigmas)]
         if self.lateral:
             parts.append(f"lateral {self.lateral:.2g} pixels")
         for share, length in self.correlation:

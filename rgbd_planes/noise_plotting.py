@@ -84,6 +84,7 @@ def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, **style
     image = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
     axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
     axes.set_title(title, fontsize=10)
+    axes.set_xlabel("grey: nothing flat there", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
 

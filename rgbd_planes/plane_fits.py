@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import statistics
+from rgbd_planes.noise_model import two_digits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -154,7 +155,7 @@ class PlaneFits:
             if np.any(self.status == status)
         ]
         if self.fitted.any():
-            counts.append(f"median rmse {np.median(self.rmse_metric[self.fitted]) * 1e3:.2g} mm")
+            counts.append(f"median rmse {two_digits(1e3 * np.median(self.rmse_metric[self.fitted]))} mm")
         return f"{self.method}: {', '.join(counts) or 'nothing to fit'}"
 
     def __repr__(self) -> str:

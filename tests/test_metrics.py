@@ -27,7 +27,10 @@ def test_hoover_counts_each_kind() -> None:
     # 1 is found but for a pixel; 2 is cut in two; 3 and 4 are one; 5 is hardly touched.
     predicted = row((7, 9), (0, 1), (8, 5), (9, 5), (3, 10), (4, 3), (0, 7))
     assert counts(predicted, truth, 0.8) == (1, 1, 1, 1, 1)
-    hoover = compare_labels(predicted, truth).hoover(0.8)
+    comparison = compare_labels(predicted, truth)
+    assert repr(comparison) == "<LabelComparison: 5 true and 5 predicted regions, 40 pixels>"
+    hoover = comparison.hoover(0.8)
+    assert repr(hoover) == "HooverCounts(correct=1, over_segmented=1, under_segmented=1, missed=1, noise=1)"
     assert hoover.correct_pairs.tolist() == [[1, 7]]
     assert hoover.missed_labels.tolist() == [5]
     assert hoover.noise_labels.tolist() == [4]
@@ -66,6 +69,7 @@ def test_detection_by_hand() -> None:
     assert scores.f_score == pytest.approx(4 / 5)
     assert scores.panoptic_quality == pytest.approx((8 / 10 + 10 / 12) / 2.5)
     assert scores.matched_iou == pytest.approx((8 / 10 + 10 / 12) / 2)
+    assert "pairs" not in repr(scores)
     assert compare_labels(predicted, truth).detection(0.82).pairs.tolist() == [[2, 2]]
 
 

@@ -97,6 +97,8 @@ def test_shows_a_bias_over_the_image(rng):
     assert np.corrcoef(evidence.flatness[known], wanted[known])[0, 1] > 0.9
     figure = evidence.plot()
     assert len(figure.get_axes()) == 7
+    assert "flat tiles" in repr(evidence)
+    assert "\n" not in repr(evidence)
 
 
 def test_a_bias_wider_than_any_surface():

@@ -292,6 +292,8 @@ def test_rough_is_a_small_p_value(method, noise, rng):
     )
     off = rp.fit_tiles(depth, camera, 8, method, significance=0.0)
     assert not (off.status == rp.TileStatus.ROUGH).any()
+    least = rp.fit_tiles(depth, camera, 8, method, significance=1e-300)
+    assert not (least.status == rp.TileStatus.ROUGH)[least.p_value > 1e-290].any()
     both = rp.fit_tiles(depth, camera, 8, method, significance=0.01, max_error=1e-6)
     assert (both.status[both.fitted] == rp.TileStatus.ROUGH).all()
     windows = np.array([(r, c, 8, 8) for r in range(0, 48, 8) for c in range(0, 64, 8)])
@@ -508,6 +510,7 @@ def test_propagation_against_draws(two_planes, rng):
 def test_models():
     noise = rp.noise
     assert repr(noise.kinect_v1()) == "<NoiseModel: σ 0.36 mm at 0.5 m, 1.4 mm at 1 m, 5.7 mm at 2 m>"
+    assert "34 mm at 0.5 m, 140 mm at 1 m, 540 mm at 2 m" in repr(noise.axial(quadratic=0.135))
     for part in (
         "30% correlated over 1.5 pixels",
         "floor 0.5 σq over 20 pixels",
