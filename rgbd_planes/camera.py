@@ -1,5 +1,7 @@
 """The camera: a pinhole with lens distortion, and how its depth is to be read."""
 
+from __future__ import annotations
+
 import json
 import math
 import os

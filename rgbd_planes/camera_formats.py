@@ -1,5 +1,7 @@
 """Other systems' descriptions of a camera, each made into the arguments of `Camera`."""
 
+from __future__ import annotations
+
 import json
 import os
 from collections.abc import Mapping

@@ -4,6 +4,8 @@ Every kind of missing pixel folds into one test, ``lowest <= raw <= highest``, a
 for the inverse depth, so that a frame is read once and nothing is converted beforehand.
 """
 
+from __future__ import annotations
+
 import functools
 import math
 import os
@@ -68,7 +70,7 @@ class DepthFrame(NamedTuple):
         return np.where(self.valid, self.raw, np.nan).astype(np.float64, copy=False) / self.scale
 
 
-def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
+def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     """Check a depth frame against its camera and give it to the kernels without touching its pixels.
 
     Parameters
@@ -148,7 +150,7 @@ def as_depth_frame(depth: ArrayLike, camera: "Camera") -> DepthFrame:
     return DepthFrame(raw, lowest, highest, depth_scale, 0.0, False)
 
 
-def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: "Camera") -> None:
+def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     expected = (camera.height, camera.width)
     if array.shape == expected:
         return

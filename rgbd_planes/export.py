@@ -6,6 +6,8 @@ All in the camera's frame (x right, y down, z forward) and in metres, which is a
 Open3D's.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import os
@@ -207,7 +209,7 @@ def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
     write_ply(path, points, normals=normals, colours=colours, faces=faces)
 
 
-def to_open3d(tiles: TilePlanes) -> "open3d.geometry.TriangleMesh":
+def to_open3d(tiles: TilePlanes) -> open3d.geometry.TriangleMesh:
     """Return the fitted tiles of a frame as an Open3D mesh, two triangles a tile, coloured by their normals.
 
     Parameters
@@ -225,7 +227,7 @@ def to_open3d(tiles: TilePlanes) -> "open3d.geometry.TriangleMesh":
     return triangle_mesh(points, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), normals, colours)
 
 
-def points_to_open3d(depth: ArrayLike, camera: Camera) -> "open3d.geometry.PointCloud":
+def points_to_open3d(depth: ArrayLike, camera: Camera) -> open3d.geometry.PointCloud:
     """Return the measured points of a depth frame as an Open3D point cloud, missing ones left out.
 
     Parameters

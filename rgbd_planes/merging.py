@@ -1,5 +1,7 @@
 """Exact planes of unions of tiles, from the tiles' moments: no pixel is read again."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,6 +5,8 @@ frame is gone through once. Label 0 is "none" on both sides: unlabelled pixels b
 region keeps all its pixels, also those that the truth leaves unlabelled.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cached_property
 

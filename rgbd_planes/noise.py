@@ -9,6 +9,8 @@ Examples
 >>> camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=1000.0, noise=rp.noise.kinect_v1())
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -122,7 +124,7 @@ def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
     return NoiseModel(formula=sigma)
 
 
-def quantised(model: NoiseModel, step: "float | Camera") -> NoiseModel:
+def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     """Add the rounding of integer depth to a model.
 
     Parameters

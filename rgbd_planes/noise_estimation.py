@@ -7,6 +7,8 @@ reach: independent errors leave all sizes alike, a bias that bends over 50 pixel
 unequal the tiles are gives the spread.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import NormalDist

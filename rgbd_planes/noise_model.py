@@ -1,5 +1,7 @@
 """A model of a sensor's noise: what `rgbd_planes.noise` makes and a `Camera` has."""
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields

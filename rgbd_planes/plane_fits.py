@@ -1,5 +1,7 @@
 """What a fit returns: planes, their residuals, and the reason where there is none."""
 
+from __future__ import annotations
+
 import enum
 import functools
 from dataclasses import dataclass, fields
@@ -126,7 +128,7 @@ class PlaneFits:
         return self._statistics.row(statistics.OFFSET_STD)
 
     @functools.cached_property
-    def _statistics(self) -> "FitStatistics":
+    def _statistics(self) -> FitStatistics:
         """What the camera's noise says of these planes, computed when first asked for."""
         from rgbd_planes.fit_statistics import FitStatistics
 
@@ -181,7 +183,7 @@ class PlacedFits(PlaneFits):
 
         return fits_html(self)
 
-    def plot(self, depth: npt.ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
+    def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the depth, the normals as colours and the parts by status; see `plotting.plot_fits`.
 
         Parameters

@@ -1,5 +1,7 @@
 """The figure of a segmentation: planes in colours over the relief of the depth."""
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +35,7 @@ def label_colours(count: int) -> Floats:
     )
 
 
-def label_image(segmentation: "Segmentation", depth: ArrayLike | None = None) -> Floats:
+def label_image(segmentation: Segmentation, depth: ArrayLike | None = None) -> Floats:
     """(H, W, 3) float64: each pixel in the colour of its plane, light and dark following the surface.
 
     Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief.
@@ -61,8 +63,8 @@ def _relief(inverse_depth: Floats, sigma: float) -> Floats:
 
 
 def plot_segments(
-    segmentation: "Segmentation", depth: ArrayLike | None = None, figure: "Figure | None" = None
-) -> "Figure":
+    segmentation: Segmentation, depth: ArrayLike | None = None, figure: Figure | None = None
+) -> Figure:
     """Draw a segmentation.
 
     Parameters
@@ -91,7 +93,7 @@ def plot_segments(
     return figure
 
 
-def _write_numbers(segmentation: "Segmentation", axes: "Axes") -> None:
+def _write_numbers(segmentation: Segmentation, axes: Axes) -> None:
     """Write each large plane's label where the plane is widest along a row and in the middle of its rows."""
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)

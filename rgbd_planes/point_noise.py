@@ -1,5 +1,7 @@
 """The paper's noise model: how uncertain the three coordinates of each pixel's point are."""
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def measurement_noise(
-    depth: npt.ArrayLike, camera: "Camera", sigma_inverse_depth: float | None = None
+    depth: npt.ArrayLike, camera: Camera, sigma_inverse_depth: float | None = None
 ) -> npt.NDArray[np.float64]:
     """Standard deviations of X, Y and Z of each pixel's point.
 

@@ -3,6 +3,8 @@
 Needs shapely: ``pip install rgbd-planes[polygons]``.
 """
 
+from __future__ import annotations
+
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,8 +49,8 @@ class PlanePolygon:
     plane: Floats
     origin: Floats
     axes: Floats
-    image: "MultiPolygon"
-    metric: "MultiPolygon"
+    image: MultiPolygon
+    metric: MultiPolygon
 
     def __repr__(self) -> str:
         holes = sum(len(part.interiors) for part in self.metric.geoms)
@@ -62,12 +64,12 @@ class PlanePolygon:
         return float(self.metric.area)
 
     @cached_property
-    def hull(self) -> "Polygon":
+    def hull(self) -> Polygon:
         """Convex hull in the plane's coordinates."""
         return self.metric.convex_hull
 
     @cached_property
-    def rectangle(self) -> "Polygon":
+    def rectangle(self) -> Polygon:
         """The smallest rectangle around the outline, at any angle, in the plane's coordinates."""
         return self.metric.minimum_rotated_rectangle
 
@@ -75,7 +77,7 @@ class PlanePolygon:
         """(K, 3) float64: points of the plane in the camera's frame, from its own (K, 2) coordinates."""
         return np.asarray(self.origin + np.asarray(coordinates, dtype=np.float64) @ self.axes)
 
-    def corners(self, geometry: "Polygon | None" = None) -> Floats:
+    def corners(self, geometry: Polygon | None = None) -> Floats:
         """(K, 3) float64: corners in the camera's frame of a polygon in the plane, by default `rectangle`."""
         chosen = self.rectangle if geometry is None else geometry
         return self.to_space(np.asarray(chosen.exterior.coords)[:-1])
@@ -174,9 +176,7 @@ def _polygon(
     )
 
 
-def _outline(
-    mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min_part: float
-) -> "MultiPolygon":
+def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min_part: float) -> MultiPolygon:
     """The outline of a mask whose first pixel is at (left, top)."""
     import contourpy
     import shapely
@@ -200,7 +200,7 @@ def _outline(
     return _multi(outline.simplify(tolerance) if tolerance > 0.0 else outline, outline)
 
 
-def _multi(geometry: "Geometry", otherwise: "MultiPolygon") -> "MultiPolygon":
+def _multi(geometry: Geometry, otherwise: MultiPolygon) -> MultiPolygon:
     """Valid polygons and nothing else; ``otherwise`` where nothing is left."""
     import shapely
 
@@ -213,8 +213,8 @@ def _multi(geometry: "Geometry", otherwise: "MultiPolygon") -> "MultiPolygon":
 
 
 def _in_plane(
-    image: "MultiPolygon", segmentation: Segmentation, label: int, origin: Floats, axes: Floats
-) -> "MultiPolygon":
+    image: MultiPolygon, segmentation: Segmentation, label: int, origin: Floats, axes: Floats
+) -> MultiPolygon:
     """The outline in the plane's coordinates: where the rays through its corners meet the plane."""
     import shapely
 

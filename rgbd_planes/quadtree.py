@@ -1,5 +1,7 @@
 """The paper's planar segmentation: a grid of squares, split in four where they are not flat, then k-means."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -80,7 +82,7 @@ class QuadtreeSegmentation:
 
         return quadtree_html(self)
 
-    def plot(self, depth: npt.ArrayLike, figure: "Figure | None" = None) -> "Figure":
+    def plot(self, depth: npt.ArrayLike, figure: Figure | None = None) -> Figure:
         """Draw the depth and the elements as the paper does; see `quadtree_figure.plot_quadtree`.
 
         Parameters

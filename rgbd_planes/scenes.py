@@ -12,6 +12,8 @@ Examples
 >>> frame = rendering.measure(holes=0.05, seed=1)  # (480, 640) uint16, millimetres
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -63,7 +65,7 @@ class Scene:
     surfaces: tuple[Surface, ...]
     camera_to_scene: Floats
 
-    def render(self, camera: Camera) -> "Rendering":
+    def render(self, camera: Camera) -> Rendering:
         """Meet the ray through each pixel centre with the surfaces and keep the nearest.
 
         Parameters

@@ -1,5 +1,7 @@
 """Segment a depth frame into planes."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -3,6 +3,8 @@
 All in the camera's frame (x right, y down, z forward) and in metres.
 """
 
+from __future__ import annotations
+
 import json
 import os
 from collections.abc import Sequence
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from rgbd_planes.polygons import PlanePolygon
 
 
-def to_dict(segmentation: Segmentation, polygons: "Sequence[PlanePolygon] | None" = None) -> dict[str, Any]:
+def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None = None) -> dict[str, Any]:
     """Return the planes as what JSON can hold.
 
     Parameters
@@ -67,7 +69,7 @@ def to_dict(segmentation: Segmentation, polygons: "Sequence[PlanePolygon] | None
 def write_json(
     path: str | os.PathLike[str],
     segmentation: Segmentation,
-    polygons: "Sequence[PlanePolygon] | None" = None,
+    polygons: Sequence[PlanePolygon] | None = None,
 ) -> None:
     """Write the planes as JSON; whole or not at all.
 
@@ -119,7 +121,7 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
     write_ply(path, measured[seen], normals=normals[labels[seen]], colours=colours[labels[seen]])
 
 
-def write_polygons_ply(path: str | os.PathLike[str], polygons: "Sequence[PlanePolygon]") -> None:
+def write_polygons_ply(path: str | os.PathLike[str], polygons: Sequence[PlanePolygon]) -> None:
     """Write the outlines as a PLY mesh of triangles, each plane in its colour; holes are holes.
 
     Parameters
@@ -133,7 +135,7 @@ def write_polygons_ply(path: str | os.PathLike[str], polygons: "Sequence[PlanePo
     write_ply(path, points, normals=normals, colours=colours, faces=faces)
 
 
-def to_open3d(polygons: "Sequence[PlanePolygon]") -> "open3d.geometry.TriangleMesh":
+def to_open3d(polygons: Sequence[PlanePolygon]) -> open3d.geometry.TriangleMesh:
     """Return the outlines as an Open3D mesh, each plane in its colour; holes are holes.
 
     Parameters
@@ -170,7 +172,7 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
 
 
 def to_ros_polygons(
-    polygons: "Sequence[PlanePolygon]", frame_id: str = "", stamp: float = 0.0
+    polygons: Sequence[PlanePolygon], frame_id: str = "", stamp: float = 0.0
 ) -> dict[str, Any]:
     """Return the outlines in the shape of jsk_recognition_msgs/PolygonArray.
 
@@ -211,7 +213,7 @@ def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: float =
     }
 
 
-def _mesh(polygons: "Sequence[PlanePolygon]") -> tuple[Floats, Floats, Floats]:
+def _mesh(polygons: Sequence[PlanePolygon]) -> tuple[Floats, Floats, Floats]:
     """Three points for each triangle of the outlines, with their normals and colours."""
     colours = label_colours(len(polygons))
     triangles = [polygon.triangles() for polygon in polygons]

@@ -1,5 +1,7 @@
 """What a segmentation of a depth frame says: which pixel belongs to which plane, and why to none."""
 
+from __future__ import annotations
+
 import enum
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -152,7 +154,7 @@ class Segmentation:
             )
         return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
 
-    def plot(self, depth: ArrayLike | None = None, figure: "Figure | None" = None) -> "Figure":
+    def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`.
 
         Parameters

@@ -1,5 +1,7 @@
 """The figure of dense normals: depth, normals as colours, surface variation."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

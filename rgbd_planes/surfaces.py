@@ -1,5 +1,7 @@
 """Normals and surface variation around every pixel of a depth frame."""
 
+from __future__ import annotations
+
 import math
 from typing import Any
 

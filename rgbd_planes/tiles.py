@@ -1,5 +1,7 @@
 """Fit a plane to every tile of a depth frame."""
 
+from __future__ import annotations
+
 import operator
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence

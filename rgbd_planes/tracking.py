@@ -1,5 +1,7 @@
 """Follow planes through a sequence of frames."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -4,6 +4,8 @@ Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 
 ``plane_covariance`` of a fit. All is to first order in the errors. Leading shapes broadcast.
 """
 
+from __future__ import annotations
+
 import numpy as np
 import numpy.typing as npt
 

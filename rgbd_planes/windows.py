@@ -1,5 +1,7 @@
 """Fit planes to arbitrary rectangles of a depth frame."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,6 @@
 """Importing, first calls, threads and forks, each in a process of its own where it must be."""
 
+import inspect
 import os
 import subprocess
 import sys
@@ -40,6 +41,16 @@ def test_public_names_are_there():
         assert getattr(rp, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = rp.nonsense
+
+
+def test_help_is_legible():
+    """An ArrayLike that is evaluated shows all that NumPy makes of it: eight lines before the first word."""
+    modules = (rp.export, rp.images, rp.metrics, rp.noise, rp.scenes, rp.segmentation_export, rp.uncertainty)
+    shown = [getattr(rp, name) for name in dir(rp)]
+    shown += [value for module in modules for value in vars(module).values()]
+    shown += [value for kind in shown if inspect.isclass(kind) for value in vars(kind).values()]
+    for value in filter(inspect.isfunction, shown):
+        assert "_array_like" not in str(inspect.signature(value)), value
 
 
 def test_kernels_from_the_cache_leave_compilation_alone():
