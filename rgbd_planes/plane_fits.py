@@ -31,7 +31,8 @@ class TileStatus(enum.IntEnum):
     TOO_FEW = 1
     """Fewer than three valid pixels, or a larger share missing than ``max_missing``."""
     DEGENERATE = 2
-    """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre."""
+    """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre. For
+    ``range_implicit`` also where 1/Z differs more over the tile than its rays do, as across a depth edge."""
     ROUGH = 3
     """Fitted, and it keeps its plane, but its residual is above ``max_error`` or what the noise explains."""
 
@@ -191,7 +192,7 @@ class PlacedFits(PlaneFits):
         depth : (H, W) array_like, optional
             The frame that was fitted; without it the fitted planes' own depth is drawn.
         figure : matplotlib Figure, optional
-            Drawn into; a new one by default.
+            Drawn into, with text for one 15 inches wide; such a new one by default.
         """
         from rgbd_planes.plotting import plot_fits
 
