@@ -90,21 +90,31 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     return figure
 
 
+def depth_limits(depth: Floats) -> tuple[float, float]:
+    """Nearest and farthest depth of a colour scale, at least a millimetre apart."""
+    known = depth[np.isfinite(depth)]
+    # A few stray far pixels must not take the whole scale.
+    nearest, farthest = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
+    return float(nearest), float(max(farthest, nearest + 1e-3))
+
+
+def depth_note(depth: Floats) -> str:
+    """What stands below the colour scale of a measured depth."""
+    return f"metres     (grey: missing, {100 * np.mean(~np.isfinite(depth)):.1f} % of the pixels)"
+
+
 def _draw_depth(panel: Axes, legend: Axes, fits: PlacedFits, depth: Floats | None) -> None:
     fitted = depth is None
     shown = _fitted_depth(fits) if depth is None else np.where(depth > 0.0, depth, np.nan)
-    known = shown[np.isfinite(shown)]
-    # A few stray far pixels must not take the whole scale.
-    nearest, farthest = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
+    nearest, farthest = depth_limits(shown)
     colours = colormaps["viridis_r"].with_extremes(bad=MISSING)
-    image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=max(farthest, nearest + 1e-9))
+    image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=farthest)
     panel.set_title("Depth of the fitted planes" if fitted else "Measured depth")
     bar = legend.inset_axes((0.1, 0.72, 0.8, 0.16))
     legend.figure.colorbar(image, cax=bar, orientation="horizontal")
     bar.tick_params(labelsize=9, length=2)
-    missing = 1.0 - known.size / shown.size
-    note = "metres" if fitted else f"metres     (grey: missing, {100 * missing:.1f} % of the pixels)"
-    bar.set_xlabel(note, fontsize=9)
+    bar.ticklabel_format(useOffset=False)
+    bar.set_xlabel("metres" if fitted else depth_note(shown), fontsize=9)
 
 
 def _draw_normals(panel: Axes, legend: Axes, fits: PlacedFits) -> None:

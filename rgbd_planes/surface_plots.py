@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
@@ -15,7 +13,7 @@ from matplotlib.figure import Figure
 from rgbd_planes.camera import Camera
 from rgbd_planes.colours import MISSING, normal_colours
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.plotting import NotebookFigure
+from rgbd_planes.plotting import NotebookFigure, depth_limits, depth_note
 
 _PANEL_INCHES = 5.2
 
@@ -47,11 +45,10 @@ def plot_surfaces(
     left, middle, right = figure.subplots(1, 3)
 
     viridis = colormaps["viridis_r"].with_extremes(bad=MISSING)
-    near, far = _limits(metres, (0.5, 99.5), (0.0, 1.0))
+    near, far = depth_limits(metres)
     image = left.imshow(metres, cmap=viridis, vmin=near, vmax=far, interpolation="nearest")
     left.set_title("Measured depth")
-    missing = 100 * np.isnan(metres).mean()
-    _bar(figure, left, image, f"metres     (grey: missing, {missing:.1f} % of the pixels)")
+    _bar(figure, left, image, depth_note(metres)).ax.ticklabel_format(useOffset=False)
 
     # x to the right of the image and y down it, also where a focal length is negative.
     in_image = normals.astype(np.float64) * np.sign([camera.fx, camera.fy, 1.0])
@@ -71,7 +68,7 @@ def plot_surfaces(
     )
 
     magma = colormaps["magma"].with_extremes(bad=MISSING)
-    low, high = _limits(np.where(curvature > 0.0, curvature, np.nan), (1.0, 99.5), (1e-3, 1.0))
+    low, high = _curvature_limits(curvature[curvature > 0.0])
     image = right.imshow(curvature, cmap=magma, norm=LogNorm(low, high, clip=True), interpolation="nearest")
     right.set_title("Curvature (surface variation)")
     bar = _bar(figure, right, image, "share of the points' variance across the plane")
@@ -87,12 +84,9 @@ def plot_surfaces(
     return figure
 
 
-def _limits(
-    values: npt.NDArray[Any], percentiles: tuple[float, float], otherwise: tuple[float, float]
-) -> tuple[float, float]:
+def _curvature_limits(known: npt.NDArray[np.float32]) -> tuple[float, float]:
     """Bounds that a few stray values do not move."""
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, percentiles) if known.size else otherwise
+    low, high = np.percentile(known, (1.0, 99.5)) if known.size else (1e-3, 1.0)
     return float(low), float(max(high, low * (1.0 + 1e-6) + 1e-12))
 
 

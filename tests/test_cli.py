@@ -78,7 +78,8 @@ def test_demo_writes_a_picture_and_says_what_it_found(tmp_path, monkeypatch, cap
     # The line that it offers works as it stands.
     command = re.search(r"^  rgbd-planes (fit .*)$", out, re.MULTILINE)[1]
     assert cli.main(command.split()) == 0
-    assert os.path.exists("planes.png")
+    with Image.open("planes.png") as again, Image.open("here/and/there/demo.png") as picture:
+        assert np.array_equal(np.asarray(again), np.asarray(picture))
 
 
 def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):

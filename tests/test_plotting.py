@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import rgbd_planes as rp
 from rgbd_planes import plotting, scenes
+from rgbd_planes.surface_plots import plot_surfaces
 
 
 def fitted(tile=8, **options):
@@ -73,6 +74,19 @@ def test_without_a_frame_the_planes_own_depth_is_drawn():
     truth = scenes.plane((0.2, 0.3, -1.0), 2.0).render(camera).depth
     shown = image_of(rp.fit_tiles(truth, camera, tile=8).plot().axes[0])
     np.testing.assert_allclose(shown, truth, rtol=1e-9)
+
+
+def test_the_scale_of_one_depth_is_in_metres():
+    """Rounding errors apart, or a millimetre: no scale of millionths with the metre added at its end."""
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
+    depth = np.ones(camera.shape)
+    normals = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    for figure in (rp.fit_tiles(depth, camera, tile=8).plot(depth), normals):
+        figure.draw_without_rendering()
+        drawn = [inner for axes in figure.axes for inner in (axes, *axes.child_axes)]
+        (scale,) = (axes.xaxis for axes in drawn if "metres" in axes.get_xlabel())
+        assert scale.get_offset_text().get_text() == ""
+        assert scale.get_major_ticks()[1].label1.get_text().startswith("1.0")
 
 
 def test_colours_are_of_the_image_whatever_the_sign_of_fy():

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from rgbd_planes.scenes import Rendering
     from rgbd_planes.tile_planes import TilePlanes
 
+_MAX_ERROR = 0.03  # metres
+
 
 def demo(parser: argparse.ArgumentParser) -> Run:
     """Render a room as a Kinect would see it, fit it, and draw what was found; needs no file.
@@ -28,7 +30,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         from rgbd_planes.images import write_png
 
         camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=1000.0)
-        fitter = TileFitter(camera, tile=arguments.tile, max_error=0.03, num_threads=1)
+        fitter = TileFitter(camera, tile=arguments.tile, max_error=_MAX_ERROR, num_threads=1)
         arguments.out.mkdir(parents=True, exist_ok=True)
         picture, frame_file, camera_file = (
             arguments.out / name for name in ("demo.png", "demo_depth.png", "demo_camera.json")
@@ -55,7 +57,9 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         camera.save(camera_file)
         write_figure(tiles.plot(depth), picture)
         print(f"See {picture}. The same from the files:")
-        print(f"  rgbd-planes fit {frame_file} --camera {camera_file} --figure planes.png")
+        size = "x".join(map(str, tiles.tile))
+        options = f"--tile {size} --max-error {_MAX_ERROR} --figure planes.png"
+        print(f"  rgbd-planes fit {frame_file} --camera {camera_file} {options}")
 
     return run
 

@@ -29,7 +29,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them"
     )
-    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and tiles")
+    parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and tiles")
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import fit_tiles

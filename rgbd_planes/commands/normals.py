@@ -25,7 +25,9 @@ def normals(parser: argparse.ArgumentParser) -> Run:
     )
     parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
     parser.add_argument("--out", type=Path, metavar="NPY", help="write them, (H, W, 3) float32")
-    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw depth, normals and curvature")
+    parser.add_argument(
+        "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and curvature"
+    )
 
     def run(arguments: argparse.Namespace) -> int:
         import numpy as np

@@ -28,7 +28,9 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         "--polygons", action="store_true", help="with their outlines in the JSON; needs shapely"
     )
     parser.add_argument("--labels", type=Path, metavar="PNG", help="write the labels, 16 bits, 0 for none")
-    parser.add_argument("--figure", type=Path, metavar="PNG", help="draw the planes over the depth's relief")
+    parser.add_argument(
+        "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw the planes over the depth's relief"
+    )
     parser.add_argument("--points", type=Path, metavar="PLY", help="write the points, coloured by plane")
     parser.add_argument("--mesh", type=Path, metavar="PLY", help="write the outlines; needs shapely")
 
