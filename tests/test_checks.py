@@ -10,6 +10,7 @@ from rgbd_planes import export, metrics, noise, scenes, sequences
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
+FRAMES = sequences.FrameSequence([sequences.FrameEntry("0", 0.0, CAMERA, None)], lambda location: DEPTH)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +58,8 @@ def test_what_makes_a_camera(camera, message):
         (None, TypeError, "as an array, got NoneType: has the file been read?"),
         ("depth.png", TypeError, "as an array, got str: rgbd_planes.images.read_depth reads a file"),
         (Path("depth.png"), TypeError, "Path: rgbd_planes.images.read_depth reads a file"),
+        (FRAMES[0], TypeError, "as an array, got Frame: the array is the depth of a Frame"),
+        (FRAMES, TypeError, "as an array, got FrameSequence: the array is the depth of a Frame"),
         (3, ValueError, r"got \(\)$"),
         (np.zeros((48, 64, 3), np.uint8), ValueError, "is it a colour image.* IMREAD_UNCHANGED$"),
         (CAMERA.points(DEPTH), ValueError, r"or points, whose depth is \[..., 2\]"),
