@@ -108,7 +108,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
     reaching = samples
     if 2 * WINDOW in tiles:
-        large = flat_windows(tiles[2 * WINDOW], tiles[8])
+        large = flat_windows(tiles[2 * WINDOW], tiles[8], flat)
         if np.count_nonzero(large) >= _ENOUGH_LARGE:
             reaching = all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
     exact = np.asarray(opened[0]).dtype.kind == "f"

@@ -49,11 +49,7 @@ class Samples:
             chosen[:, : inside.shape[1], : inside.shape[2]] = inside
         else:
             # All its windows flat; together they must be as well.
-            many = size // WINDOW
-            padded = np.zeros((len(flat), many * rows, many * columns), bool)
-            inside = flat[:, : many * rows, : many * columns]
-            padded[:, : inside.shape[1], : inside.shape[2]] = inside
-            chosen = np.asarray(padded.reshape(len(flat), rows, many, columns, many).all(axis=(2, 4)))
+            chosen = _all_flat(flat, size // WINDOW, rows, columns)
         chosen &= planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * size * size)
         if size > WINDOW and chosen.any():
             residual = planes.rmse[chosen]
@@ -124,12 +120,16 @@ def _depth(planes: TilePlanes) -> Float:
     return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
 
 
-def flat_windows(planes: TilePlanes, small: TilePlanes) -> npt.NDArray[np.bool_]:
+def flat_windows(
+    planes: TilePlanes, small: TilePlanes, flat_parts: npt.NDArray[np.bool_] | None = None
+) -> npt.NDArray[np.bool_]:
     """Windows that are rough as a whole only as far as they are in their parts.
 
     The residual of the window is compared with the median of those of the small tiles in it: their usual
     ratio, that of the sensor's errors, is the commonest. So neither a surface that makes more noise than
     others is missed, nor is a bent one taken for flat. What is far rougher than usual, clutter, is left out.
+    Of larger windows clutter may be what is usual: ``flat_parts`` says which windows of `WINDOW` pixels are flat, and
+    only those of which all are come into question.
     """
     frames, rows, columns = planes.shape
     window = planes.tile[0]
@@ -140,6 +140,8 @@ def flat_windows(planes: TilePlanes, small: TilePlanes) -> npt.NDArray[np.bool_]
     good = planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * window * window)
     good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
     good &= planes.rmse > 0.0
+    if flat_parts is not None:
+        good &= _all_flat(flat_parts, window // WINDOW, rows, columns)
     flat = np.zeros(planes.shape, bool)
     local = np.median(inside[good].reshape(-1, parts * parts), axis=1)
     residual = planes.rmse[good]
@@ -151,6 +153,14 @@ def flat_windows(planes: TilePlanes, small: TilePlanes) -> npt.NDArray[np.bool_]
     usable[usable] = (ratio < _mode(ratio) + np.log(_BENT)) & (level < _mode(level) + np.log(_CLUTTERED))
     flat[good] = usable
     return flat
+
+
+def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -> npt.NDArray[np.bool_]:
+    """(F, rows, columns) bool: of which ``many`` x ``many`` windows all are flat."""
+    padded = np.zeros((len(flat), many * rows, many * columns), bool)
+    inside = flat[:, : many * rows, : many * columns]
+    padded[:, : inside.shape[1], : inside.shape[2]] = inside
+    return np.asarray(padded.reshape(len(flat), rows, many, columns, many).all(axis=(2, 4)))
 
 
 def bins_of(q: Float, smallest: int) -> list[npt.NDArray[np.intp]]:

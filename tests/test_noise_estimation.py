@@ -81,6 +81,15 @@ def test_finds_the_noise_again(truth, rng):
     assert np.mean(rejected) < 0.03
 
 
+def test_independent_noise_of_small_frames_is_no_floor():
+    """Hardly a window of 48 pixels is of one plane there: edges are not what is usual of them."""
+    camera = rp.Camera(256, 192, 210.0, 210.0, 127.5, 95.5, depth_scale=1000.0)
+    seen = [rp.scenes.room(*view).render(camera).measure(seed=i) for i, view in enumerate(VIEWS)]
+    model = rp.estimate_noise(seen, camera)
+    assert model.floor < 0.5
+    np.testing.assert_allclose(model.sigma([0.3, 0.5]), rp.noise.kinect_v1().sigma([0.3, 0.5]), rtol=0.15)
+
+
 def test_shows_a_bias_over_the_image(rng):
     """A lens that bends floors: the flatness map has its shape."""
     bump = 8e-3 * np.exp(-0.5 * ((CAMERA.tan_x - 0.2) ** 2 + (CAMERA.tan_y - 0.1) ** 2) / 0.12**2)
