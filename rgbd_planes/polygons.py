@@ -37,8 +37,8 @@ class PlanePolygon:
     origin : (3,) float64
         Origin of the plane's own coordinates: the point of the plane that is nearest to the camera, metres.
     axes : (2, 3) float64
-        Their directions, of unit length: to the right in the image, and down it. With the normal they make
-        right angles.
+        Their directions, of unit length: to the right in the image, and down it, or up where the camera's fx and
+        fy differ in sign. With the normal they make right angles.
     image : shapely MultiPolygon
         The outline, holes included, in pixels (x, y); pixel centres are at integers, edges half-way between.
     metric : shapely MultiPolygon
@@ -71,7 +71,19 @@ class PlanePolygon:
     @cached_property
     def rectangle(self) -> Polygon:
         """The smallest rectangle around the outline, at any angle, in the plane's coordinates."""
-        return self.metric.minimum_rotated_rectangle
+        import shapely
+
+        # One of its sides lies along one of the hull's. GEOS's own may have no area where corners of the hull lie on a
+        # line but for rounding, as those of pixels do.
+        corners = np.asarray(self.hull.exterior.coords)
+        sides = np.diff(corners, axis=0)
+        along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        u, v = corners @ along.T, corners @ across.T  # of each corner, by side
+        k = int(np.argmin(np.ptp(u, axis=0) * np.ptp(v, axis=0)))
+        (left, right), (low, high) = ((w[:, k].min(), w[:, k].max()) for w in (u, v))
+        ends = np.array([(left, low), (left, high), (right, high), (right, low)])
+        return shapely.Polygon(ends @ np.stack([along[k], across[k]]))
 
     def to_space(self, coordinates: ArrayLike) -> Floats:
         """(K, 3) float64: points of the plane in the camera's frame, from its own (K, 2) coordinates."""
@@ -83,7 +95,10 @@ class PlanePolygon:
         return self.to_space(np.asarray(chosen.exterior.coords)[:-1])
 
     def rings(self) -> list[list[Floats]]:
-        """Outlines in space: for each part its outer ring and its holes, (K, 3) float64 each, open."""
+        """Outlines in space: for each part its outer ring and its holes, (K, 3) float64 each, open.
+
+        The outer ring is counter-clockwise about the normal, holes are clockwise.
+        """
         return [
             [self.to_space(np.asarray(ring.coords)[:-1]) for ring in (part.exterior, *part.interiors)]
             for part in self.metric.geoms
@@ -118,7 +133,8 @@ def plane_polygons(
     ----------
     segmentation : Segmentation
     tolerance : float
-        How far, in pixels, a simplified outline may be from the outline of the pixels. 0 keeps every corner.
+        How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
+        twice as far. 0 keeps every corner.
     min_part : float
         Parts and holes of fewer pixels are left out, unless nothing else is left of the plane.
 
@@ -162,10 +178,11 @@ def _polygon(
     plane = segmentation.planes[label - 1]
     normal, d = plane[:3], plane[3]
     origin = -d * normal
-    # To the right in the image, as far as the plane allows; for a plane seen along the rows, into the image.
+    # To the right in the image, as far as the plane allows; for a plane seen along the rows that is into the image, or
+    # out of it.
     right = np.array([np.sign(segmentation.camera.fx), 0.0, 0.0])
     if abs(normal @ right) > 0.99:
-        right = np.array([0.0, 0.0, 1.0])
+        right = np.array([0.0, 0.0, np.sign(normal @ right)])
     first = right - (right @ normal) * normal
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(first, normal)])
@@ -189,13 +206,14 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
         z=framed,
         fill_type=contourpy.FillType.OuterOffset,
     )
+    least = min_part - 0.5  # its corners, cut off, take half a pixel from an outline
     polygons = []
     for points, offsets in zip(*generator.filled(0.5, np.inf), strict=True):
         rings = [shapely.LinearRing(points[i:j]) for i, j in itertools.pairwise(offsets)]
         outer, *holes = rings
-        holes = [hole for hole in holes if shapely.Polygon(hole).area >= min_part]
+        holes = [hole for hole in holes if shapely.Polygon(hole).area >= least]
         polygons.append(shapely.Polygon(outer, holes))
-    kept = [polygon for polygon in polygons if polygon.area >= min_part]
+    kept = [polygon for polygon in polygons if polygon.area >= least]
     outline = shapely.MultiPolygon(kept or [max(polygons, key=lambda polygon: polygon.area)])
     return _multi(outline.simplify(tolerance) if tolerance > 0.0 else outline, outline)
 
@@ -228,7 +246,8 @@ def _in_plane(
         return np.asarray((points - origin) @ axes.T)
 
     metric = shapely.transform(image, meet)
-    return _multi(metric, metric)
+    # Axes and normal are left-handed: clockwise in the plane's coordinates is counter-clockwise about the normal.
+    return shapely.orient_polygons(_multi(metric, metric), exterior_cw=True)
 
 
 def rays_through(camera: Camera, pixels: ArrayLike) -> Floats:

@@ -1,6 +1,7 @@
 """Outlines of planes whose shape is known."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from rgbd_planes import Camera, scenes, segment
 
 shapely = pytest.importorskip("shapely")
 
-from rgbd_planes.polygons import plane_polygons, rays_through  # noqa: E402
+from rgbd_planes.polygons import PlanePolygon, plane_polygons, rays_through  # noqa: E402
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
 
@@ -62,6 +63,51 @@ def test_coordinates_are_in_the_plane() -> None:
             np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
         )
         assert 0.5 * areas.sum() == pytest.approx(own.area, rel=1e-6)
+
+
+def seen(normal: tuple[float, float, float], camera: Camera) -> PlanePolygon:
+    """The outline of the only plane in sight."""
+    (own,) = plane_polygons(segment(scenes.plane(normal, 1.0).render(camera).depth, camera))
+    return own
+
+
+@pytest.mark.parametrize("sign_y", [1, -1])
+@pytest.mark.parametrize("sign_x", [1, -1])
+@pytest.mark.parametrize("normal", [(0.2, 0.1, -1.0), (0.0, -1.0, -0.2), (1.0, 0.0, -0.1), (-1.0, 0.0, -0.1)])
+def test_axes_and_rings_go_as_the_image_does(
+    normal: tuple[float, float, float], sign_x: int, sign_y: int
+) -> None:
+    camera = replace(CAMERA, fx=sign_x * CAMERA.fx, fy=sign_y * CAMERA.fy)
+    own = seen(normal, camera)
+    centre = own.to_space([own.metric.centroid.coords[0]])
+    middle, right, down = camera.project(np.concatenate([centre, centre + 1e-3 * own.axes]))
+    assert right[0] > middle[0]
+    assert sign_x * sign_y * (down[1] - middle[1]) > 0.0
+    outer = own.rings()[0][0]
+    for ring in (outer, own.corners(), own.corners(own.hull)):
+        assert np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0) @ own.plane[:3] > 0.0
+
+
+def test_rectangle_of_a_hull_with_corners_nearly_on_a_line() -> None:
+    """GEOS 3.14 finds a rectangle without any area around these."""
+    hull = [
+        (1.136811883378852, 2.8547527131767696), (1.7052178250682781, 4.282129069765155),
+        (3.4104356501365563, 8.56425813953031), (6.252465358583686, 15.701139922472233),
+        (23.896908949430458, 17.98647625983212), (18.779086438000665, 8.954937297525753),
+    ]  # fmt: skip
+    metric = shapely.MultiPolygon([shapely.Polygon(hull)])
+    own = replace(seen((0.0, 0.0, -1.0), CAMERA), metric=metric)
+    assert own.rectangle.area == pytest.approx(276.9709262746113)
+    assert own.rectangle.buffer(1e-9).contains(metric)
+
+
+def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
+    depth = scenes.plane((0.0, 0.0, -1.0), 1.0).render(CAMERA).depth
+    found = segment(depth, CAMERA)
+    found.labels[20:24, 20:24] = 0  # 16 pixels
+    found.labels[40:43, 40:45] = 0  # 15
+    (own,) = plane_polygons(found, min_part=16.0)
+    assert len(own.image.geoms[0].interiors) == 1
 
 
 def test_outline_without_simplification_covers_every_pixel() -> None:
