@@ -172,14 +172,15 @@ class Rendering:
 
         Raises
         ------
-        ValueError
-            A share outside 0..1, a negative noise, or, for `quantise`, a camera without units or (disparity)
-            without a raw value that means missing.
+        TypeError, ValueError
+            A share outside 0..1, a negative noise, no number; or, for `quantise`, a camera without units or
+            (disparity) without a raw value that means missing.
         """
         if not number("noise", noise) >= 0.0:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
         check_share("holes", holes)
         check_share("patches", patches)
+        baseline = number("baseline", baseline)
         if not isinstance(seed, np.random.Generator):
             check_whole("seed", seed, 0)
         generator = np.random.default_rng(seed)
@@ -192,7 +193,7 @@ class Rendering:
         if patches > 0.0:
             missing |= _patches(generator, shape, patches)
         if baseline != 0.0:
-            missing |= _shadow(self.camera.tan_x, self.depth, baseline)
+            missing |= _shadow(self.camera, self.depth, baseline)
         depth[missing] = np.nan
         return _to_raw(depth, self.camera) if quantise else depth
 
@@ -223,7 +224,7 @@ def plane(normal: ArrayLike, distance: float) -> Scene:
     direction = np.asarray(normal, dtype=np.float64)
     if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
         raise ValueError(f"normal must be three finite numbers, not all zero, got {normal!r}")
-    if not (np.isfinite(distance) and distance > 0.0):
+    if not number("distance", distance) > 0.0:
         raise ValueError(f"distance must be positive, in metres, got {distance}")
     return Scene((_whole_plane("plane", direction / np.linalg.norm(direction), distance),), np.eye(4))
 
@@ -368,17 +369,19 @@ def _facing_camera(coefficients: Floats) -> Floats:
     return coefficients / (-scale if coefficients[3] < 0.0 else scale)
 
 
-def _shadow(tan_x: Floats, depth: Floats, baseline: float) -> NDArray[np.bool_]:
+def _shadow(camera: Camera, depth: Floats, baseline: float) -> NDArray[np.bool_]:
     """What a projector at X = baseline cannot reach, row by row.
 
-    From there a point is seen at tan_x - baseline / Z. Along a row that grows from left to right, unless
+    From there a point is seen at tan_x - baseline / Z. Along a row that grows from left to right in space, unless
     something nearer, on the projector's side, stands in the light.
     """
-    seen_from_projector = tan_x - baseline / depth
-    if baseline > 0.0:
-        blocking = np.fmin.accumulate(seen_from_projector[:, ::-1], axis=1)[:, ::-1]
-        return seen_from_projector > blocking
-    return seen_from_projector < np.fmax.accumulate(seen_from_projector, axis=1)
+    side = np.sign(baseline)
+    seen_from_projector = side * (camera.tan_x - baseline / depth)
+    from_its_side = np.s_[
+        :, :: -int(side * np.sign(camera.fx))
+    ]  # with a negative fx the image's left is the right
+    blocking = np.fmin.accumulate(seen_from_projector[from_its_side], axis=1)[from_its_side]
+    return np.asarray(seen_from_projector > blocking)
 
 
 def _patches(generator: np.random.Generator, shape: Iterable[int], share: float) -> NDArray[np.bool_]:

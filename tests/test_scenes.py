@@ -184,9 +184,10 @@ def test_shares_of_missing_pixels(share):
         assert (patches[:, 1:] & patches[:, :-1]).mean() > 0.8 * share
 
 
+@pytest.mark.parametrize("fx", [500.0, -500.0])
 @pytest.mark.parametrize("baseline", [0.075, -0.075])
-def test_shadow_is_as_wide_as_the_parallax_and_away_from_the_projector(baseline):
-    camera = small_camera(width=640, height=4, fx=500.0, fy=500.0, cx=319.5, cy=1.5)
+def test_shadow_is_as_wide_as_the_parallax_and_away_from_the_projector(baseline, fx):
+    camera = small_camera(width=640, height=4, fx=fx, fy=500.0, cx=319.5, cy=1.5)
     near, far, left, right = 1.0, 2.5, -0.1003, 0.1003
     sheet = scenes.polygon("sheet", [(left, -1, near), (right, -1, near), (right, 1, near), (left, 1, near)])
     wall = scenes.plane((0.0, 0.0, -1.0), far).surfaces
@@ -197,7 +198,8 @@ def test_shadow_is_as_wide_as_the_parallax_and_away_from_the_projector(baseline)
     assert abs(len(columns) - 500.0 * 0.075 * (1 / near - 1 / far)) <= 1.0
     sheet_columns = np.flatnonzero(rendering.labels[0] == 1)
     # On the side of the sheet that the projector does not see, and touching it.
-    assert (columns[-1] + 1 == sheet_columns[0]) if baseline > 0 else (columns[0] - 1 == sheet_columns[-1])
+    to_the_left = baseline * fx > 0
+    assert (columns[-1] + 1 == sheet_columns[0]) if to_the_left else (columns[0] - 1 == sheet_columns[-1])
     assert (np.diff(columns) == 1).all()
 
 
@@ -241,6 +243,7 @@ def test_quantised_to_the_cameras_units():
         ({"patches": -0.1}, "patches"),
         ({"noise": -1.0}, "noise"),
         ({"noise": np.nan}, "noise"),
+        ({"baseline": np.nan}, "baseline"),
     ],
 )
 def test_measure_refuses_nonsense(options, message):
@@ -270,3 +273,5 @@ def test_impossible_views_and_planes():
         scenes.plane((0, 0, 0), 1.0)
     with pytest.raises(ValueError, match="distance"):
         scenes.plane((0, 0, -1), 0.0)
+    with pytest.raises(TypeError, match="distance as a number, got None"):
+        scenes.plane((0, 0, -1), None)
