@@ -60,8 +60,8 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     Returns
     -------
     Segmentation
-        Labels 1..N in the order of their first pixels. An empty or a formless frame has none. Parts of a plane
-        that something thin in front separates have one label; curved surfaces have none.
+        Labels 1..N in the order of their first pixels, strays aside. An empty or a formless frame has none. Parts of
+        a plane that something thin in front separates have one label; curved surfaces have none.
 
     Raises
     ------
