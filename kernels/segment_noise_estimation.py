@@ -191,4 +191,6 @@ def estimate_noise(pyramid, sigma, growth):
         elif smallest > 0.0:
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
-    return typical, lateral, together_of(pyramid, 3, 1, sigma, typical)
+    # Of squares of 32 pixels; where errors reach far, that is more than within 8.
+    grown = typical * growth[len(growth) - 1] ** 2
+    return typical, lateral, together_of(pyramid, len(growth), 1, sigma, grown)

@@ -53,7 +53,7 @@ class Segmentation:
         strays that go with their neighbours.
     alpha_covariance : (N, 3, 3) float64
         Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
-        pixels as the frame's correlated noise leaves.
+        pixels as the frame's correlated noise leaves, as far as its squares of 32 pixels show that.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64
