@@ -94,19 +94,29 @@ def plot_segments(
 
 
 def _write_numbers(segmentation: Segmentation, axes: Axes) -> None:
-    """Write each large plane's label where the plane is widest along a row and in the middle of its rows."""
+    """Write each large plane's label where most of the plane is around it."""
+    from scipy.ndimage import find_objects
+
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)
-    rows, columns = np.nonzero(labels)
-    order = np.argsort(labels[rows, columns], kind="stable")
-    bounds = np.concatenate([[0], np.cumsum(segmentation.sizes)])
-    for i in np.flatnonzero(segmentation.sizes >= least):
-        own = order[bounds[i] : bounds[i + 1]]
-        row = int(np.median(rows[own]))
-        in_row = columns[own][rows[own] == row]
-        if not in_row.size:
+    for i, box in enumerate(find_objects(labels)):
+        if segmentation.sizes[i] < least:
             continue
+        row, column = _middle(labels[box] == i + 1)
         axes.text(
-            float(np.median(in_row)), row, str(i + 1), ha="center", va="center", fontsize=7, color="black",
+            box[1].start + column, box[0].start + row, str(i + 1),
+            ha="center", va="center", fontsize=7, color="black",
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.6, "linewidth": 0},
         )  # fmt: skip
+
+
+def _middle(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    """Row and column of the pixel of a mask around which most of it is; its small holes do not matter."""
+    from scipy.ndimage import gaussian_filter
+
+    step = max(1, int(np.count_nonzero(mask) ** 0.5 / 16))  # leaves some 256 pixels, which is fine enough
+    step = step if mask[::step, ::step].any() else 1
+    thin = mask[::step, ::step]
+    around = np.where(thin, gaussian_filter(thin.astype(np.float64), 4.0, mode="constant"), 0.0)
+    row, column = np.unravel_index(np.argmax(around), around.shape)
+    return int(row) * step, int(column) * step

@@ -540,6 +540,11 @@ def test_plot_draws(room):
     assert f"{len(found)} planes" in axes.get_title()
     assert axes.get_xlabel().startswith("grey: on no plane")
     assert len(axes.images) == 1
+    for text in axes.texts:
+        label, (column, row) = int(text.get_text()), np.rint(text.get_position()).astype(int)
+        around = found.labels[max(row - 10, 0) : row + 11, max(column - 10, 0) : column + 11]
+        assert found.labels[row, column] == label
+        assert found.sizes[label - 1] < 5000 or (around == label).mean() > 0.7
 
 
 def test_real_frames(real_frame):
