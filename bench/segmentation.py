@@ -30,6 +30,7 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
+    segment_inside,
     segment_labels,
     segment_parts,
     segment_quadtree,
@@ -56,6 +57,8 @@ TABLES = (
 )
 
 FOLDS = 4
+
+CHANCE = 11.34  # a chi-square of three degrees of freedom is larger in one case of a hundred
 
 # One at a time around the default, for the cross-validation to choose from.
 SETTINGS = (
@@ -301,6 +304,7 @@ STAGES = {
     "runs": (segment_runs, ("find_runs",)),
     "parts": (segment_parts, ("measure_parts", "judge_parts")),
     "gaps": (segment_gaps, ("find_coplanar", "join_across")),
+    "inside": (segment_inside, ("inside_moments",)),
     "labels": (segment_labels, ("label_runs", "write_labels", "settle_strays")),
 }
 
@@ -415,9 +419,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def report_planes(name: str, frames: Sequence[Frame]) -> None:
-    """Errors of the planes that were found, against the rendered ones."""
+    """Errors of the planes that were found, against the rendered ones, and against what they should be."""
     angles: list[float] = []
     offsets: list[float] = []
+    squares: list[float] = []  # of errors of α in their covariance
     for frame in frames:
         assert frame.planes is not None
         found = segment(frame.depth, frame.camera)
@@ -425,10 +430,15 @@ def report_planes(name: str, frames: Sequence[Frame]) -> None:
         errors = plane_errors(found.planes[own - 1], frame.planes[truth - 1])
         angles += errors.angle_deg.tolist()
         offsets += np.abs(errors.offset).tolist()
+        d = frame.planes[truth - 1, 3:]
+        alpha = (found.alpha[own - 1] + frame.planes[truth - 1, :3] / d)[..., None]
+        covariance = found.alpha_covariance[own - 1]
+        squares += (alpha.mT @ np.linalg.solve(covariance, alpha)).ravel().tolist()
     angle, offset = (np.quantile(values, (0.5, 0.9)) for values in (angles, 1e3 * np.array(offsets)))
     print(
         f"{name}: {len(angles)} planes, angle median {angle[0]:.3f}°, 90 % {angle[1]:.3f}°; "
-        f"offset median {offset[0]:.2f} mm, 90 % {offset[1]:.2f} mm"
+        f"offset median {offset[0]:.2f} mm, 90 % {offset[1]:.2f} mm; squared errors in their covariance: median "
+        f"{np.median(squares):.2f} (χ²: 2.37), {np.mean(np.array(squares) > CHANCE):.0%} beyond what 1 % would be"
     )
 
 

@@ -8,6 +8,8 @@ precision the cancellation this costs is far below any sensor's noise: 1e-8 of t
 
 import math
 
+import numpy as np
+
 from ._jit import kernel
 
 # Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
@@ -80,6 +82,7 @@ def misfit(m, i, alpha, region):
 @kernel(inline=True)
 def add(m, u, v, q):
     """Add a pixel to moments."""
+    q = np.float64(q)  # the square of a single has the digits of a single
     m[0] += 1.0
     m[1] += u
     m[2] += v

@@ -59,7 +59,7 @@ def covariance_of(m, variance, covariance):
 
 
 @kernel()
-def describe_planes(moments, alpha, rss, deviation, together, planes, covariance, rmse, sizes):
+def describe_planes(moments, alpha, rss, deviation, together, planes, covariance, rmse):
     """Describe the planes.
 
     Parameters
@@ -72,13 +72,9 @@ def describe_planes(moments, alpha, rss, deviation, together, planes, covariance
     covariance : (N, 3, 3) float64, written
         Of α: from the residual or the noise, whichever is larger.
     rmse : (N,) float64, written
-    sizes : (N + 1,) int32, written
-        Pixels; of none, 0.
     """
-    sizes[0] = 0
     for i in range(len(moments)):
         n = moments[i, 0]
-        sizes[i + 1] = int(n)
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
         variance = together * max(rss[i] / max(n - 3.0, 1.0), deviation[i] ** 2)
         covariance_of(moments[i], variance, covariance[i])

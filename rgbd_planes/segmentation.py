@@ -14,6 +14,7 @@ from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
+    segment_inside,
     segment_labels,
     segment_merge,
     segment_parts,
@@ -169,16 +170,18 @@ def _result(
         found = int(number.max())
         segment_labels.label_runs(runs, number)
     moments, alpha, rss = moments[:found], alpha[:found], rss[:found]
-    planes, covariance = np.empty((found, 4)), np.empty((found, 3, 3))
-    rmse, sizes = np.empty(found), np.empty(found + 1, np.int32)
-    segment_planes.describe_planes(
-        moments, alpha, rss, deviation, noise.together, planes, covariance, rmse, sizes
-    )
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_labels.write_labels(
         runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
     )
+    inside = np.empty((found, 10))
+    segment_inside.inside_moments(labels, inverse_depth, rays, moments, inside)
+    segment_planes.fit_planes(inside, alpha, rss)
+    planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
+    segment_planes.describe_planes(inside, alpha, rss, deviation, noise.together, planes, covariance, rmse)
+    sizes = np.zeros(found + 1, np.int32)
+    sizes[1:] = moments[:, 0]
     segment_labels.settle_strays(
         runs, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
     )

@@ -49,15 +49,16 @@ class Segmentation:
     planes : (N, 4) float64
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
-        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label, but for
-        strays that go with their neighbours.
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label whose
+        measured neighbours, of eight, have it too: at an edge a pixel may see both sides, or be the other's. To
+        all of them where those are less than half. Strays that go with their neighbours are in no fit.
     alpha_covariance : (N, 3, 3) float64
         Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
         pixels as the frame's correlated noise leaves, as far as its squares of 32 pixels show that.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64
-        Root mean square residual in inverse depth, 1/m.
+        Root mean square residual in inverse depth, 1/m, of the pixels of the fit.
     reason : (H, W) uint8
         `Reason`.
     sigma : float

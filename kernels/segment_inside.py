@@ -1,0 +1,81 @@
+"""Segmentation, last stage: the pixels that are surely their plane's own.
+
+Along its edge each pixel went to the plane that it fits. So a plane gets some of its neighbour's there and loses some
+of its own, and a sensor's pixel may see both: that shifts planes by more than noise does. In the end they are
+fitted to the pixels whose neighbours are theirs, too.
+"""
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_moments import add, residual
+
+# Where a label cannot be: beyond the frame, and where nothing is measured.
+BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
+# Flags that are looked at together.
+WORD = 8
+# The least share of a plane's pixels that it is fitted to.
+ENOUGH = 0.5
+
+
+@kernel()
+def find_edges(label, inverse_depth, y, most, least, edge):
+    """Mark the pixels of row ``y`` that have a label, and beside them a measured one that has another, or none.
+
+    ``most`` and ``least`` (W + 2,) int32 are room to work in, their first and last BELOW and ABOVE; ``edge`` (W,)
+    bool is written.
+    """
+    height, width = label.shape
+    above, below = max(y - 1, 0), min(y + 1, height - 1)
+    a, b, c = label[above], label[y], label[below]
+    q_a, q_b, q_c = inverse_depth[above], inverse_depth[y], inverse_depth[below]
+    for x in range(width):
+        high = max(a[x] if q_a[x] > 0.0 else BELOW, b[x] if q_b[x] > 0.0 else BELOW)
+        low = min(a[x] if q_a[x] > 0.0 else ABOVE, b[x] if q_b[x] > 0.0 else ABOVE)
+        most[x + 1] = max(high, c[x] if q_c[x] > 0.0 else BELOW)
+        least[x + 1] = min(low, c[x] if q_c[x] > 0.0 else ABOVE)
+    for x in range(width):
+        high = max(most[x], most[x + 1], most[x + 2])
+        low = min(least[x], least[x + 1], least[x + 2])
+        edge[x] = (b[x] > 0) & ((high != b[x]) | (low != b[x]))
+
+
+@kernel()
+def inside_moments(label, inverse_depth, rays, moments, inside):
+    """Moments of the pixels of each label whose eight neighbours have it, but for those that are not measured.
+
+    Parameters
+    ----------
+    label : (H, W) int32
+        0 for none.
+    inverse_depth : (H, W) float32
+    rays : Rays
+    moments : (N, 10) float64
+        Of all pixels of labels 1..N.
+    inside : (N, 10) float64, written
+        ``moments`` again, where too few would be left, or such as determine no plane.
+    """
+    height, width = label.shape
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    most, least = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
+    most[0] = most[-1] = BELOW
+    least[0] = least[-1] = ABOVE
+    edge = np.zeros(-(-width // WORD) * WORD, np.bool_)
+    words = edge.view(np.uint64)
+    inside[:] = 0.0  # at first the sums over the edges
+    for y in range(height):
+        find_edges(label, inverse_depth, y, most, least, edge[:width])
+        for i in range(len(words)):
+            if words[i] == 0:
+                continue
+            for x in range(i * WORD, (i + 1) * WORD):
+                if edge[x]:
+                    u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
+                    add(inside[label[y, x] - 1], u, v, inverse_depth[y, x])
+    for k in range(len(moments)):
+        for j in range(10):
+            inside[k, j] = moments[k, j] - inside[k, j]
+        if inside[k, 0] < ENOUGH * moments[k, 0] or residual(inside[k]) < 0.0:
+            for j in range(10):
+                inside[k, j] = moments[k, j]
