@@ -20,6 +20,7 @@ MOST_MISSING = 0.1
 FEWEST_WINDOWS = 16
 _BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
 _CLUTTERED = 4.0  # and over those of other windows
+_STRETCH = 0.25  # of logarithms of residuals, in which what is usual is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,8 @@ def flat_windows(
         return flat
     ratio = np.log(residual[usable] / local[usable])
     level = np.log(residual[usable])
-    usable[usable] = (ratio < _mode(ratio) + np.log(_BENT)) & (level < _mode(level) + np.log(_CLUTTERED))
+    alike = ratio < _mode(ratio) + np.log(_BENT)
+    usable[usable] = alike & (level < np.median(level[alike]) + np.log(_CLUTTERED))
     flat[good] = usable
     return flat
 
@@ -169,10 +171,8 @@ def bins_of(q: Float, smallest: int) -> list[npt.NDArray[np.intp]]:
 
 
 def _mode(values: Float) -> float:
-    """Half-sample mode: the middle of the densest half of the densest half ... (Robertson and Cryer 1974)."""
+    """The mean of the densest stretch: what is flat lies close together, however much clutter is spread around it."""
     values = np.sort(values)
-    while len(values) > 3:
-        half = (len(values) + 1) // 2
-        start = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))
-        values = values[start : start + half]
-    return float(np.mean(values))
+    stops = np.searchsorted(values, values + _STRETCH, side="right")
+    start = int(np.argmax(stops - np.arange(len(values))))
+    return float(np.mean(values[start : stops[start]]))

@@ -81,12 +81,14 @@ def test_finds_the_noise_again(truth, rng):
     assert np.mean(rejected) < 0.03
 
 
-def test_independent_noise_of_small_frames_is_no_floor():
-    """Hardly a window of 48 pixels is of one plane there: edges are not what is usual of them."""
-    camera = rp.Camera(256, 192, 210.0, 210.0, 127.5, 95.5, depth_scale=1000.0)
-    seen = [rp.scenes.room(*view).render(camera).measure(seed=i) for i, view in enumerate(VIEWS)]
+@pytest.mark.parametrize(("width", "height", "focal"), [(256, 192, 210.0), (160, 120, 131.0)])
+def test_independent_noise_of_small_frames_stays_independent(width, height, focal):
+    """Most of their windows of 48 pixels have edges, in the smaller ones most of 24: these are not what is usual."""
+    camera = rp.Camera(width, height, focal, focal, width / 2 - 0.5, height / 2 - 0.5, depth_scale=1000.0)
+    views = VIEWS if width > 200 else [((0.1 * i, -1.5, -0.2), (0.5 - 0.1 * i, -0.8, 2.6)) for i in range(12)]
+    seen = [rp.scenes.room(*view).render(camera).measure(seed=i) for i, view in enumerate(views)]
     model = rp.estimate_noise(seen, camera)
-    assert model.floor < 0.5
+    assert model.floor < 0.7
     np.testing.assert_allclose(model.sigma([0.3, 0.5]), rp.noise.kinect_v1().sigma([0.3, 0.5]), rtol=0.15)
 
 
