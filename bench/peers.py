@@ -216,7 +216,7 @@ def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
         out = fitter.fit_batch(many)
         batches[f"fit_batch {threads}"] = lambda fitter=fitter, out=out: fitter.fit_batch(many, out=out)
         batches[f"floor {threads}"] = floor_of_batch(many, threads)
-    by_threads = take_turns(batches, max(5, repeats // 4))
+    by_threads = take_turns(batches, repeats)
 
     one = rp.TileFitter(case().camera, 20, num_threads=1)
     kept = one.fit(case().depth)
