@@ -87,7 +87,8 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
 
 def _given(noise: Any) -> Given:
     if callable(getattr(noise, "sigma", None)):  # a noise model
-        return Given(noise.sigma, float(getattr(noise, "lateral", 0.0)), at_large=True)
+        statistics = None if getattr(noise, "is_independent", True) else noise.statistics
+        return Given(noise.sigma, float(getattr(noise, "lateral", 0.0)), True, statistics)
     if noise is None or callable(noise):
         return Given(noise)
     if not isinstance(noise, (int, float, np.number)):
@@ -127,7 +128,7 @@ def segment_frame(
     segment_shape.find_curved(
         region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
     )
-    return _result(camera, rays, work, number, planes, sums, curved, noise, min_size, rules)
+    return _result(camera, rays, work, number, planes, sums, curved, noise, given, min_size, rules)
 
 
 def _result(
@@ -139,6 +140,7 @@ def _result(
     sums: Sums,
     curved: NDArray[np.bool_],
     noise: Noise,
+    given: Given,
     min_size: int,
     rules: Rules,
 ) -> Segmentation:
@@ -179,7 +181,9 @@ def _result(
     segment_inside.inside_moments(labels, inverse_depth, rays, moments, inside)
     segment_planes.fit_planes(inside, alpha, rss)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
-    segment_planes.describe_planes(inside, alpha, rss, deviation, noise.together, planes, covariance, rmse)
+    segment_planes.describe_planes(
+        inside, alpha, rss, deviation, noise.together, given.of_planes(inside), planes, covariance, rmse
+    )
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]
     segment_labels.settle_strays(

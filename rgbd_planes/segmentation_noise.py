@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
+from rgbd_planes.residual_statistics import ResidualStatistics
 
 Floats = NDArray[np.float64]
 
@@ -33,11 +34,24 @@ class Given(NamedTuple):
         Standard deviation, in pixels, of where within its pixel a measurement lies; 0 if it is not known.
     at_large : bool
         ``sigma`` is a sensor's: some of it may be errors that neighbours share.
+    statistics : callable, optional
+        What such errors do to planes, where that is known: `NoiseModel.statistics`.
     """
 
     sigma: Callable[[Floats], Floats] | None = None
     lateral: float = 0.0
     at_large: bool = False
+    statistics: Callable[[Floats], ResidualStatistics] | None = None
+
+    def of_planes(self, moments: Floats) -> Floats:
+        """(2, N) float64: the least variance of a pixel that makes slopes, and mean inverse depths, so uncertain.
+
+        By the moments of the planes' pixels, (N, 10). 0 where nothing is known of shared errors.
+        """
+        if self.statistics is None or self.sigma is None:
+            return np.zeros((2, len(moments)))
+        made = self.statistics(moments[:, 0])
+        return np.asarray(self.sigma(moments[:, 3] / moments[:, 0]) ** 2 * np.stack([made.tilt, made.offset]))
 
 
 def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given) -> Noise:

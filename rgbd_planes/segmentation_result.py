@@ -54,7 +54,8 @@ class Segmentation:
         all of them where those are less than half. Strays that go with their neighbours are in no fit.
     alpha_covariance : (N, 3, 3) float64
         Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
-        pixels as the frame's correlated noise leaves, as far as its squares of 32 pixels show that.
+        pixels as the frame's correlated noise leaves, as far as its squares of 32 pixels show that. With a noise
+        model of correlated errors no less than what those make.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64

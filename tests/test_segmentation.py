@@ -515,6 +515,24 @@ def test_covariance_of_correlated_noise_is_honest(pixels, most):
     assert 0.4 < np.mean(errors) < most
 
 
+def test_a_models_slow_waves_are_in_the_covariance():
+    # Errors that reach over 20 pixels: squares of 32 show little of them, a model that knows them says so.
+    rng = np.random.default_rng(19)
+    truth = np.array([0.1, 0.0, 0.6])
+    model = NoiseModel(
+        (1e-3,), correlation=((1.0, 10.0 * 2.0**0.5),)
+    )  # of noise that is smoothed over 10 pixels
+    errors = []
+    for _ in range(25):
+        noise = gaussian_filter(rng.normal(size=CAMERA.shape), 10.0)
+        q = truth[0] * CAMERA.tan_x + truth[2] + 1e-3 * noise / noise.std()
+        found = segment(1.0 / q, CAMERA, noise=model)
+        assert len(found) == 1
+        error = found.alpha[0] - truth
+        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
+    assert 0.4 < np.mean(errors) < 2.0
+
+
 def test_plane_covariance_is_that_of_alpha_carried_over(room):
     found = segment(room[1], CAMERA)
 
