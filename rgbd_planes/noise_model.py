@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import number, numbers
 from rgbd_planes.residual_statistics import ResidualStatistics, square_statistics
+from rgbd_planes.wording import two_digits
 
 Floats = NDArray[np.float64]
 
@@ -20,11 +21,6 @@ _ENTRIES, _LARGEST = 8192, 20.0
 
 KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
-
-
-def two_digits(value: float) -> str:
-    """A number to two digits, 110 where the format .2g has 1.1e+02."""
-    return f"{float(f'{value:.2g}'):g}"
 
 
 @dataclass(frozen=True, repr=False)

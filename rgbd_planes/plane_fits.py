@@ -13,7 +13,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import statistics
-from rgbd_planes.noise_model import two_digits
+from rgbd_planes.wording import two_digits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,6 +19,7 @@ from rgbd_planes.merging import merge
 from rgbd_planes.plane_fits import TileStatus, allocate
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.windows import WindowPlanes
+from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,8 +74,8 @@ class QuadtreeSegmentation:
         return labels
 
     def __repr__(self) -> str:
-        elements = f"{len(self.elements.windows)} elements, {self.elements._summary()}"
-        return f"<QuadtreeSegmentation: {len(self.planes)} planes of {elements}>"
+        elements = f"{counted(len(self.elements.windows), 'element')}, {self.elements._summary()}"
+        return f"<QuadtreeSegmentation: {counted(len(self.planes), 'plane')} of {elements}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""

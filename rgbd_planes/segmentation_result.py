@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.tile_grid import common_labels
+from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -83,7 +84,7 @@ class Segmentation:
     def __repr__(self) -> str:
         height, width = self.labels.shape
         share = f"{self.share:.0%} of the measured pixels"
-        return f"<Segmentation: {len(self)} planes, {share} of {height} x {width}>"
+        return f"<Segmentation: {counted(len(self), 'plane')}, {share} of {height} x {width}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""

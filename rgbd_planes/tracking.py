@@ -14,6 +14,7 @@ from rgbd_planes.checks import check_camera, check_whole
 from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation import SMALLEST, segment
 from rgbd_planes.segmentation_result import Segmentation
+from rgbd_planes.wording import counted
 
 SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
 TURNED = 20.0  # degrees between them, at most
@@ -37,7 +38,9 @@ class TrackedSegmentation:
     ids: NDArray[np.int32]
 
     def __repr__(self) -> str:
-        return f"<TrackedSegmentation: {len(self.ids)} planes, newest id {self.ids.max(initial=0)}>"
+        return (
+            f"<TrackedSegmentation: {counted(len(self.ids), 'plane')}, newest id {self.ids.max(initial=0)}>"
+        )
 
     @property
     def labels(self) -> NDArray[np.int32]:

@@ -15,6 +15,7 @@ from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, WindowMoments, solve_planes, valid_needed
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
+from rgbd_planes.wording import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,7 +42,7 @@ class WindowPlanes(PlacedFits):
 
     @property
     def _title(self) -> str:
-        return f"{len(self.windows)} windows"
+        return counted(len(self.windows), "window")
 
 
 def fit_windows(

@@ -1,0 +1,11 @@
+"""How results say numbers."""
+
+
+def two_digits(value: float) -> str:
+    """A number to two digits, 110 where the format .2g has 1.1e+02."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def counted(count: int, what: str) -> str:
+    """So many of something, whose plural ends in s."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
