@@ -8,6 +8,7 @@ fitted to the pixels whose neighbours are theirs, too.
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_moments import add, residual
 
 # Where a label cannot be: beyond the frame, and where nothing is measured.
@@ -77,5 +78,4 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
         for j in range(10):
             inside[k, j] = moments[k, j] - inside[k, j]
         if inside[k, 0] < ENOUGH * moments[k, 0] or residual(inside[k]) < 0.0:
-            for j in range(10):
-                inside[k, j] = moments[k, j]
+            copy(moments[k], inside[k])

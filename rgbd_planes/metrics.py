@@ -25,9 +25,8 @@ class HooverCounts:
     under_segmented: int
     missed: int
     noise: int
-    correct_pairs: NDArray[np.int64] = field(
-        repr=False
-    )  # (correct, 2): label of the truth, label of the prediction
+    # (correct, 2): label of the truth, label of the prediction
+    correct_pairs: NDArray[np.int64] = field(repr=False)
     missed_labels: NDArray[np.int64] = field(repr=False)  # of the truth
     noise_labels: NDArray[np.int64] = field(repr=False)  # of the prediction
 

@@ -377,9 +377,8 @@ def _shadow(camera: Camera, depth: Floats, baseline: float) -> NDArray[np.bool_]
     """
     side = np.sign(baseline)
     seen_from_projector = side * (camera.tan_x - baseline / depth)
-    from_its_side = np.s_[
-        :, :: -int(side * np.sign(camera.fx))
-    ]  # with a negative fx the image's left is the right
+    # With a negative fx the image's left is the right.
+    from_its_side = np.s_[:, :: -int(side * np.sign(camera.fx))]
     blocking = np.fmin.accumulate(seen_from_projector[from_its_side], axis=1)[from_its_side]
     return np.asarray(seen_from_projector > blocking)
 

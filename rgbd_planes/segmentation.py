@@ -88,7 +88,8 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
 def _given(noise: Any) -> Given:
     if callable(getattr(noise, "sigma", None)):  # a noise model
         statistics = None if getattr(noise, "is_independent", True) else noise.statistics
-        return Given(noise.sigma, float(getattr(noise, "lateral", 0.0)), True, statistics)
+        lateral = float(getattr(noise, "lateral", 0.0))
+        return Given(noise.sigma, lateral, at_large=True, statistics=statistics)
     if noise is None or callable(noise):
         return Given(noise)
     if not isinstance(noise, (int, float, np.number)):
