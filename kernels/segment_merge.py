@@ -132,12 +132,14 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 
     Two things speak against it: the rise Δ of the sum of squared residuals, per pixel of the smaller region,
     and a jump from one plane to the other where the regions touch. A sensor's bias bends a plane, which
-    makes Δ and no jump; two parallel planes make a jump before they make much Δ.
+    makes Δ and no jump; two parallel planes make a jump before they make much Δ. And a small region may be a crest
+    of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
     """
     alpha, rss, noise, waves = described
     pairs, where, _ = contacts
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
-    m = np.empty((17, TOGETHER))  # joint moments; smaller, touch, step, rss, noise, waves; what comes out
+    crest = tolerance * rules.region_crest
+    m = np.empty((18, TOGETHER))  # joint moments; smaller, touch, step, rss, noise, waves; what comes out
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
         for i in range(number):
@@ -154,17 +156,17 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
             )
             m[13, i] = rss[a] + rss[b]
             m[14, i] = min(noise[a], noise[b])
-            m[15, i] = min(waves[a], waves[b])
+            m[15, i], m[16, i] = min(waves[a], waves[b]), max(waves[a], waves[b])
         for i in range(number):
-            smaller, step, calm = m[10, i], m[12, i] / m[11, i], m[15, i]
-            jumped = step * step / (jump * jump * calm + 8.0 * spread / smaller)
+            smaller, step, calm, least = m[10, i], m[12, i] / m[11, i], m[15, i], crest * crest * m[16, i]
+            jumped = step * step / (max(jump * jump * calm, least) + 8.0 * spread / smaller)
             together, _, _, _ = solve(
                 m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
             )
-            rise = max(together - m[13, i], 0.0) / (floor * floor * calm * smaller + spread)
-            m[16, i] = max(jumped, rise) / m[14, i]
+            rise = max(together - m[13, i], 0.0) / (max(floor * floor * calm, least) * smaller + spread)
+            m[17, i] = max(jumped, rise) / m[14, i]
         for i in range(number):
-            cost[start + i] = m[16, i]
+            cost[start + i] = m[17, i]
 
 
 @kernel(inline=True)
@@ -247,9 +249,11 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     noise : Noise
     rules : Rules
         A pair agrees if Δ is at most σ² (floor² · waviness² · n + spread), and the jump at most about
-        jump · waviness · σ; n is the smaller region's pixels and σ² the smaller of the two variances.
+        jump · waviness · σ; n is the smaller region's pixels, the waviness is its own, and σ² the smaller of the two
+        variances. In place of both floor · waviness and jump · waviness is crest times the larger region's waviness,
+        if that is more.
     tolerance : float
-        What ``region_floor`` and ``region_jump`` are multiplied by.
+        What ``region_floor``, ``region_jump`` and ``region_crest`` are multiplied by.
     parent : (N,) int64, written
         The region that each one went into.
     """

@@ -21,7 +21,7 @@ STEEP = 4.0  # where a squared slope is this many variances, its part of the res
 FLAT = 4.0  # variances of a square that holds one surface
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
-MOST_GROWTH = 3.0
+MOST_GROWTH = 8.0
 
 
 @kernel()

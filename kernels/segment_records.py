@@ -23,6 +23,7 @@ class Rules(NamedTuple):
     square_spread: float = 30.0
     region_floor: float = 4.5  # when two regions are one plane: see `merge`
     region_jump: float = 6.0
+    region_crest: float = 3.0
     region_spread: float = 30.0
     reach: float = 8.0  # deviations within which a region contends for a pixel
     close: float = 3.0  # deviations within which two planes meet

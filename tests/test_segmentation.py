@@ -322,6 +322,18 @@ def test_a_sensors_noise_costs_no_planes_where_neighbours_share_their_errors(pix
     assert correct(2e-3) < correct(None)  # a number is taken at its word
 
 
+@pytest.mark.parametrize("pixels", [2.5, 4.0])
+def test_crests_of_far_reaching_errors_are_no_planes(pixels):
+    # A crest is flatter than any square of 8 pixels says of noise, and stands out by several times as much.
+    rendering = empty_room().render(CAMERA)
+    for seed in range(3):
+        noise = gaussian_filter(np.random.default_rng(seed).standard_normal(CAMERA.shape), pixels)
+        depth = np.rint(1000.0 / (1.0 / rendering.depth + 2e-3 * noise / noise.std())).astype(np.uint16)
+        found = segment(depth, CAMERA)
+        assert compare_labels(found.labels, rendering.labels).hoover(0.8).correct == 6
+        assert len(found) <= 7
+
+
 def test_a_model_counts_where_a_frame_shows_no_noise():
     # Rounding to coarse steps leaves most squares of a slanted wall without any residual.
     q = np.broadcast_to(0.6 + 0.1 * CAMERA.tan_x, CAMERA.shape)
