@@ -189,6 +189,23 @@ def test_rerun(depth, tiles, tmp_path):
     np.testing.assert_array_equal(image, (depth.ravel() / 1000).astype(np.float32))
 
 
+def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
+    """A frame is the same picture whatever its camera's signs; rerun has no pinhole with negative ones."""
+    pytest.importorskip("rerun")
+    recorded = []
+    for sign in (1.0, -1.0):
+        camera = rp.Camera(80, 60, sign * 65.0, sign * 66.0, 39.5, 29.5, depth_scale=1000.0)
+        sequence = FrameSequence([FrameEntry("0", 0.0, camera, 0)], [depth].__getitem__)
+        recording.record(sequence, tmp_path / "planes.rrd", (12, 16))
+        recorded.append(columns_of(tmp_path / "planes.rrd"))
+    plain, mirrored = recorded
+    for key in (("/planes/outlines", "LineStrips3D:strips"), ("/planes/normals", "Arrows3D:vectors")):
+        np.testing.assert_allclose(mirrored[key], plain[key], rtol=1e-4, atol=1e-5)
+    colours = [one["/planes/normals", "Arrows3D:colors"] for one in recorded]
+    levels = [np.array(one, np.uint32).view(np.uint8).astype(int) for one in colours]
+    np.testing.assert_allclose(levels[1], levels[0], atol=1)
+
+
 def test_what_cannot_be_exported(tiles, depth, tmp_path, monkeypatch):
     batch = rp.TileFitter(CAMERA).fit_batch([depth, depth])
     with pytest.raises(ValueError, match=r"got a batch of shape \(2, 4, 5\): take tiles\[i\]"):

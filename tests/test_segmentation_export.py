@@ -242,6 +242,20 @@ def test_rerun(depth, tmp_path, monkeypatch):
         assert np.array_equal(np.array(read[0], np.uint8).view(np.uint16), expected.ravel())
 
 
+def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
+    pytest.importorskip("rerun")
+    pytest.importorskip("shapely")
+    recorded = []
+    for sign in (1.0, -1.0):
+        camera = replace(CAMERA, fx=sign * 131.0, fy=sign * 131.0)
+        sequence = FrameSequence([FrameEntry("0", 0.0, camera, 0)], [depth].__getitem__)
+        recording.record_segments(sequence, tmp_path / "planes.rrd")
+        recorded.append(columns_of(tmp_path / "planes.rrd")["/planes/outlines", "LineStrips3D:strips"][0])
+    assert len(recorded[0]) >= 3
+    for plain, mirrored in zip(*recorded, strict=True):
+        np.testing.assert_allclose(mirrored, plain, rtol=1e-4, atol=1e-5)
+
+
 def test_labels_that_16_bits_cannot_hold(depth, tmp_path):
     many = replace(segment(depth, CAMERA), planes=np.zeros((65536, 4)))
     with pytest.raises(ValueError, match="at most 65535 planes, which 16 bits can tell apart, got 65536"):
