@@ -1,6 +1,7 @@
 """Where in the image a sensor bends what is flat: its bias, from all the planes that frames show large."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ CELL = 8
 """Side in pixels of the cells of the flatness map."""
 _TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
 _LARGE = 60
+_BIAS, _BIAS_LENGTH = 1.0, 48.0  # that is expected, in standard deviations of a pixel, and in pixels
 _STEPS = 300
 
 
@@ -34,11 +36,13 @@ def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, Index]:
     shape = -(-camera.height // CELL), -(-camera.width // CELL)
     cells = shape[0] * shape[1]
     cell_of = (np.arange(camera.height) // CELL * shape[1])[:, None] + np.arange(camera.width) // CELL
-    fitter = TileFitter(camera, _TILE, significance=1e-3)
-    numbers = np.zeros(cells, np.int64)
-    planes, parts = 0, []
     noise = camera.noise
     assert noise is not None
+    # Without it what the bias bends most would be no plane, and the map empty there.
+    wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
+    fitter = TileFitter(replace(camera, noise=wavy), _TILE, significance=1e-3)
+    numbers = np.zeros(cells, np.int64)
+    planes, parts = 0, []
     # Errors that the pixels of a cell share are one error of the cell.
     together = max(float(noise.statistics(CELL * CELL).offset) / (1.0 + noise.floor**2), 1.0)
     for depth in frames:

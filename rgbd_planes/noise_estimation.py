@@ -46,6 +46,8 @@ LATERALS = np.linspace(0.0, 1.2, 25)
 """Candidates for the lateral error, in pixels."""
 _TAIL = 0.95  # quantile at which the spread is matched: above are also tiles that are not flat
 _EXACT = 1e-9  # residuals below this share of 1/Z are rounding errors of float64
+_INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
+_EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
@@ -175,7 +177,9 @@ def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int)
 def _fit_reach(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
     """How the variance is shared out over correlation lengths, from how residuals and slopes change with size.
 
-    By least squares of errors relative to what is seen, no share below 0.
+    By least squares of errors relative to what is seen and to what chance makes of it, no share below 0. There is a
+    floor only if that brings the model nearer by more than chance would: of tiles smaller than its length little of it
+    shows, and to explain little it would have to be large.
     """
     from scipy.optimize import nnls
 
@@ -184,29 +188,35 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
     small = sizes[sizes <= window // 2]
     typical = [some.typical(model) for some in samples.values()]
     values, seen = np.array([*typical, *(samples[size].typical_tilt(model) for size in small)]).T
-    best = None
-    for floor_length in FLOOR_LENGTHS:
-        if 2 * floor_length > sizes.max() and best is not None:
-            continue
-        parts = [(0.0, 0.0), *((1.0, length) for length in (*LENGTHS, floor_length))]
+    # Of medians of residuals and of squared slopes, which are distributed as χ²(2). The spread is all sizes' alike.
+    counts = np.array([len(some.count) for some in samples.values()])
+    of_one = np.append(1.25 * np.sqrt(2.0 / (sizes**2 - 3.0)), np.full(len(small), 1.0 / np.log(2.0)))
+    chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
+    scale = seen * np.hypot(chance, _INEXACT)
+
+    def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Float]:
         terms = [np.append(_per_pixel(part, sizes), _tilts(part, small, window)) for part in parts]
-        relative = np.stack(terms, axis=1) / seen[:, None]
-        shares = np.asarray(nnls(relative, values / seen, maxiter=1000)[0])
-        error = float(np.sum((relative @ shares - values / seen) ** 2))
-        if best is None or error < 0.999 * best[0]:
-            best = error, floor_length, shares
-    assert best is not None
-    _, floor_length, shares = best
+        shares, distance = nnls(np.stack(terms, axis=1) / scale[:, None], values / scale, maxiter=1000)
+        return distance**2, np.asarray(shares)
+
+    random_parts = [(0.0, 0.0), *((1.0, length) for length in LENGTHS)]
+    error, shares = shared_out(random_parts)
+    shares, floor_length = np.append(shares, 0.0), FLOOR_LENGTHS[0]
+    error -= _EVIDENT
+    for length in FLOOR_LENGTHS:
+        if 2 * length <= max(sizes.max(), 2 * FLOOR_LENGTHS[0]):
+            with_floor, candidate = shared_out([*random_parts, (1.0, length)])
+            if with_floor < error:
+                error, shares, floor_length = with_floor, candidate, length
     shares[0] += 1e-9  # where all is lateral error and rounding
     random = float(shares[:-1].sum())
     if random < 0.02 * shares.sum():  # all of it smooth: keep the model one of random errors
         shares[0] += 0.02 * shares.sum()
         random = float(shares[:-1].sum())
     # σq is that of the random error.
-    scale = np.sqrt(random)
     return replace(
         model,
-        samples=tuple((q, scale * sigma) for q, sigma in model.samples or ()),
+        samples=tuple((q, np.sqrt(random) * sigma) for q, sigma in model.samples or ()),
         correlation=tuple(
             (float(share / random), length)
             for share, length in zip(shares[1:-1], LENGTHS, strict=True)

@@ -18,7 +18,9 @@ REFERENCE = 12
 MOST_MISSING = 0.1
 """Share of the pixels of a tile."""
 FEWEST_WINDOWS = 16
-_BENT = 1.6  # how many times the usual a window's residual may be, over those of its parts
+# How many times the usual a window's residual may be over those of its parts, at least and at most.
+_BENT = 1.02, 1.6
+_DEVIATIONS = 5.0  # and, in between, how many times as far above the usual as the smaller ones are below
 _CLUTTERED = 4.0  # and over those of other windows
 _STRETCH = 0.25  # of logarithms of residuals, in which what is usual is looked for
 
@@ -127,8 +129,9 @@ def flat_windows(
     """Windows that are rough as a whole only as far as they are in their parts.
 
     The residual of the window is compared with the median of those of the small tiles in it: their usual
-    ratio, that of the sensor's errors, is the commonest. So neither a surface that makes more noise than
-    others is missed, nor is a bent one taken for flat. What is far rougher than usual, clutter, is left out.
+    ratio, that of the sensor's errors, is the commonest, and the smaller ones, which no form makes, say how far it
+    varies. So neither a surface that makes more noise than others is missed, nor is a bent one taken for flat. What is
+    far rougher than usual, clutter, is left out.
     Of larger windows clutter may be what is usual: ``flat_parts`` says which windows of `WINDOW` pixels are flat, and
     only those of which all are come into question.
     """
@@ -151,7 +154,9 @@ def flat_windows(
         return flat
     ratio = np.log(residual[usable] / local[usable])
     level = np.log(residual[usable])
-    alike = ratio < _mode(ratio) + np.log(_BENT)
+    above = ratio - _mode(ratio)
+    deviation = np.sqrt(np.mean(above[above <= 0.0] ** 2)) if (above <= 0.0).any() else 0.0
+    alike = above < np.clip(_DEVIATIONS * deviation, *np.log(_BENT))
     usable[usable] = alike & (level < np.median(level[alike]) + np.log(_CLUTTERED))
     flat[good] = usable
     return flat
