@@ -65,6 +65,12 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
     return file
 
 
+def identity(path: Path) -> tuple[tuple[int, ...], ...]:
+    """What tells a file, or those of a folder, from others that have taken its place."""
+    stats = [file.stat() for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    return tuple((stat.st_dev, stat.st_ino, stat.st_mtime_ns, stat.st_size) for stat in stats)
+
+
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now the OSError that writing `path` would raise after the work is done."""
     target = Path(os.path.realpath(path))

@@ -120,8 +120,15 @@ def test_a_recording_that_ends_early_has_the_frames_before(tmp_path, frames):
     whole = (tmp_path / "a.mkv").read_bytes()
     (tmp_path / "a.mkv").write_bytes(whole[: -frames[0].nbytes // 2])
     sequence = rp.open_sequence(tmp_path / "a.mkv")
-    for frame, expected in zip(sequence[:3], frames, strict=False):
+    for frame, expected in zip(sequence, frames[:3], strict=True):
         assert np.array_equal(frame.depth, expected)
+
+
+def test_a_recording_in_the_place_of_another(tmp_path, frames):
+    for these in (frames, frames[::-1]):
+        write_recording(tmp_path / "b.mkv", {"DEPTH": timed(these)}, {"calibration.json": calibration()})
+        (tmp_path / "b.mkv").replace(tmp_path / "a.mkv")
+        assert np.array_equal(rp.open_sequence(tmp_path / "a.mkv")[0].depth, these[0])
 
 
 def test_without_the_library(tmp_path, monkeypatch):

@@ -361,6 +361,32 @@ def test_rosbag(tmp_path, frames, name):
         same(sequences.rosbag(inside, CAMERA, "/camera/depth/image_raw"), frames, CAMERA, times=seconds)
 
 
+@pytest.mark.parametrize("name", ["ros1.bag", "ros2", "mcap"])
+def test_a_rosbag_in_the_place_of_another(tmp_path, frames, name):
+    pytest.importorskip("rosbags")
+    for i, these in enumerate((frames, frames[::-1])):
+        depth, _ = messages(type_store(tmp_path / name)[0], these)
+        (tmp_path / f"{i}").mkdir()
+        write_bag(tmp_path / f"{i}" / name, {"/depth": [(5, depth[0])]})
+        if (tmp_path / name).is_dir():
+            (tmp_path / name).rename(tmp_path / "earlier")
+        (tmp_path / f"{i}" / name).replace(tmp_path / name)
+        assert np.array_equal(rp.open_sequence(tmp_path / name, CAMERA)[0].depth, these[0])
+
+
+def test_rosbag_of_any_topic_that_can_be_read(tmp_path, frames):
+    """Grey of 16 bits may be infrared, where nobody says that it is depth."""
+    pytest.importorskip("rosbags")
+    path = tmp_path / "a.bag"
+    grey, _ = messages(type_store(path)[0], frames, "mono16")
+    write_bag(path, {"/stereo/range": [(i + 1, message) for i, message in enumerate(grey)]})
+    with pytest.raises(
+        ValueError, match="expected the topic of depth images; depth is in none; there is /ste"
+    ):
+        rp.open_sequence(path, CAMERA)
+    same(sequences.rosbag(path, CAMERA, "/stereo/range"), frames, CAMERA, times=[100.5, 101.5, 3e-9])
+
+
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2"])
 def test_rosbag_of_compressed_depth(tmp_path, frames, name):
     pytest.importorskip("rosbags")

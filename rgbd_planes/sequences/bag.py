@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
-from rgbd_planes.files import existing_file, naming, readable
+from rgbd_planes.files import existing_file, identity, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _INFOS = "sensor_msgs/msg/CameraInfo"
-_ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+_GREY = "mono16"  # what infrared images have, too
+_ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
 
 def rosbag(
@@ -41,7 +42,7 @@ def rosbag(
         states its unit, that.
     topic : str, optional
         Of sensor_msgs/Image (16UC1, mono16, 32FC1) or of CompressedImage (compressedDepth, PNG). Needed
-        where a bag has more than one with depth.
+        where a bag has more than one with depth, or one of mono16 without "depth" in its name.
 
     Returns
     -------
@@ -59,14 +60,13 @@ def rosbag(
     bag = _OpenBag(source)
     try:
         topics = bag.depth_topics()
-        if topic is None and len(topics) == 1:
-            topic = topics[0]
+        named = [name for name, encoding in topics.items() if encoding != _GREY or "depth" in name.lower()]
+        if topic is None and len(named) == 1:
+            topic = named[0]
         if topic not in topics:
             asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
             where = (
-                f"depth is in {', '.join(topics)}"
-                if topics
-                else f"depth is in none; there is {bag.contents()}"
+                f"depth is in {', '.join(named)}" if named else f"depth is in none; there is {bag.contents()}"
             )
             raise ValueError(f"{path}: {asked}; {where}")
         camera = camera or bag.camera(topic)
@@ -101,6 +101,7 @@ class _OpenBag:
             raise ValueError(f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none")
         if not path.is_dir():
             existing_file(path)
+        self.identity = identity(path)
         # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
         with readable(self.path, _BAG):
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -131,20 +132,17 @@ class _OpenBag:
         with readable(self.path, _BAG):
             return self._reader.deserialize(content, kind)
 
-    def depth_topics(self) -> list[str]:
-        """Topics whose first message is a depth image."""
-        found = []
+    def depth_topics(self) -> dict[str, str]:
+        """Encodings of the topics whose first message may be a depth image."""
+        found = {}
         for topic, about in sorted(self._reader.topics.items()):
-            if about.msgtype == _IMAGES:
-                message = self.first(topic)
-                encoding = "" if message is None else message.encoding
-                # Infrared images have 16 bits too.
-                if encoding in ("16UC1", "32FC1") or (encoding == "mono16" and "depth" in topic.lower()):
-                    found.append(topic)
-            elif about.msgtype == _COMPRESSED:
-                message = self.first(topic)
-                if message is not None and "compressedDepth" in message.format:
-                    found.append(topic)
+            message = self.first(topic) if about.msgtype in (_IMAGES, _COMPRESSED) else None
+            if message is None:
+                continue
+            if about.msgtype == _IMAGES and message.encoding in _ENCODINGS:
+                found[topic] = message.encoding
+            elif about.msgtype == _COMPRESSED and "compressedDepth" in message.format:
+                found[topic] = message.format
         return found
 
     def contents(self) -> str:
@@ -199,7 +197,7 @@ _open = threading.local()
 def _read_message(location: _Location) -> NDArray[Any]:
     # A bag stays open in its thread: opening it reads its index.
     bag: _OpenBag | None = getattr(_open, "bag", None)
-    if bag is None or bag.path != location.path:
+    if bag is None or (bag.path, bag.identity) != (location.path, identity(location.path)):
         bag = _open.bag = _OpenBag(location.path)
     times = {"start": location.recorded, "stop": location.recorded + 1}
     for nth, (_, content, kind) in enumerate(bag.messages(location.topic, **times)):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.extras import needs
-from rgbd_planes.files import existing_file, naming, readable
+from rgbd_planes.files import existing_file, identity, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
 
 _RECORDING = "a Matroska recording"
@@ -78,7 +78,7 @@ class _OpenRecording:
     def __init__(self, path: Path) -> None:
         with needs("av", "mkv"):
             import av
-        self.path = path
+        self.path, self.identity = path, identity(path)
         with readable(path, _RECORDING):
             self._container = av.open(str(path))
             tracks = [s for s in self._container.streams.video if s.codec_context is not None and s.time_base]
@@ -133,7 +133,7 @@ _open = threading.local()
 def _read_frame(location: _Location) -> NDArray[Any]:
     # A recording stays open in its thread: opening it reads its index.
     recording: _OpenRecording | None = getattr(_open, "recording", None)
-    if recording is None or recording.path != location.path:
+    if recording is None or (recording.path, recording.identity) != (location.path, identity(location.path)):
         recording = _open.recording = _OpenRecording(location.path)
     return recording.read(location.time)
 
