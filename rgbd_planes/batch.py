@@ -6,7 +6,6 @@ an image, fitting it and writing a table all let go of Python's lock; a Dask clu
 not enough. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
 """
 
-import hashlib
 import json
 import os
 import re
@@ -22,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rgbd_planes.batch_digest import UNKNOWN, digests
 from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
 from rgbd_planes.batch_rows import Columns
 from rgbd_planes.camera import Camera
@@ -95,8 +95,11 @@ def fit_sequence(
 ) -> BatchReport:
     """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile or a segment.
 
-    Where `out` holds a part of this very table, from a call that was interrupted, the rest is done. A frame
-    that cannot be read or fitted is skipped and reported. Memory does not grow with the sequence.
+    Where `out` holds a part of this very table, from a call that was interrupted, the rest is done: of the
+    same frames, read from the same files at the same paths, by the same function, with the same cameras and
+    settings. A table with a noise model that is a function, or of a sequence that cannot be pickled, is not
+    resumed. A frame that cannot be read or fitted is skipped and reported. Memory does not grow with the
+    sequence.
 
     Parameters
     ----------
@@ -127,7 +130,8 @@ def fit_sequence(
     ModuleNotFoundError
         pyarrow, or distributed with a scheduler, is not installed.
     TypeError, ValueError
-        `out` holds another table, or something else; or an argument cannot be used.
+        `out` holds another table, or one that cannot be told from another, or something else; or an argument
+        cannot be used.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
@@ -171,12 +175,8 @@ def fit_sequence(
 
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
     """Make or check the table's folder; the number of frames of a part."""
-    digest = hashlib.sha256()
-    digest.update("".join(f"{entry.name}\n{entry.timestamp}\n" for entry in sequence.entries).encode())
-    for camera in sequence.cameras:
-        digest.update(repr(camera).encode())
     chosen = asdict(settings) | {"tile": np.broadcast_to(settings.tile, 2).tolist()}  # 16 is (16, 16)
-    about = {"frames": len(sequence), "sequence": digest.hexdigest(), "settings": chosen}
+    about = {"frames": len(sequence), **digests(sequence), "settings": chosen}
     about = json.loads(json.dumps(about))
     file = folder / _ABOUT
     if folder.exists() and not folder.is_dir():
@@ -196,6 +196,12 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
             raise ValueError(
                 f"{folder} holds the table of another sequence, camera or settings ({', '.join(different)} "
                 f"differ): remove it, or choose another folder"
+            )
+        unknown = [reason for name, reason in UNKNOWN.items() if about[name] is None]
+        if unknown:
+            raise ValueError(
+                f"{folder} holds a table that cannot be told from one of another sequence or camera: "
+                f"{'; '.join(unknown)}; remove it, or choose another folder"
             )
         for leftover in folder.glob(".part-*"):  # of a process that was killed while it wrote
             leftover.unlink(missing_ok=True)

@@ -1,7 +1,9 @@
 """Batches: the table is what fit_tiles gives, whatever is bad, interrupted, killed or shared."""
 
+import functools
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -234,9 +236,9 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
     camera = rp.Camera(**{**CAMERA.to_dict(), "depth_scale": 999.0})
     for other, settings, word in (
         (sequence, FitSettings(tile=20), "settings"),
-        (sequence[:29], None, "frames, sequence"),
-        (sequence[::-1], None, "sequence"),
-        (rp.open_sequence(recording, camera), None, "sequence"),
+        (sequence[:29], None, "frames, sequence, locations, cameras"),
+        (sequence[::-1], None, "sequence, locations"),
+        (rp.open_sequence(recording, camera), None, "cameras"),
     ):
         with pytest.raises(ValueError, match=rf"another sequence, camera or settings \({word} differ\)"):
             rp.fit_sequence(other, out, settings)
@@ -256,6 +258,78 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
     (out / "_about.json").unlink()
     with pytest.raises(ValueError, match="expected an empty folder"):
         rp.fit_sequence(sequence, out)
+
+
+def test_another_recording_of_the_same_names_is_another_table(tmp_path, monkeypatch):
+    depth = scenes.room().render(presets.seven_scenes()).measure(seed=1)
+    for name in ("seq-01", "seq-02"):
+        (tmp_path / name).mkdir()
+        images.write_png(tmp_path / name / "frame-000000.depth.png", depth)
+    first, second = (rp.open_sequence(tmp_path / name) for name in ("seq-01", "seq-02"))
+    rp.fit_sequence(first, tmp_path / "out")
+    with pytest.raises(ValueError, match=r"another sequence, camera or settings \(locations differ\)"):
+        rp.fit_sequence(second, tmp_path / "out")
+    # The same folder from elsewhere, or over a link, is the same.
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to("seq-01")
+    for path in ("seq-01", "seq-02/../seq-01", "link"):
+        assert rp.fit_sequence(rp.open_sequence(path), "out").resumed == 1
+    shutil.move("seq-01", "moved")
+    with pytest.raises(ValueError, match="locations differ"):
+        rp.fit_sequence(rp.open_sequence("moved"), "out")
+
+
+def test_locations_of_any_kind_tell_recordings_apart(tmp_path):
+    """The file may be in a tuple, or the function's own; a location may be the frame itself."""
+    frames = np.full((2, 60, 80), 1000, np.uint16)
+    frames[1, 30, 40] = 1001
+
+    def sequence(location, read):
+        return FrameSequence([FrameEntry("0", np.nan, CAMERA, location)], read)
+
+    pairs = {
+        "tuple": [sequence((tmp_path / name, 0), one_frame) for name in "ab"],
+        "function": [sequence(0, functools.partial(one_frame, name)) for name in "ab"],
+        "array": [sequence(frame, np.asarray) for frame in frames],
+    }
+    for name, (one, other) in pairs.items():
+        rp.fit_sequence(one, tmp_path / name)
+        assert rp.fit_sequence(pickle.loads(pickle.dumps(one)), tmp_path / name).resumed == 1
+        with pytest.raises(ValueError, match=r"\(locations differ\)"):
+            rp.fit_sequence(other, tmp_path / name)
+    unknown = sequence(0, lambda _: frames[0])
+    rp.fit_sequence(unknown, tmp_path / "unknown")
+    with pytest.raises(ValueError, match="where they are, cannot be pickled; remove it"):
+        rp.fit_sequence(unknown, tmp_path / "unknown")
+
+
+def one_frame(*_):
+    return np.full((60, 80), 1000, np.uint16)
+
+
+def test_another_camera_is_another_table(recording, tmp_path):
+    plain, out = rp.open_sequence(recording)[:3], tmp_path / "out"
+
+    def with_cameras(*cameras):
+        entries = [replace(e, camera=c) for e, c in zip(plain.entries, cameras, strict=True)]
+        return FrameSequence(entries, images.read_depth)
+
+    # All that a camera shows of its noise is two digits.
+    noises = [rp.noise.axial(quadratic=factor * 1e-3) for factor in (1.0, 1.0001)]
+    one, other = (replace(CAMERA, noise=noise) for noise in noises)
+    assert repr(one) == repr(other)
+    rp.fit_sequence(with_cameras(one, other, one), out)
+    assert rp.fit_sequence(with_cameras(replace(one), other, one), out).resumed == 3
+    for cameras in ((one, one, one), (one, other, other)):
+        with pytest.raises(ValueError, match=r"\(cameras differ\)"):
+            rp.fit_sequence(with_cameras(*cameras), out)
+
+
+def test_a_noise_that_is_a_function_is_not_resumed(recording, tmp_path):
+    sequence = rp.open_sequence(recording)[:2].with_noise(rp.noise.function(lambda q: 1e-3 + 0.0 * q))
+    assert rp.fit_sequence(sequence, tmp_path / "out").rows == 40
+    with pytest.raises(ValueError, match=r"the noise model is a function, not numbers: .* remove it"):
+        rp.fit_sequence(sequence, tmp_path / "out")
 
 
 def test_arguments_that_cannot_be_used(recording, tmp_path):

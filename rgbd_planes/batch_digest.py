@@ -1,0 +1,71 @@
+"""What a table on disk was made of, in a few characters: by this a call knows a table that it may resume."""
+
+import functools
+import hashlib
+import io
+import json
+import os
+import pickle
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.sequences.frames import FrameSequence
+
+UNKNOWN = {
+    "locations": "the function that reads the frames, or where they are, cannot be pickled",
+    "cameras": "the noise model is a function, not numbers: rgbd_planes.noise.table makes a table of it",
+}
+"""Why there is no digest, by its key."""
+
+
+def digests(sequence: FrameSequence) -> dict[str, str | None]:
+    """Digests of a sequence, which differ where what is fitted may differ.
+
+    Returns
+    -------
+    dict
+        "sequence", of the names and times of the frames; "locations", of where they are read from and by what;
+        "cameras". None where two that differ cannot be told apart: `UNKNOWN` says why.
+    """
+    entries = sequence.entries
+    return {
+        "sequence": _digest(f"{entry.name}\n{entry.timestamp}\n".encode() for entry in entries),
+        "locations": _of_locations(sequence),
+        "cameras": _of_cameras([entry.camera for entry in entries]),
+    }
+
+
+def _digest(texts: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for text in texts:
+        digest.update(text)
+    return digest.hexdigest()
+
+
+def _of_locations(sequence: FrameSequence) -> str | None:
+    resolve = functools.cache(os.path.realpath)  # for this call only: what a link leads to may change
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, thing: Any) -> str | None:
+            """A path by the place that it leads to, from whatever folder and over whatever links."""
+            return resolve(thing) if isinstance(thing, Path) else None
+
+    def pickled(thing: Any) -> bytes:
+        stream = io.BytesIO()
+        Pickler(stream, protocol=5).dump(thing)
+        return stream.getvalue()
+
+    try:
+        return _digest(map(pickled, [sequence._read, *(entry.location for entry in sequence.entries)]))
+    except Exception:  # whatever an object says that cannot be pickled
+        return None
+
+
+def _of_cameras(cameras: list[Camera]) -> str | None:
+    different = {id(camera): camera for camera in cameras}  # few, faster than to compare all
+    if any(camera.noise is not None and camera.noise.formula is not None for camera in different.values()):
+        return None
+    texts = {key: json.dumps(camera.to_dict()).encode() for key, camera in different.items()}
+    return _digest(texts[id(camera)] for camera in cameras)
