@@ -115,9 +115,9 @@ def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int
         raise ValueError(f"windows must have shape (K, 4): row, column, height, width; got {array.shape}")
     if array.dtype.kind not in "iu":
         raise TypeError(f"windows must be integers, got dtype {array.dtype}")
-    top, left, height, width = array.T.astype(np.int64)
+    top, left, height, width = array.T.astype(np.int64)  # what only uint64 holds comes out negative
     bad = (top < 0) | (left < 0) | (height < 1) | (width < 1)
-    bad |= (top + height > camera.height) | (left + width > camera.width)
+    bad |= (top > camera.height - height) | (left > camera.width - width)  # a sum might overflow
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
         raise ValueError(

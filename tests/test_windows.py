@@ -80,6 +80,12 @@ def test_no_windows_no_planes():
         ([[0, 0, 5, 5], [44, 0, 5, 5]], ValueError, r"got \[44, 0, 5, 5\] .* as window 1"),
         ([[-1, 0, 5, 5]], ValueError, "inside the frame"),
         ([[0, 0, 0, 5]], ValueError, "inside the frame"),
+        # Whose sums no int64 holds.
+        ([[2**40, 0, 2**63 - 2**40, 4]], ValueError, r"got .* as window 0"),
+        ([[0, 2**63 - 1, 4, 2**63 - 1]], ValueError, r"got .* as window 0"),
+        ([[0, 0, -(2**63), 4]], ValueError, r"got .* as window 0"),
+        (np.array([[2**64 - 1, 0, 5, 5]], np.uint64), ValueError, r"got .* as window 0"),
+        (np.array([[0, 0, 2**63, 2**63]], np.uint64), ValueError, r"9223372036854775808\] .* as window 0"),
     ],
 )
 def test_bad_windows(windows, error, message):
