@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 _CAMERA_FROM = (
     (str, "load reads a file"),
@@ -64,6 +65,32 @@ def check_error(max_error: float | None) -> float:
     if not number("max_error", max_error, finite=False) > 0.0:
         raise ValueError(f"max_error must be a positive length in metres, or None, got {max_error!r}")
     return float(max_error)
+
+
+def check_noise(
+    sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True
+) -> NDArray[np.float64]:
+    """Return a standard deviation at inverse depths, one for each, as floats: 0 or more, except where q is 0."""
+    made = for_each(sigma, inverse_depth)
+    bad = ~(made >= 0.0) | (finite & np.isinf(made))
+    bad &= inverse_depth > 0.0  # no function need be defined at 0
+    if bad.any():
+        first = bad.argmax()
+        raise ValueError(
+            f"expected noise of 0 or more at all inverse depths, got {made[first]:g} at {inverse_depth[first]:g} 1/m"
+        )
+    return made
+
+
+def for_each(sigma: Any, inverse_depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what a function gave for inverse depths as floats, one for each; a single number is that of all."""
+    made = np.asarray(sigma, np.float64)
+    try:
+        return np.broadcast_to(made, inverse_depth.shape)
+    except ValueError:
+        raise ValueError(
+            f"expected noise for each inverse depth, of shape {inverse_depth.shape}, got shape {made.shape}"
+        ) from None
 
 
 def number(name: str, value: Any, *, finite: bool = True) -> float:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import number, numbers
+from rgbd_planes.checks import check_noise, for_each, number, numbers
 from rgbd_planes.residual_statistics import ResidualStatistics, square_statistics
 from rgbd_planes.wording import two_digits
 
@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 
 # Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
+_SCALE = _ENTRIES / _LARGEST
 
 KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
@@ -33,11 +34,11 @@ class NoiseModel:
     Attributes
     ----------
     coefficients : (c0, c1, c2)
-        σq = c0 + c1·q + c2·q² of the random error of one pixel, in 1/m.
+        σq = c0 + c1·q + c2·q² of the random error of one pixel, in 1/m; at no q from 1.2e-3 to 20 1/m below 0.
     samples : tuple of (q, σq), optional
         Instead of `coefficients`: σq at inverse depths, linear between them, constant beyond.
     formula : function, optional
-        Instead of `coefficients`: σq of an array of q.
+        Instead of `coefficients`: σq of an array of q, which is asked for its values when the model is made.
     step : float
         Quantum of integer depth in metres: rounding adds (step·q²)²/12 to the variance.
     disparity_step : float
@@ -76,8 +77,6 @@ class NoiseModel:
         coefficients = numbers("coefficients", self.coefficients)
         if not 1 <= len(coefficients) <= 3:
             raise ValueError(f"expected 1 to 3 coefficients, got {self.coefficients!r}")
-        if max(coefficients) <= 0.0 > min(coefficients):
-            raise ValueError(f"expected a standard deviation that is not negative, got {self.coefficients!r}")
         object.__setattr__(self, "coefficients", coefficients)
         if self.samples is not None:
             samples = _pairs("samples", self.samples, "inverse depth, sigma")
@@ -100,6 +99,8 @@ class NoiseModel:
                 f"expected positive correlation lengths in pixels, got {lengths} and {self.floor_length!r}"
             )
         object.__setattr__(self, "correlation", tuple(zip(shares, lengths, strict=True)))
+        if not (self._table().any() or self.step or self.disparity_step):
+            raise ValueError("expected noise above 0, or a step of rounding, got 0 at all inverse depths")
 
     def __repr__(self) -> str:
         parts = ["σ by a function"]
@@ -130,7 +131,7 @@ class NoiseModel:
     def _along(self, q: Floats) -> Floats:
         """Standard deviation of q before rounding."""
         if self.formula is not None:
-            sigma = np.broadcast_to(np.asarray(self.formula(q), np.float64), q.shape)
+            sigma = for_each(self.formula(q), q)
         elif self.samples is not None:
             sigma = np.interp(q, *np.array(self.samples).T)
         else:
@@ -152,9 +153,12 @@ class NoiseModel:
         """σq² before rounding as `kernels.statistics.pixel_variance` takes it."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
             return np.array([1.0, self.coefficients[0] ** 2])
-        scale = _ENTRIES / _LARGEST
-        q = np.maximum(np.arange(_ENTRIES + 1), 0.5) / scale  # no function need be defined at 0
-        return np.concatenate([[scale], self._along(q) ** 2])
+        return np.concatenate([[_SCALE], self._table() ** 2])
+
+    def _table(self) -> Floats:
+        """σq before rounding at all inverse depths, 1.2e-3 to 20 1/m: not kept, since a model is pickled."""
+        q = np.maximum(np.arange(_ENTRIES + 1), 0.5) / _SCALE  # no function need be defined at 0
+        return check_noise(self._along(q), q)
 
     @property
     def is_independent(self) -> bool:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.checks import check_noise
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
@@ -69,10 +70,7 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     step = q[1:2]
     known, flattest = _UNKNOWN, FLATNESS * q
     if given.sigma is not None:
-        table = np.broadcast_to(np.asarray(given.sigma(q), dtype=np.float64), q.shape)
-        if not (table[1:] >= 0.0).all():  # where q = 0 no function need be defined
-            raise ValueError(f"expected noise of 0 or more at all inverse depths, got {table.tolist()}")
-        table = np.maximum(table, flattest)
+        table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
         if not np.isfinite(table[0]):
             table[0] = table[1]
         if given.at_large:

@@ -1,5 +1,6 @@
 """Covariances, p-values and what follows from them, against simulation and against plain linear algebra."""
 
+import pickle
 from dataclasses import replace
 from functools import partial
 
@@ -536,6 +537,17 @@ def test_models():
     assert (np.diff(CORRELATED.sample_share([4, 16, 64, 256, 1024])) < 0.0).all()
 
 
+def test_rounding_alone_is_a_noise():
+    for step in ({"step": 1e-3}, {"disparity_step": 1e-3}):
+        np.testing.assert_allclose(rp.noise.NoiseModel((0.0,), **step).sigma(1.0), 1e-3 / np.sqrt(12.0))
+
+
+def test_a_model_pickles_without_its_table():
+    model = rp.noise.kinect_v1_nguyen()
+    assert len(pickle.dumps(model)) < 1000
+    assert pickle.loads(pickle.dumps(model)) == model
+
+
 def test_quantisation_is_part_of_the_covariance(rng):
     """Integer millimetres at 0.4 m, where rounding is most of the noise.
 
@@ -587,7 +599,13 @@ def test_model_goes_with_the_camera(model, tmp_path, rng):
         (lambda: rp.noise.NoiseModel((1e-3, np.nan)), ValueError, "coefficients as a finite number, got nan"),
         (lambda: rp.noise.NoiseModel(2e-3), TypeError, "coefficients as a sequence of numbers, got 0.002"),
         (lambda: rp.noise.NoiseModel(spread="a"), TypeError, "spread as a number, got 'a'"),
-        (lambda: rp.noise.axial(-1e-3), ValueError, "not negative"),
+        (lambda: rp.noise.axial(-1e-3), ValueError, "noise of 0 or more at all inverse depths"),
+        (lambda: rp.noise.time_of_flight(1e-3, -0.01), ValueError, "got -1.22055e-05 at 0.0012207 1/m"),
+        (lambda: rp.noise.function(lambda q: q * np.nan), ValueError, "got nan at 0.0012207 1/m"),
+        (lambda: rp.noise.function(lambda q: np.where(q < 2.0, q, np.inf)), ValueError, "got inf at 2.00195 1/m"),
+        (lambda: rp.noise.function(np.diff), ValueError, r"of shape \(8193,\), got shape \(8192,\)"),
+        (lambda: rp.noise.NoiseModel((0.0,)), ValueError, "noise above 0, or a step of rounding, got 0"),
+        (lambda: rp.noise.function(lambda q: 0.0), ValueError, "noise above 0, or a step of rounding, got 0"),
         (lambda: rp.noise.stereo("a", 400.0), TypeError, "baseline as a number, got 'a'"),
         (lambda: rp.noise.NoiseModel.from_dict({"sigma": 1}), ValueError, "keys"),
         (lambda: rp.Camera(4, 4, 1.0, 1.0, 2.0, 2.0, noise=1e-3), TypeError, "NoiseModel or None, got float"),
