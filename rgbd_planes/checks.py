@@ -2,6 +2,7 @@
 
 import math
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -65,6 +66,14 @@ def check_error(max_error: float | None) -> float:
     if not number("max_error", max_error, finite=False) > 0.0:
         raise ValueError(f"max_error must be a positive length in metres, or None, got {max_error!r}")
     return float(max_error)
+
+
+def plain_array(name: str, values: Any) -> NDArray[Any]:
+    """Return what is no masked array as an array: what is masked would count as if it were not."""
+    # Without their module, which takes time to import, there are no masked arrays.
+    if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
+        raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
+    return np.asarray(values)
 
 
 def check_noise(

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.checks import plain_array
+
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
 
@@ -107,10 +109,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     raw values of a disparity image are missing where 1/Z = scale * raw + offset is not positive, by
     `invalid_values`, and by `depth_range`: a raw 0 can be a measurement there, unless `invalid_values` names it.
     """
-    # Without their module, which takes time to import, there are no masked arrays.
-    if "numpy.ma" in sys.modules and isinstance(depth, np.ma.MaskedArray):
-        raise TypeError("expected a plain array, got a masked array: fill it first, depth.filled(0)")
-    array = np.asarray(depth)
+    array = plain_array("depth", depth)
     _check_shape(depth, array, camera)
     kind = array.dtype.kind
     if kind in "ui":

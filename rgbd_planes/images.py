@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.checks import plain_array
 from rgbd_planes.files import existing_file, write_beside
 
 Frame = NDArray[Any]
@@ -56,6 +57,8 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
 
     Raises
     ------
+    TypeError
+        The image is masked.
     ValueError
         The image has another shape or dtype, or the path another suffix.
     OSError
@@ -65,6 +68,7 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
 
     if Path(path).suffix.lower() != ".png":
         raise ValueError(f"{path}: expected a path that ends in .png")
+    image = plain_array("image", image)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
     with write_beside(path) as beside:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.checks import plain_array
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
@@ -51,11 +52,11 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers of this shape, or ``fits`` are those of a batch: merge ``fits[i]``.
+        The labels are not integers of this shape, or masked, or ``fits`` are those of a batch: merge ``fits[i]``.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
-    array = np.asarray(labels)
+    array = plain_array("labels", labels)
     if array.dtype.kind not in "iu":
         raise TypeError(f"labels must be integers, got dtype {array.dtype}")
     if len(fits.shape) == 3:

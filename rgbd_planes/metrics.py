@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.checks import plain_array
+
 LARGEST_TABLE = 1 << 22
 
 
@@ -243,12 +245,12 @@ def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
     Raises
     ------
     TypeError
-        If the labels are not integers.
+        If the labels are not integers, or masked.
     ValueError
         If the shapes differ or a label is negative.
     """
-    columns, predicted_labels = _consecutive(np.asarray(predicted), "predicted")
-    rows, truth_labels = _consecutive(np.asarray(truth), "truth")
+    columns, predicted_labels = _consecutive(plain_array("predicted", predicted), "predicted")
+    rows, truth_labels = _consecutive(plain_array("truth", truth), "truth")
     if rows.shape != columns.shape:
         raise ValueError(f"predicted and truth must have one shape, got {columns.shape} and {rows.shape}")
     height, width = len(truth_labels) + 1, len(predicted_labels) + 1

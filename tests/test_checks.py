@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import export, metrics, noise, scenes, sequences
+from rgbd_planes import export, images, metrics, noise, scenes, sequences
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
@@ -128,6 +128,24 @@ def test_whole_numbers_of_numpy():
     for edges in (True, 1):
         normals = rp.normals(DEPTH, CAMERA, np.uint8(17), avoid_edges=edges, num_threads=few)
         np.testing.assert_array_equal(normals, rp.normals(DEPTH, CAMERA, 17, avoid_edges=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "use"),
+    [
+        ("labels", lambda labels: rp.merge(rp.fit_tiles(DEPTH, CAMERA), labels[:3, :4])),
+        ("predicted", lambda labels: metrics.compare_labels(labels, labels.data)),
+        ("truth", lambda labels: metrics.compare_labels(labels.data, labels)),
+        ("image", lambda labels: images.write_png("labels.png", labels)),
+    ],
+)
+def test_masked_labels_are_refused(use, name, tmp_path, monkeypatch):
+    """The masked ones would count as if they were not."""
+    monkeypatch.chdir(tmp_path)
+    labels = np.ma.masked_equal(np.tile(np.array([1, 2], np.uint8), (64, 32)), 2)
+    with pytest.raises(TypeError, match=rf"got a masked array: fill it first, {name}\.filled\(0\)"):
+        use(labels)
+    assert not any(tmp_path.iterdir())
 
 
 def test_labels_that_int32_cannot_hold():
