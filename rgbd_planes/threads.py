@@ -6,15 +6,14 @@ bits for any number of threads, no threading layer of Numba's to choose, to lock
 
 import os
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 # Handing a range to a waiting thread and collecting it costs about 50 µs: the time of this many pixels.
 PIXELS_PER_THREAD = 1_000_000
 
 Work = Callable[[int, int], object]
-Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
@@ -36,9 +35,14 @@ def choose_num_threads(num_threads: int | None, pixels: int) -> int:
     return min(os.cpu_count() or 1, paid_for) if paid_for > 1 else 1
 
 
-def submit(work: Callable[[Item], Result], item: Item, num_threads: int) -> Future[Result]:
-    """Have ``work(item)`` done by one of ``num_threads`` threads."""
-    return _pool(num_threads).submit(work, item)
+def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Callable[[], Result]:
+    """Have ``work(*arguments)`` done by one of ``num_threads`` threads; call what is returned for the result.
+
+    Who asks before a thread has begun does the work itself: work may have threads for its own, all of which
+    may be busy with work that waits likewise.
+    """
+    future = _pool(num_threads).submit(work, *arguments)
+    return lambda: work(*arguments) if future.cancel() else future.result()
 
 
 def run_in_ranges(work: Work, count: int, num_threads: int) -> None:
@@ -49,9 +53,9 @@ def run_in_ranges(work: Work, count: int, num_threads: int) -> None:
         return
     bounds = [count * i // num_threads for i in range(num_threads + 1)]
     # This thread takes the last range itself, so that as many threads as asked for are at work.
-    futures = [_pool(num_threads - 1).submit(work, bounds[i], bounds[i + 1]) for i in range(num_threads - 1)]
+    results = [submit(work, num_threads - 1, bounds[i], bounds[i + 1]) for i in range(num_threads - 1)]
     try:
         work(bounds[-2], bounds[-1])
     finally:
-        for future in futures:
-            future.result()
+        for result in reversed(results):  # those that threads begin with last
+            result()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -201,13 +200,13 @@ class TileFitter:
             for frame in frames:
                 yield self.fit(frame)
             return
-        waiting: deque[Future[TilePlanes]] = deque()
+        waiting: deque[Callable[[], TilePlanes]] = deque()
         for frame in frames:
-            waiting.append(submit(self._fit_alone, frame, ahead))
+            waiting.append(submit(self._fit_alone, ahead, frame))
             if len(waiting) == ahead:
-                yield waiting.popleft().result()
+                yield waiting.popleft()()
         while waiting:
-            yield waiting.popleft().result()
+            yield waiting.popleft()()
 
     def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""

@@ -55,6 +55,47 @@ def test_eight_threads_on_every_layer_then_a_fork(layer):
     assert done.stdout.split() == ["0", "0"]
 
 
+THREADS_IN_THREADS = """
+import contextlib, sys, threading
+import numpy as np
+import rgbd_planes as rp
+
+camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, depth_scale=1000.0)
+frames = np.random.default_rng(0).integers(1000, 1100, (7, 48, 64)).astype(np.uint16)
+alone, two, three = (rp.TileFitter(camera, 8, num_threads=n) for n in (1, 2, 3))
+lock = threading.Lock() if sys.argv[2] == "locked" else contextlib.nullcontext()
+
+class Lazy:
+    def __len__(self):
+        return len(frames)
+
+    def __getitem__(self, i):
+        with lock:
+            if sys.argv[1] == "fit":
+                found = [fitter.fit(frames[i]) for fitter in (two, three)]
+            elif sys.argv[1] == "stream":
+                found = [tiles for fitter in (two, three) for tiles in fitter.fit_stream([frames[i]] * 4)]
+            else:
+                found = [fitter.fit_batch(frames[i : i + 1].repeat(3, axis=0))[1] for fitter in (two, three)]
+        assert all(np.array_equal(tiles.planes, alone.fit(frames[i]).planes) for tiles in found)
+        return frames[i]
+
+wanted = alone.fit_batch(frames).planes
+print([np.array_equal(fitter.fit_batch(Lazy()).planes, wanted) for fitter in (two, three)])
+"""
+
+
+@pytest.mark.parametrize("inner", ["fit", "stream", "batch"])
+@pytest.mark.parametrize("lock", ["free", "locked"])
+def test_frames_that_threads_make_may_be_made_with_threads(inner, lock):
+    """In a process of its own, since threads that wait for each other cannot be ended."""
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS_IN_THREADS, inner, lock], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[True, True]"
+
+
 @pytest.mark.parametrize("num_threads", [None, 1, 2, 5])
 def test_stream_gives_what_fit_gives(num_threads, rng):
     camera = make_camera()
