@@ -297,6 +297,18 @@ def test_folder(tmp_path, frames):
     same(times, frames[[1, 0]], CAMERA, times=[0.5, 1.5])
 
 
+def test_a_frame_that_is_a_link_to_nowhere_keeps_its_place(tmp_path, frames):
+    for i in (0, 2):
+        images.write_png(tmp_path / f"{i}.png", frames[i])
+    (tmp_path / "1.png").symlink_to("gone.png")
+    (tmp_path / "3.png").mkdir()
+    sequence = sequences.folder(tmp_path, CAMERA)
+    assert sequence.names == ("0.png", "1.png", "2.png")
+    with pytest.raises(FileNotFoundError, match=r"1\.png: there is no such file"):
+        sequence[1]
+    np.testing.assert_array_equal(sequence[2].depth, frames[2])
+
+
 def test_open_sequence_says_what_is_wrong(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         rp.open_sequence(tmp_path / "gone")

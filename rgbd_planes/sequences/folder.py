@@ -35,6 +35,7 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
         times, files = read_index(index)
         return image_sequence(files, camera, root, times)
     place = root / "depth" if (root / "depth").is_dir() else root
-    files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and file.is_file()]
+    # A link to nowhere stays, so that reading says so, and the frames after it keep their numbers.
+    files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and not file.is_dir()]
     some(files, f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
     return image_sequence(numbered(files), camera, root)
