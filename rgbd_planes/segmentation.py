@@ -93,7 +93,9 @@ def _given(noise: Any) -> Given:
     if noise is None or callable(noise):
         return Given(noise)
     if not isinstance(noise, (int, float, np.number)):
-        raise TypeError(f"noise must be a number in 1/m, a function of inverse depth or None, got {noise!r}")
+        raise TypeError(
+            f"noise must be a number in 1/m, a function of inverse depth, a NoiseModel or None, got {noise!r}"
+        )
     if isinstance(noise, bool) or not 0.0 < noise < np.inf:
         raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
     return Given(lambda q: np.full_like(q, noise))

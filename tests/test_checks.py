@@ -91,6 +91,7 @@ def test_no_depth_frame(depth, error, message):
         (lambda: rp.merge(rp.fit_tiles(DEPTH, CAMERA), DEPTH), ValueError, "tile_labels has those of tiles"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=np.nan), TypeError, "whole number of pixels, got nan"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=2), ValueError, "min_size must be at least 3, got 2"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise="kinect_v1"), TypeError, "a NoiseModel or None, got 'kinect_v1'"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=True), ValueError, "positive standard deviation"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=lambda q: -q), ValueError, r"inverse depths, got -[\d.]+ at [\d.]+ "),
         (lambda: rp.segment(DEPTH, CAMERA, noise=np.diff), ValueError, r"of shape \(33,\), got shape \(32,\)"),
