@@ -22,6 +22,8 @@ FLAT = 4.0  # variances of a square that holds one surface
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
 MOST_GROWTH = 8.0
+# Share of its pixels that a small square may show to go together, to say how many do beyond it.
+MOST_SHOWN = 0.75
 
 
 @kernel()
@@ -117,7 +119,7 @@ def together_of(pyramid, coarse, fine, sigma, typical):
 
     Where noise is independent the mean of n pixels has an n-th of their variance; where they go together it has
     more, by as many as go together: the median over the flat squares of level ``coarse``, by their parts of level
-    ``fine``.
+    ``fine``. These show no more than their own pixels n of it: 1/shown = 1/n + 1/together, for errors of any reach.
     """
     moments, rss, _, offsets, shapes = pyramid
     least, most = FULL * (BLOCK << coarse) ** 2, FLAT * typical
@@ -145,7 +147,10 @@ def together_of(pyramid, coarse, fine, sigma, typical):
             if parts > 0.0:
                 ratio[count] = total / parts * (m[0] - 3.0) / rss[i]
                 count += 1
-    return max(quantile(ratio[:count], 0.5), 1.0) if count >= FEWEST else 1.0
+    if count < FEWEST:
+        return 1.0
+    shown = quantile(ratio[:count], 0.5)
+    return max(shown / (1.0 - min(shown / (BLOCK << fine) ** 2, MOST_SHOWN)), 1.0)
 
 
 @kernel()
