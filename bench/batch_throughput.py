@@ -27,6 +27,8 @@ LONGER = 4  # how many times as many frames the long sequence has
 
 def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
     """Return times in milliseconds a frame, throughputs and shares of the work."""
+    if frames < 1 or frames % AT_ONCE:
+        raise ValueError(f"expected frames in multiples of {AT_ONCE}, got {frames}")
     camera = rp.presets.kinect_v1()
     rendering = rp.scenes.room().render(camera)
     stored = [rendering.measure(holes=0.05, patches=0.03, seed=seed) for seed in range(KINDS)]

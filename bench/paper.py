@@ -31,7 +31,7 @@ def measure(quick: bool, say: Callable[[str], None] = lambda text: None) -> Resu
     -------
     dict
         ``op_count``, ``time``, ``series``, ``segmentation``, ``noise``, ``machine``: what paper.json holds.
-        Times are in seconds, changes in percent of the slower side's time: negative is faster.
+        Times are in seconds, changes in percent of the old side's time: negative is faster.
     """
     rounds = 5 if quick else 41
     steps: list[tuple[str, Callable[[], Result]]] = [

@@ -15,7 +15,7 @@ import itertools
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -431,7 +431,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             report_planes(name, frames)
     print()
     for _, frames in sets[:1] + [of for of in sets if of[0].startswith("room")][:1]:
-        timing(replace(frames[0], name=frames[0].name))
+        timing(frames[0])
 
 
 def report_planes(name: str, frames: Sequence[Frame]) -> None:

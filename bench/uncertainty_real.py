@@ -101,6 +101,7 @@ class RealResult:
     """Of the second half's flat tiles of one size, by the noise of the first."""
 
     tiles: int
+    angles: int
     rejected: float
     rejected_thousandth: float
     rejected_independent: float
@@ -135,6 +136,7 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
     p_all, seen = np.concatenate(p), np.concatenate(observed)
     return RealResult(
         tiles=len(p_all),
+        angles=len(seen),
         rejected=float(np.mean(p_all < 0.01)) if len(p_all) else np.nan,
         rejected_thousandth=float(np.mean(p_all < 0.001)) if len(p_all) else np.nan,
         rejected_independent=float(np.mean(np.concatenate(q) < 0.01)) if len(p_all) else np.nan,
@@ -161,7 +163,7 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
             row: dict[str, Any] = {"data": data.name, "size": size}
             for name, of in (("", noise), ("own_", own)):
                 result = real_result(data, of, size)
-                ratio = result.predicted / result.observed if result.tiles >= FEWEST_ANGLES else np.nan
+                ratio = result.predicted / result.observed if result.angles >= FEWEST_ANGLES else np.nan
                 enough = result.tiles >= FEWEST_TILES
                 row |= {
                     "tiles": result.tiles,

@@ -164,6 +164,18 @@ def test_shares_of_few_tiles_say_little():
     np.testing.assert_allclose([at[0, 15:].sum(), at[1, :16].sum()], 0.025, rtol=1e-6)
 
 
+def test_few_angles_are_no_measurement(monkeypatch):
+    """However many tiles there are: those of small parts, and those that are rejected, have no angle."""
+    one = uncertainty_real.RealSet("a", rp.presets.kinect_v1(), [], [], [])
+    monkeypatch.setattr(uncertainty_real, "real_sets", lambda: [one])
+    monkeypatch.setattr(rp, "estimate_noise", lambda frames, camera: rp.noise.kinect_v1())
+    for angles, expected in ((49, None), (50, 2.0)):
+        result = uncertainty_real.RealResult(1000, angles, 0.01, 0.001, 0.3, predicted=1.0, observed=0.5)
+        monkeypatch.setattr(uncertainty_real, "real_result", lambda *given, made=result: made)
+        for row in uncertainty_real.measure():
+            assert (row["rejected"], row["angle"], row["own_angle"]) == (0.01, expected, expected)
+
+
 def test_a_batch_is_measured():
     pytest.importorskip("pyarrow")
     result = batch_throughput.measure(frames=64, rounds=1)
@@ -172,6 +184,13 @@ def test_a_batch_is_measured():
     assert result["work"]["memory"]["write"] + result["work"]["memory"]["fit"] > 0.5
     assert 30_000 < result["bytes_per_frame"] < 50_000
     assert "256 frames" in batch_throughput.table(result)
+
+
+def test_a_batch_is_of_whole_calls():
+    """Or the time of some frames would be that of more."""
+    for frames in (100, 0):
+        with pytest.raises(ValueError, match=f"expected frames in multiples of 64, got {frames}"):
+            batch_throughput.measure(frames=frames, rounds=1)
 
 
 def test_a_first_call_is_measured():
