@@ -207,6 +207,10 @@ def test_degenerate_has_a_reason(method):
     assert tiles.status.item() == rp.TileStatus.DEGENERATE
     assert np.isnan(tiles.planes).all()
     assert tiles.valid_count.item() == 16
+    row[5, ::2] = 3.0
+    edge_on = rp.fit_tiles(row, camera, 16, method, max_missing=1.0)
+    assert edge_on.status.item() == rp.TileStatus.DEGENERATE
+    assert np.isnan(edge_on.planes).all()
     two = np.zeros((16, 16))
     two[3, 3] = two[9, 5] = 1.0
     assert rp.fit_tiles(two, camera, 16, method, max_missing=1.0).status.item() == rp.TileStatus.TOO_FEW

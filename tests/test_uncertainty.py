@@ -136,7 +136,9 @@ def test_tail_of_chi_square(low, high, error, rng):
     """As accurate as documented for any degrees of freedom, wherever p is above 1e-12."""
     freedom = np.exp(rng.uniform(np.log(low), np.log(high), 20000))
     p = np.where(
-        rng.random(freedom.shape) < 0.5, 10.0 ** rng.uniform(-12.0, 0.0, freedom.shape), rng.random()
+        rng.random(freedom.shape) < 0.5,
+        10.0 ** rng.uniform(-12.0, 0.0, freedom.shape),
+        rng.random(freedom.shape),
     )
     ratio = special.chdtri(freedom, p) / freedom
     work = np.empty((WORK, len(freedom)))
@@ -429,11 +431,11 @@ def test_same_plane_is_uniform_on_one_plane_and_small_on_two(rng):
     statistic = delta @ np.linalg.solve(c[0, 0] + c[5, 7], delta)
     one = rp.uncertainty.same_plane(a[0, 0], c[0, 0], a[5, 7], c[5, 7])
     np.testing.assert_allclose(one, stats.chi2.sf(statistic, 3), rtol=1e-10)
-    # Two parallel planes 3 cm apart, of 64x64 pixels each.
+    # Two parallel planes 6 cm apart, of 64x64 pixels each.
     labels = np.zeros(tiles.shape, int)
     labels[:4, :4], labels[8:12, 8:12] = 1, 2
     merged = rp.merge(tiles, labels)
-    other = rp.merge(rp.fit_tiles(depth * 1.03 / 2.0 * 2.0, camera, 16), labels)
+    other = rp.merge(rp.fit_tiles(depth * 1.03, camera, 16), labels)
     assert (
         rp.uncertainty.same_plane(
             merged.alpha[0], merged.alpha_covariance[0], merged.alpha[1], merged.alpha_covariance[1]
