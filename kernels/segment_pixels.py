@@ -156,7 +156,7 @@ def contest(
 ):  # fmt: skip
     """Give each pixel of the first ``count`` blocks to one of the regions around its block, or to none.
 
-    ``block`` (R·C, 2) int32 has their rows and columns; the rest is as in `own_pixels`.
+    ``block`` (R·C, 3) int32 has their rows and columns, first of all; the rest is as in `own_pixels`.
     """
     columns = region.shape[1]
     tan_x, tan_y, centre_u, centre_v, _, _ = rays

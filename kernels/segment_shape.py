@@ -39,7 +39,7 @@ def breadth(window):
 def boxes(region, box):
     """First row, row after the last, first column, column after the last of each region's blocks.
 
-    ``region`` is (R, C) int64, below 0 none; ``box`` (N, 4) int64 is written.
+    ``region`` is (R, C) int32, below 0 none; ``box`` (N, 4) int64 is written.
     """
     box[:, 0], box[:, 2] = region.shape[0], region.shape[1]
     box[:, 1], box[:, 3] = 0, 0
@@ -64,10 +64,10 @@ def owned_means(owners, number, inverse_depth, rays, region, pyramid, means):
         What became of the regions there, below 0 for nothing.
     inverse_depth : (H, W) float32
     rays : Rays
-    region : (R, C) int64
+    region : (R, C) int32
         Region of each block, below 0 for none.
     pyramid : Pyramid
-    means : (R, C, 4) float64, written where there is a region
+    means : (R, C, 4) float32, written where there is a region
     """
     owner, pixel_owner = owners
     tan_x, tan_y, moments = rays.tan_x, rays.tan_y, pyramid.moments
@@ -104,7 +104,7 @@ def add_blocks(region, means, a, reference, deviation, window, step, centre, sca
 
     Parameters
     ----------
-    region, means : (R, C) int64, (R, C, 4) float64
+    region, means : (R, C) int32, (R, C, 4) float32
         See `owned_means`.
     reference : (3,) float64
         α of the plane from which residuals are taken.
