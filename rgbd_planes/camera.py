@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
@@ -22,8 +21,6 @@ from rgbd_planes.noise import NoiseModel
 Array = NDArray[np.float64]
 
 _FARTHEST = 75.0  # degrees from the optical axis; no lens of these models sees more
-
-_tables_lock = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -201,11 +198,9 @@ class Camera:
     def _tables(self) -> tuple[Array, Array]:
         tables: tuple[Array, Array] | None = self.__dict__.get("_tables_made")
         if tables is None:
-            with _tables_lock:
-                tables = self.__dict__.get("_tables_made")
-                if tables is None:
-                    tables = self._make_tables()
-                    self._set("_tables_made", tables)
+            # Threads that come at once may each make them, and all get the same. A lock would make cameras wait
+            # for each other, and for ever in a process that is forked meanwhile.
+            tables = self.__dict__.setdefault("_tables_made", self._make_tables())
         return tables
 
     def _make_tables(self) -> tuple[Array, Array]:

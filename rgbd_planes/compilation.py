@@ -9,8 +9,7 @@ SECONDS_BEFORE_NOTICE = 1.0
 
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
-_announced: set[str] = set()
-_announcing = threading.Lock()
+_announced: dict[str, object] = {}
 _NOTHING = nullcontext()
 
 
@@ -36,8 +35,8 @@ def _first_call(key: Hashable, takes: str) -> Iterator[None]:
 
 
 def _announce(takes: str) -> None:
-    with _announcing:  # threads that begin together wait for the same kernels
-        if takes in _announced:
-            return
-        _announced.add(takes)
+    # Threads that begin together wait for the same kernels: the first says so. No lock, which a fork might copy held.
+    token = object()
+    if _announced.setdefault(takes, token) is not token:
+        return
     _logger.warning(f"compiling kernels: {takes}, once for this installation and each kind of frame")

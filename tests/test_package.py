@@ -96,7 +96,7 @@ def test_cache_loads_whatever_numba_calls_its_own_way():
 
 def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
-    monkeypatch.setattr(compilation, "_announced", set())
+    monkeypatch.setattr(compilation, "_announced", {})
     monkeypatch.setattr(compilation, "_compiled", set())
     with compilation.announced("quick"):
         pass

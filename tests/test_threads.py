@@ -54,6 +54,50 @@ def test_eight_threads_at_once_then_a_fork():
     assert done.stdout.split() == ["0", "0"]
 
 
+FORK_WHILE_TABLES_ARE_MADE = """
+import os, signal, threading
+from dataclasses import replace
+import rgbd_planes as rp
+from rgbd_planes import distortion
+
+one = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, (0.01, 0.0, 0.0, 0.0))
+other = replace(one, fx=53.0)
+rays_of_image = distortion.rays_of_image
+begun, go_on = threading.Event(), threading.Event()
+
+def slowly(*arguments):
+    begun.set()
+    go_on.wait()
+    return rays_of_image(*arguments)
+
+distortion.rays_of_image = slowly
+thread = threading.Thread(target=lambda: one.tan_x)
+thread.start()
+begun.wait()
+distortion.rays_of_image = rays_of_image
+child = os.fork()
+if child == 0:
+    signal.alarm(60)  # which ends it if it waits for a thread that it does not have
+    os._exit(0 if one.tan_x.shape == other.tan_x.shape == (48, 64) else 1)
+status = os.waitpid(child, 0)[1]
+go_on.set()
+thread.join()
+print(status, one.tan_x is one.tan_x)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_fork_while_a_thread_makes_the_tables_of_a_camera():
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORK_WHILE_TABLES_ARE_MADE],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["0", "True"]
+
+
 THREADS_IN_THREADS = """
 import contextlib, sys, threading
 import numpy as np
