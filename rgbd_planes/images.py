@@ -22,8 +22,8 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     Parameters
     ----------
     path : path
-        A .png (8 or 16 bits), .tif or .tiff (integers or float), .pgm (8 or 16 bits), .npy, or .npz with one
-        array.
+        A .png (8 or 16 bits), .tif or .tiff (integers of 8 to 32 bits, or float32), .pgm (8 or 16 bits), .npy,
+        or .npz with one array.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         There is no such file.
     ValueError
         The suffix is none of these, the file is damaged or truncated or of another format, or what it holds
-        is not one image of one channel.
+        is not one image of one channel, or numbers of another kind.
     """
     if Path(path).is_dir():
         raise ValueError(
@@ -83,6 +83,32 @@ def _read_tiff(path: Path) -> Frame:
     return _read_with_pillow(path, "TIFF")
 
 
+# Tags of TIFF, and what they say of numbers.
+_BITS, _SAMPLE_FORMAT = 258, 339
+_UNSIGNED, _SIGNED, _FLOAT = 1, 2, 3
+# Modes of Pillow whose numbers were of the same size, but of another kind, in the file.
+_STORED_AS = {("I", _UNSIGNED): np.uint32, ("L", _SIGNED): np.int8}
+_UNREAD = {
+    (_FLOAT, 16): "float16", (_FLOAT, 64): "float64", (_SIGNED, 64): "int64", (_UNSIGNED, 64): "uint64",
+    (_UNSIGNED, 32): "uint32",  # of the other byte order
+}  # fmt: skip
+
+
+def _unread_kind(path: Path) -> str | None:
+    """The kind of numbers in a TIFF image, where Pillow has no mode for it."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    try:
+        with path.open("rb") as file:
+            tags = ImageFileDirectory_v2(file.read(8))
+            file.seek(tags.next)
+            tags.load(file)
+            (bits,), (sample_format,) = tags[_BITS], tags.get(_SAMPLE_FORMAT, (_UNSIGNED,))
+    except Exception:  # it is no TIFF image, is damaged, or has several channels
+        return None
+    return _UNREAD.get((sample_format, bits))
+
+
 def _read_with_pillow(path: Path, file_format: str) -> Frame:
     from PIL import Image, UnidentifiedImageError
 
@@ -91,9 +117,17 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
             mode, count = image.mode, getattr(image, "n_frames", 1)
             if mode.startswith(("L", "I", "F")) and mode not in ("LA", "La", "LAB") and count == 1:
                 frame = np.array(image)
+                if file_format == "TIFF":
+                    sample_format = getattr(image, "tag_v2", {}).get(_SAMPLE_FORMAT, (_UNSIGNED,))
+                    frame = frame.view(_STORED_AS.get((mode, *sample_format), frame.dtype))
             else:
                 frame = None
     except UnidentifiedImageError:
+        kind = _unread_kind(path) if file_format == "TIFF" else None
+        if kind is not None:
+            raise ValueError(
+                f"{path}: a TIFF image of {kind}, which Pillow does not read: save float32 or uint16, or NPY"
+            ) from None
         raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
         raise ValueError(f"{path}: damaged or truncated {file_format} image ({error})") from error

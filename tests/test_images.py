@@ -2,6 +2,7 @@
 
 import io
 import os
+import struct
 import threading
 
 import numpy as np
@@ -15,7 +16,8 @@ def a_frame(dtype=np.uint16, shape=(37, 53)):
     generator = np.random.default_rng(7)
     if np.dtype(dtype).kind == "f":
         return generator.random(shape).astype(dtype)
-    return generator.integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
+    native = np.dtype(dtype).newbyteorder("=")
+    return generator.integers(0, np.iinfo(dtype).max, shape, dtype=native, endpoint=True).astype(dtype)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -41,6 +43,38 @@ def test_big_endian_tiff(tmp_path):
     read = images.read_depth(tmp_path / "depth.tif")
     assert np.array_equal(read, frame)
     assert read.max() > 255
+
+
+def tiff(frame):
+    """A TIFF image of any kind of numbers, also of those that Pillow does not write."""
+    pixels, order = frame.tobytes(), ">" if frame.dtype.str[0] == ">" else "<"
+    (height, width), bits, kind = frame.shape, 8 * frame.itemsize, "uif".index(frame.dtype.kind) + 1
+    tags = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: 1, 278: height, 279: len(pixels)}
+    tags[339] = kind
+    entries = b"".join(struct.pack(f"{order}HHII", tag, 4, 1, value) for tag, value in tags.items())
+    header = (b"MM\0*" if order == ">" else b"II*\0") + struct.pack(f"{order}I", 8 + len(pixels))
+    return header + pixels + struct.pack(f"{order}H", len(tags)) + entries + bytes(4)
+
+
+@pytest.mark.parametrize("dtype", ["<u4", "<i4", ">i4", "<i2", ">i2", "i1", "<f4", ">f4", "<u2", ">u2", "u1"])
+def test_numbers_of_a_tiff_keep_their_values(tmp_path, dtype):
+    frame = a_frame(dtype)
+    if frame.dtype.kind == "i":
+        frame[0] = -frame[0]
+    (tmp_path / "depth.tif").write_bytes(tiff(frame))
+    read = images.read_depth(tmp_path / "depth.tif")
+    assert np.array_equal(read, frame)
+    assert read.dtype.kind == frame.dtype.kind
+
+
+@pytest.mark.parametrize("dtype", ["<f8", ">f8", "<f2", ">f2", ">u4", "<u8", "<i8"])
+def test_a_tiff_that_pillow_does_not_read_is_not_called_damaged(tmp_path, dtype):
+    (tmp_path / "depth.tif").write_bytes(tiff(a_frame(dtype)))
+    kind = np.dtype(dtype).name
+    with pytest.raises(
+        ValueError, match=rf"depth\.tif: a TIFF image of {kind}, .*save float32 or uint16, or NPY"
+    ):
+        images.read_depth(tmp_path / "depth.tif")
 
 
 @pytest.mark.parametrize("largest", [200, 255, 2047, 10000, 65535])
