@@ -59,6 +59,12 @@ class NoiseModel:
         to pixel it is noise, too, that of steep surfaces. `sigma` is without it.
     evidence : NoiseEvidence, optional
         What `rgbd_planes.estimate_noise` saw; no part of a file.
+
+    Notes
+    -----
+    Fits of tiles and windows take σq of more than one coefficient, of samples and of a formula from a table. From
+    0.05 to 20 m that of coefficients is right to 0.2 %, up to 100 m to 5 %. Nearer and further it may be far off: of
+    ``time_of_flight(0.02)`` they take 0.56 of σq at 0.025 m, 1.3 at 273 m and 4 at 1000 m.
     """
 
     coefficients: tuple[float, ...] = (KINECT_V1,)

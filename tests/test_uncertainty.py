@@ -453,6 +453,22 @@ def test_same_plane_is_uniform_on_one_plane_and_small_on_two(rng):
         rp.uncertainty.same_plane(a, c[..., 0], a, c)
 
 
+@pytest.mark.parametrize(
+    ("depth", "error"), [(0.0501, 2e-3), (0.2, 2e-3), (1.0, 2e-3), (19.5, 2e-3), (62.8, 0.05), (91.0, 0.05)]
+)
+def test_noise_by_depth_is_as_right_as_documented(depth, error):
+    """Against a model of the same noise that is one number; some of these depths are half-way between entries."""
+    frame, by_depth = np.full((48, 64), depth), rp.noise.time_of_flight(0.02)
+    one_number = rp.noise.NoiseModel((float(by_depth.sigma(1.0 / depth)),))
+    deviations = []
+    for noise in (by_depth, one_number):
+        camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, depth_range=(0.01, 1000.0), noise=noise)
+        tiles = rp.fit_tiles(frame, camera)
+        deviations.append(np.sqrt(np.diagonal(tiles.alpha_covariance, axis1=-2, axis2=-1)))
+    assert np.isfinite(deviations).all()
+    np.testing.assert_allclose(deviations[0], deviations[1], rtol=error)
+
+
 @pytest.fixture
 def two_planes(rng):
     """Planes with covariances, and draws of both from them."""
