@@ -13,6 +13,7 @@ import numpy as np
 
 from rgbd_planes.batch_rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import number
 from rgbd_planes.files import write_beside
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
@@ -40,10 +41,21 @@ class FitSettings:
     max_error: float | None = None
     significance: float | None = None
 
+    def __post_init__(self) -> None:
+        # Of Python's own types, whatever fit_tiles takes: to find a fitter by, and to be written to a file.
+        tile = np.asarray(self.tile).tolist()
+        plain = {"segments": bool(self.segments), "tile": tuple(tile) if isinstance(tile, list) else tile}
+        for name in ("max_missing", "max_error", "significance"):
+            value = getattr(self, name)
+            optional = value is None and name != "max_missing"
+            plain[name] = None if optional else number(name, value, finite=False)
+        for name, value in plain.items():
+            object.__setattr__(self, name, value)
+
     def check(self, camera: Camera) -> None:
         """Raise what fitting a frame of this camera would raise for these settings."""
         if not self.segments:
-            _fitter(camera, self)
+            _fitter.__wrapped__(camera, self)  # settings that cannot be used may not do for a cache
             return
         of_tiles = [
             f.name for f in fields(self) if f.name != "segments" and getattr(self, f.name) != f.default
@@ -160,10 +172,9 @@ def _reason(error: Exception, name: str) -> str:
 
 @lru_cache(maxsize=4)
 def _fitter(camera: Camera, settings: FitSettings) -> TileFitter:
-    tile = settings.tile if isinstance(settings.tile, int) else tuple(settings.tile)
     return TileFitter(
         camera,
-        tile,  # type: ignore[arg-type]
+        settings.tile,
         settings.method,
         max_missing=settings.max_missing,
         max_error=settings.max_error,

@@ -11,6 +11,7 @@ import sys
 import time
 import tracemalloc
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -230,6 +231,27 @@ def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
     assert sorted(path.name for path in out.iterdir()) == ["_about.json", *(part.name for part in parts)]
 
 
+@pytest.mark.parametrize(
+    ("given", "plain"),
+    [
+        ({"tile": np.int64(8)}, {"tile": 8}),
+        ({"tile": np.uint8(20)}, {"tile": 20}),
+        ({"tile": [12, 16]}, {"tile": (12, 16)}),
+        ({"tile": np.array([12, 16])}, {"tile": (12, np.int16(16))}),
+        ({"max_error": np.float32(0.5), "max_missing": np.float16(0.5)}, {"max_error": 0.5}),
+        ({"max_error": Fraction(1, 50), "max_missing": 1}, {"max_error": 0.02, "max_missing": np.array(1.0)}),
+        ({"significance": np.float32(0.25), "segments": np.False_}, {"significance": 0.25}),
+    ],
+)
+def test_settings_take_the_numbers_that_fit_tiles_takes(recording, tmp_path, given, plain):
+    sequence = rp.open_sequence(recording)[:3].with_noise(rp.noise.kinect_v1())
+    assert FitSettings(**given) == FitSettings(**plain)
+    rp.fit_sequence(sequence, tmp_path / "out", FitSettings(**given))
+    assert rp.fit_sequence(sequence, tmp_path / "out", FitSettings(**plain)).resumed == 3
+    given.pop("segments", None)
+    check_rows(tmp_path / "out", sequence, **given)
+
+
 def test_another_table_is_not_mixed_in(recording, tmp_path):
     sequence, out = rp.open_sequence(recording), tmp_path / "out"
     rp.fit_sequence(sequence, out)
@@ -341,6 +363,15 @@ def test_arguments_that_cannot_be_used(recording, tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             rp.fit_sequence(sequence, out, settings)
+    for settings, message in (
+        (FitSettings(tile=[[8, 8]]), "tile must be a whole number"),
+        (FitSettings(tile="16"), "tile must be a whole number"),
+        (FitSettings(tile=(8.0, 8)), "tile must be a whole number"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            rp.fit_sequence(sequence, out, settings)
+    with pytest.raises(TypeError, match="expected max_error as a number, got '1 cm'"):
+        FitSettings(max_error="1 cm")
     with pytest.raises(ValueError, match="num_threads must be at least 1"):
         rp.fit_sequence(sequence, out, num_threads=0)
     with pytest.raises(ValueError, match="expected a sequence with frames"):
