@@ -193,7 +193,8 @@ class TileFitter:
         TilePlanes
             Of one frame, in order. With ``num_threads`` above 1 so many frames are fitted at a time, and read
             ahead: a frame must then not be overwritten before its planes have come. Otherwise each frame is
-            done with before the next is asked for.
+            done with before the next is asked for. Where ``frames`` raises, that comes after the planes of all
+            frames before.
         """
         ahead = 1 if self._num_threads is None else self._num_threads
         if ahead == 1:
@@ -201,12 +202,22 @@ class TileFitter:
                 yield self.fit(frame)
             return
         waiting: deque[Callable[[], TilePlanes]] = deque()
-        for frame in frames:
+        source = iter(frames)
+        while True:
+            try:
+                frame = next(source)
+            except (
+                Exception
+            ) as error:  # its end, or what went wrong: after the planes of the frames before it
+                end = error
+                break
             waiting.append(submit(self._fit_alone, ahead, frame))
             if len(waiting) == ahead:
                 yield waiting.popleft()()
         while waiting:
             yield waiting.popleft()()
+        if not isinstance(end, StopIteration):
+            raise end
 
     def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""

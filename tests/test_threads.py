@@ -184,6 +184,24 @@ def test_stream_of_one_reused_buffer(rng):
         np.testing.assert_array_equal(planes.planes, fitter.fit(frame).planes)
 
 
+@pytest.mark.parametrize("num_threads", [None, 1, 2, 4, 8])
+def test_a_source_that_fails_does_so_after_the_planes_of_its_frames(num_threads, rng):
+    camera = make_camera()
+    frames = [make_depth(camera, rng) for _ in range(5)]
+
+    def unplugged():
+        yield from frames
+        raise OSError("unplugged")
+
+    fitter = rp.TileFitter(camera, 16, num_threads=num_threads)
+    stream = fitter.fit_stream(unplugged())
+    for frame in frames:
+        np.testing.assert_array_equal(next(stream).planes, fitter.fit(frame).planes)
+    with pytest.raises(OSError, match="unplugged"):
+        next(stream)
+    assert list(stream) == []
+
+
 def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller(rng):
     camera = make_camera()
     good, bad = np.ones(camera.shape), np.ones((3, 3))
