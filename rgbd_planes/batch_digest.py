@@ -37,7 +37,7 @@ def digests(sequence: FrameSequence) -> dict[str, str | None]:
     }
 
 
-def _digest(texts: Iterable[bytes]) -> str:
+def _digest(texts: Iterable[bytes | memoryview]) -> str:
     digest = hashlib.sha256()
     for text in texts:
         digest.update(text)
@@ -49,18 +49,17 @@ def _of_locations(sequence: FrameSequence) -> str | None:
 
     class Pickler(pickle.Pickler):
         def persistent_id(self, thing: Any) -> str | None:
-            """A path by the place that it leads to, from whatever folder and over whatever links."""
-            return resolve(thing) if isinstance(thing, Path) else None
+            """A path by the folder that it leads to, from whatever folder and over whatever links."""
+            return os.path.join(resolve(thing.parent), thing.name) if isinstance(thing, Path) else None
 
-    def pickled(thing: Any) -> bytes:
-        stream = io.BytesIO()
-        Pickler(stream, protocol=5).dump(thing)
-        return stream.getvalue()
-
+    stream = io.BytesIO()
+    pickler = Pickler(stream, protocol=5)
+    pickler.fast = True  # what is equal is written equally, whether or not it is one object
     try:
-        return _digest(map(pickled, [sequence._read, *(entry.location for entry in sequence.entries)]))
+        pickler.dump((sequence._read, [entry.location for entry in sequence.entries]))
     except Exception:  # whatever an object says that cannot be pickled
         return None
+    return _digest([stream.getbuffer()])
 
 
 def _of_cameras(cameras: list[Camera]) -> str | None:

@@ -485,6 +485,8 @@ def test_command_line(recording, tmp_path, capsys):
     first, last = err.splitlines()
     assert first.startswith("rgbd-planes batch: skipped frame 3, depth/3.png: ")
     assert last == "Skipped 1 of 30 frames."
+    assert cli.main(arguments) == 1
+    assert "not tried again" in capsys.readouterr().err.splitlines()[-1]
     assert cli.main([*arguments, "--tile", "20"]) == 2
     assert "another sequence, camera or settings" in capsys.readouterr().err
     assert cli.main(["batch", str(tmp_path / "gone"), "--out", str(out)]) == 2
@@ -505,10 +507,10 @@ def test_what_is_wrong_with_many_frames_is_said_once(recording, tmp_path, capsys
     (recording / "depth" / "12.png").write_bytes(b"")
     camera = str(tmp_path / "swapped.json")
     arguments = ["batch", str(recording), "--out", str(tmp_path / "t"), "--camera", camera]
-    for _ in range(2):  # the second time from what is written
+    for again in range(2):  # the second time from what is written, which is said in a line more
         assert cli.main(arguments) == 1
         lines = capsys.readouterr().err.splitlines()
-        assert len(lines) == 4
+        assert len(lines) == 4 + again
         transposed = "got (60, 80): is it transposed, or are the camera's width and height swapped?"
         assert sum(line.startswith("rgbd-planes batch: skipped frame ") for line in lines[:2]) == 2
         assert sum(line.endswith(transposed) for line in lines) == 2

@@ -99,6 +99,10 @@ def batch(parser: argparse.ArgumentParser) -> Run:
                 print(f"{len(frames)} frames, {_ranges(frames)}: {reason}", file=sys.stderr)
         if report.problems:
             print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
+            if report.resumed:
+                print(
+                    "What was skipped before is not tried again, unless its part is removed.", file=sys.stderr
+                )
         return 1 if report.problems else 0
 
     return run
