@@ -42,9 +42,10 @@ def warmup(
     """
     given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
     check_camera(given)
+    # For frames of ones: a metre in every dtype, so that nothing is to be warned of.
     small = Camera(
         8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
-        depth_scale=1000.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
+        depth_scale=1.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
     )  # fmt: skip
     several = [dtypes] if isinstance(dtypes, (str, type, np.dtype)) else dtypes
     for method in [methods] if isinstance(methods, str) else methods:

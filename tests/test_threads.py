@@ -245,6 +245,16 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 
+@pytest.mark.parametrize("depth_scale", [None, 1.0, 100.0, 5000.0])
+def test_warmup_warns_of_nothing(depth_scale, recwarn):
+    """What it fits is no frame of the caller's."""
+    dtypes = "uint8", "int16", "uint16", "float16", "float32"
+    camera = rp.Camera(8, 8, 8.0, 8.0, 4.0, 4.0, depth_scale=depth_scale, noise=rp.noise.kinect_v1())
+    rp.warmup(camera, dtypes=dtypes)
+    rp.warmup(camera, dtypes="uint8", segment=True)
+    assert not recwarn.list
+
+
 def test_wide_and_tall_tiles_are_counted_in_parts(rng):
     """Tiles wider than a strip of columns and taller than a band of rows, against the same tiles pixel by pixel."""
     camera = rp.Camera(1400, 130, 900.0, 900.0, 700.0, 60.0, depth_scale=1000.0)
