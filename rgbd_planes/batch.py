@@ -29,6 +29,7 @@ from rgbd_planes.checks import check_num_threads
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.sequences.frames import FrameSequence
+from rgbd_planes.threads import num_cores
 
 # Of a part: what is lost by an interruption and how often progress shows, and what each thread holds in memory.
 MOST_FRAMES = 512
@@ -238,8 +239,7 @@ class _Threads:
     """Parts by threads of this process."""
 
     def __init__(self, num_threads: int | None) -> None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self.slots = num_threads or cores
+        self.slots = num_threads or num_cores()
 
     def run(
         self,

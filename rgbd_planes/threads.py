@@ -26,13 +26,18 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 os.register_at_fork(after_in_child=_pool.cache_clear) if hasattr(os, "register_at_fork") else None
 
 
+def num_cores() -> int:
+    """Return the number of cores that this process may use, which may be fewer than there are."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def choose_num_threads(num_threads: int | None, pixels: int) -> int:
     """Return the number of threads to use: as asked for, or as many as ``pixels`` of work pay for."""
     if num_threads is not None:
         return num_threads
     paid_for = pixels // PIXELS_PER_THREAD
-    # To ask for the number of cores takes a twentieth of the time of a frame.
-    return min(os.cpu_count() or 1, paid_for) if paid_for > 1 else 1
+    # To ask for the number of cores may take a twentieth of the time of a frame.
+    return min(num_cores(), paid_for) if paid_for > 1 else 1
 
 
 def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Callable[[], Result]:

@@ -11,6 +11,7 @@ import pytest
 from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
+from rgbd_planes import batch, threads
 
 ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
@@ -243,6 +244,18 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     assert compiled[1] >= 1
     rp.fit_tiles(np.ones((48, 64), np.float32), with_noise)
     assert [len(kernel.signatures) for kernel in kernels] == compiled
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+def test_no_more_threads_than_the_process_has_cores(cores, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(5, 5 + cores)), raising=False)
+    assert threads.choose_num_threads(None, 10**9) == cores
+    assert threads.choose_num_threads(None, 2 * threads.PIXELS_PER_THREAD) == min(2, cores)
+    assert threads.choose_num_threads(7, 1) == 7
+    assert batch._Threads(None).slots == cores
+    monkeypatch.delattr(os, "sched_getaffinity")  # as on a Mac
+    assert threads.choose_num_threads(None, 10**9) == 64
 
 
 @pytest.mark.parametrize("depth_scale", [None, 1.0, 100.0, 5000.0])
