@@ -45,12 +45,19 @@ def _digest(texts: Iterable[bytes | memoryview]) -> str:
 
 
 def _of_locations(sequence: FrameSequence) -> str | None:
-    resolve = functools.cache(os.path.realpath)  # for this call only: what a link leads to may change
+    # Kept for this call only: what a link leads to may change.
+    folder = functools.cache(os.path.realpath)
+
+    @functools.cache
+    def resolved(path: Path) -> str:
+        """What `os.path.realpath` gives, which follows each folder of each path anew."""
+        place = os.path.join(folder(path.parent), path.name)
+        return os.path.realpath(place) if os.path.islink(place) else place
 
     class Pickler(pickle.Pickler):
         def persistent_id(self, thing: Any) -> str | None:
-            """A path by the folder that it leads to, from whatever folder and over whatever links."""
-            return os.path.join(resolve(thing.parent), thing.name) if isinstance(thing, Path) else None
+            """A path by the place that it leads to, from whatever folder and over whatever links."""
+            return resolved(thing) if isinstance(thing, Path) else None
 
     stream = io.BytesIO()
     pickler = Pickler(stream, protocol=5)

@@ -319,6 +319,13 @@ def test_locations_of_any_kind_tell_recordings_apart(tmp_path):
         assert rp.fit_sequence(pickle.loads(pickle.dumps(one)), tmp_path / name).resumed == 1
         with pytest.raises(ValueError, match=r"\(locations differ\)"):
             rp.fit_sequence(other, tmp_path / name)
+    latest = tmp_path / "latest"
+    latest.symlink_to("a")
+    rp.fit_sequence(sequence((latest, 0), one_frame), tmp_path / "linked")
+    latest.unlink()
+    latest.symlink_to("b")
+    with pytest.raises(ValueError, match=r"\(locations differ\)"):
+        rp.fit_sequence(sequence((latest, 0), one_frame), tmp_path / "linked")
     unknown = sequence(0, lambda _: frames[0])
     rp.fit_sequence(unknown, tmp_path / "unknown")
     with pytest.raises(ValueError, match="where they are, cannot be pickled; remove it"):
