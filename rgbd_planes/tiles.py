@@ -206,9 +206,7 @@ class TileFitter:
         while True:
             try:
                 frame = next(source)
-            except (
-                Exception
-            ) as error:  # its end, or what went wrong: after the planes of the frames before it
+            except Exception as error:  # its end, or what went wrong: after the planes of those before
                 end = error
                 break
             waiting.append(submit(self._fit_alone, ahead, frame))
