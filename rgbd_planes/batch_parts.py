@@ -195,9 +195,10 @@ class _TileAdder:
             self._camera = frame.camera
             self._fitter = _fitter(frame.camera, self._settings)
             self._tiles: TilePlanes | None = None
+            tile = self._fitter.tile
+            self._grid = Grid(grid_shape(frame.camera, tile), frame.camera.shape, tile)
         self._tiles = tiles = self._fitter.fit(frame.depth, self._tiles)
-        grid = Grid(tiles.shape, frame.camera.shape, tiles.tile)  # type: ignore[arg-type]
-        rows.add_tiles(number, grid, tiles)
+        rows.add_tiles(number, self._grid, tiles)
 
 
 def _add_segments(frame: Frame, number: int, rows: Rows) -> None:
