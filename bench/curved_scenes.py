@@ -117,7 +117,7 @@ def _camera(depth_scale: float) -> Camera:
     return Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=depth_scale)
 
 
-def _noise(depth: Floats, seed: int, smooth: float) -> Floats:
+def errors(depth: Floats, seed: int, smooth: float) -> Floats:
     """Of standard deviation 1, correlated over ``smooth`` pixels."""
     noise = np.random.default_rng(seed).standard_normal(depth.shape)
     if smooth:
@@ -132,14 +132,14 @@ def _raw(depth: Floats, scale: float, holes: float, seed: int) -> NDArray[np.uin
 
 def kinect(depth: Floats, seed: int) -> NDArray[np.uint16]:
     """Independent noise of a Kinect v1, millimetres."""
-    return _raw(depth + KINECT_V1 * depth**2 * _noise(depth, seed, 0.0), 1000.0, 0.03, seed)
+    return _raw(depth + KINECT_V1 * depth**2 * errors(depth, seed, 0.0), 1000.0, 0.03, seed)
 
 
 def stereo(depth: Floats, seed: int) -> NDArray[np.uint16]:
     """Noise that a matching window correlates, and a slow wave of a quarter of a percent."""
     y, x = np.indices(depth.shape)
     wave = 2.5e-3 * np.sin(x / 97.0) * np.cos(y / 83.0)
-    noise = 1.2e-3 * depth**2 * _noise(depth, seed, 1.5)
+    noise = 1.2e-3 * depth**2 * errors(depth, seed, 1.5)
     return _raw(depth * (1.0 + wave) + noise, 1000.0, 0.03, seed)
 
 
@@ -147,12 +147,12 @@ def time_of_flight(depth: Floats, seed: int) -> NDArray[np.uint16]:
     """A few millimetres everywhere, a wiggle with distance, pixels that mix what is near and far."""
     mixed = gaussian_filter(depth, 0.4)
     wiggle = 3e-3 * np.sin(2.0 * np.pi * mixed / 0.8)
-    return _raw(mixed + wiggle + 4e-3 * _noise(depth, seed, 0.6), 1000.0, 0.01, seed)
+    return _raw(mixed + wiggle + 4e-3 * errors(depth, seed, 0.6), 1000.0, 0.01, seed)
 
 
 def scanner(depth: Floats, seed: int) -> NDArray[np.uint16]:
     """A precise scanner in coarse steps of its own."""
-    noisy = depth + 3e-4 * depth**2 * _noise(depth, seed, 0.8)
+    noisy = depth + 3e-4 * depth**2 * errors(depth, seed, 0.8)
     return _raw(np.rint(noisy / 0.002) * 0.002, 1000.0, 0.0, seed)
 
 

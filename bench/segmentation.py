@@ -22,7 +22,6 @@ from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from bench import curved_scenes
 from bench.timing import in_turns
@@ -199,8 +198,8 @@ def smoothed(scene: scenes.Scene, name: str, pixels: float, seeds: int) -> list[
     rendering = scene.render(camera)
     frames = []
     for seed in range(seeds):
-        errors = gaussian_filter(np.random.default_rng(seed).standard_normal(camera.shape), pixels)
-        depth = np.rint(1000.0 / (1.0 / rendering.depth + 2e-3 * errors / errors.std())).astype(np.uint16)
+        q = 1.0 / rendering.depth + 2e-3 * curved_scenes.errors(rendering.depth, seed, pixels)
+        depth = np.rint(1000.0 / q).astype(np.uint16)
         frames.append(Frame(f"{name}, seed {seed}", depth, camera, rendering.labels, rendering.planes))
     return frames
 
