@@ -56,7 +56,7 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
         taken, too, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
         share their errors, that counts. By default ``camera.noise``; what nothing says, the frame says.
     min_size : int
-        Pixels that a plane must have.
+        Pixels that a plane must have. What has fewer is left out; from 60 on the other planes stay as they are.
 
     Returns
     -------
@@ -118,7 +118,8 @@ def segment_frame(
     segment_quadtree.join_blocks(pyramid, noise, rules, state)
     region = np.empty(work.blocks, np.int32)
     number, count = segment_regions.find_regions(
-        inverse_depth, rays, pyramid, state, noise, rules, float(min_size), region, owners, work.contacts, work.sums
+        inverse_depth, rays, pyramid, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
+        work.contacts, work.sums,
     )  # fmt: skip
     sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
     planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count))
@@ -163,7 +164,7 @@ def _result(
     why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
     number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
     found = segment_parts.judge_parts(
-        parts, count, curved, rules, min_size, _REASONS, why, stray, number, kept
+        parts, count, curved, rules, min(min_size, SMALLEST), _REASONS, why, stray, number, kept
     )
     segment_labels.label_runs(runs, number)
 
@@ -174,7 +175,13 @@ def _result(
     if _join_across_gaps(moments, alpha, rss, deviation, number, rays, work, rules):
         found = int(number.max())
         segment_labels.label_runs(runs, number)
-    moments, alpha, rss = moments[:found], alpha[:found], rss[:found]
+    moments, alpha, rss, deviation = moments[:found], alpha[:found], rss[:found], deviation[:found]
+    large = moments[:, 0] >= min_size
+    if not large.all():
+        number, why = _leave_out(large, number, why)
+        segment_labels.label_runs(runs, number)
+        moments, alpha, rss, deviation = moments[large], alpha[large], rss[large], deviation[large]
+        found = len(moments)
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_labels.write_labels(
@@ -203,6 +210,14 @@ def _result(
         reason=reason,
         sigma=float(np.sort(noise.sigma[1:])[len(noise.sigma) // 2 - 1]),
     )
+
+
+def _leave_out(
+    large: NDArray[np.bool_], number: NDArray[np.int32], why: NDArray[np.uint8]
+) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+    """Number and reason of the parts without those of planes that are not ``large``."""
+    left = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])[number].astype(np.int32)
+    return left, np.where((number > 0) & (left == 0), np.uint8(Reason.SMALL), why)
 
 
 def _join_across_gaps(

@@ -259,6 +259,21 @@ def test_small_planes_and_the_reason_why_not():
     assert np.isin(found.reason[102:110, 102:110], [Reason.SMALL, Reason.UNCLAIMED]).all()
 
 
+@pytest.mark.parametrize("least", [150, 600, 3000])
+def test_a_larger_least_size_leaves_out_small_planes_and_changes_no_others(room, least):
+    _, depth = room
+    everything, large = segment(depth, CAMERA), segment(depth, CAMERA, min_size=least)
+    stays = everything.sizes >= least
+    assert 0 < np.count_nonzero(stays) < len(everything)
+    assert len(large) == np.count_nonzero(stays)
+    np.testing.assert_array_equal(large.planes, everything.planes[stays])
+    np.testing.assert_array_equal(large.plane_covariance, everything.plane_covariance[stays])
+    left = np.concatenate([[0], np.where(stays, np.cumsum(stays), 0)])[everything.labels]
+    assert np.mean(large.labels != left) < 1e-3  # pixels that stand alone
+    dropped = (everything.labels > 0) & (left == 0) & (large.labels == 0)
+    assert np.mean(large.reason[dropped] == Reason.SMALL) > 0.99
+
+
 def test_what_a_plane_owns_is_no_powder():
     # Between two walls nothing but noise, a quarter of whose pixels happen to lie on the right one.
     rng = np.random.default_rng(18)
