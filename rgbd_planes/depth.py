@@ -44,6 +44,8 @@ class DepthFrame(NamedTuple):
         The inverse depth q in 1/m of a valid pixel: ``scale / raw`` of depth, ``scale * raw + offset`` of
         disparity.
     is_disparity : bool
+    step : float
+        Between neighbouring values of `raw` as they came: 1 of integers, 0 of floats.
     """
 
     raw: NDArray[Any]
@@ -52,6 +54,7 @@ class DepthFrame(NamedTuple):
     scale: float
     offset: float
     is_disparity: bool
+    step: float
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -142,11 +145,12 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     if holes:
         raw, lowest, highest = _without(raw, holes, lowest, highest, missing)
     raw = raw.view()
+    step = 0.0 if kind == "f" else 1.0
     raw.setflags(write=False)  # one type for the kernels, and the caller's frame is safe
     if disparity is not None:
-        return DepthFrame(raw, lowest, highest, disparity[0], disparity[1], True)
+        return DepthFrame(raw, lowest, highest, disparity[0], disparity[1], True, step)
     assert depth_scale is not None
-    return DepthFrame(raw, lowest, highest, depth_scale, 0.0, False)
+    return DepthFrame(raw, lowest, highest, depth_scale, 0.0, False, step)
 
 
 def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:

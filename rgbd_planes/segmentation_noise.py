@@ -95,7 +95,5 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
 
 def _rounding(frame: DepthFrame, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
-    if frame.raw.dtype.kind != "u":
-        return np.zeros_like(q)
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(step / 12.0**0.5)
+    return np.asarray(frame.step * step / 12.0**0.5)

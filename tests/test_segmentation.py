@@ -479,6 +479,16 @@ def test_rays_of_every_pixel_do_as_rays_of_rows_and_columns(room):
     assert bent.alpha == pytest.approx(straight.alpha, abs=1e-3)
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32, np.uint32, np.int64, ">u2"])
+def test_integers_of_any_kind_are_rounded(kind):
+    # In steps of two centimetres and hardly any noise: what rounding makes counts, whatever holds the integers.
+    camera = replace(CAMERA, depth_scale=50.0)
+    depth = scenes.room().render(camera).measure(noise=1e-4)
+    expected, found = segment(depth, camera), segment(depth.astype(kind), camera)
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    np.testing.assert_array_equal(found.planes, expected.planes)
+
+
 def test_planes_of_sparse_pixels():
     # A block in four has more than half of its pixels: runs of blocks and of pixels make one part.
     rng = np.random.default_rng(14)
