@@ -19,6 +19,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Camera": "camera",
     "FitSettings": "batch_parts",
+    "LabelPlanes": "labels",
     "Reason": "segmentation_result",
     "Segmentation": "segmentation_result",
     "TileFitter": "tiles",
@@ -27,6 +28,7 @@ _NAMES = {
     "WindowPlanes": "windows",
     "curvature": "surfaces",
     "estimate_noise": "noise_estimation",
+    "fit_labels": "labels",
     "fit_sequence": "batch",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
@@ -69,6 +71,8 @@ if TYPE_CHECKING:
     from rgbd_planes.batch import fit_sequence as fit_sequence
     from rgbd_planes.batch_parts import FitSettings as FitSettings
     from rgbd_planes.camera import Camera as Camera
+    from rgbd_planes.labels import LabelPlanes as LabelPlanes
+    from rgbd_planes.labels import fit_labels as fit_labels
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.noise_estimation import estimate_noise as estimate_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus

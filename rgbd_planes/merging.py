@@ -36,7 +36,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
 
     Parameters
     ----------
-    fits : TilePlanes, WindowPlanes or MergedPlanes
+    fits : TilePlanes, WindowPlanes, LabelPlanes or MergedPlanes
         Of one frame. Pixels that overlapping windows share count twice.
     labels : array_like of int
         Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result. Tiles without a plane

@@ -42,7 +42,7 @@ class PlaneFits:
     """Planes n·X + d = 0 fitted to parts of a frame; the base of every result of a fit.
 
     The arrays' leading shape S is (R, C) for the tiles of a frame, (F, R, C) for a batch and (K,) for
-    windows. All are in the camera's frame (x right, y down, z forward) and in metres.
+    windows and labels. All are in the camera's frame (x right, y down, z forward) and in metres.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class PlaneFits:
 
     @property
     def _cell_dimensions(self) -> int:
-        """How many dimensions count the planes of one frame: 2 for tiles, 1 for windows."""
+        """How many dimensions count the planes of one frame: 2 for tiles, 1 for others."""
         return min(self._moments.ndim - 1, 2)
 
     @property
@@ -167,7 +167,7 @@ class PlaneFits:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlacedFits(PlaneFits):
-    """Planes fitted to parts of a frame that have a place in its image; the base of `TilePlanes` and `WindowPlanes`."""
+    """Planes fitted to parts of a frame that have a place in its image; the base of `TilePlanes` and others."""
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """(H', W') int64: the number of the part at these rows and columns of pixels; -1 for none."""

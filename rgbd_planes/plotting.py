@@ -47,7 +47,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
 
     Parameters
     ----------
-    fits : TilePlanes or WindowPlanes
+    fits : TilePlanes, WindowPlanes or LabelPlanes
         Of one frame. Of windows that overlap the smallest is on top.
     depth_metres : (H, W) float64, optional
         The measured depth in metres, NaN where missing. Without it, the depth of the fitted planes.

@@ -27,7 +27,7 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
 
     Parameters
     ----------
-    fits : TilePlanes or WindowPlanes
+    fits : TilePlanes, WindowPlanes or LabelPlanes
         Of one frame. Of windows that overlap the smallest is on top.
 
     Returns

@@ -155,6 +155,16 @@ def fit_windows(depth, camera, windows, method, **options):
     return planes
 
 
+def fit_labels(depth, camera, labels, method, **options):
+    """Fit the pixels of labels 1 to K, one after the other."""
+    q = inverse_depth(depth, camera)
+    labels = np.asarray(labels)
+    return [
+        fit(method, camera.tan_x[labels == i], camera.tan_y[labels == i], q[labels == i], **options)
+        for i in range(1, int(labels.max()) + 1)
+    ]
+
+
 def tile_windows(camera, tile):
     """The windows of a grid of tiles, row by row, the last ones ragged."""
     height, width = (tile, tile) if np.ndim(tile) == 0 else tile

@@ -18,6 +18,7 @@ FRAMES = sequences.FrameSequence([sequences.FrameEntry("0", 0.0, CAMERA, None)],
     [
         lambda camera: rp.fit_tiles(DEPTH, camera),
         lambda camera: rp.fit_windows(DEPTH, camera, [[0, 0, 8, 8]]),
+        lambda camera: rp.fit_labels(DEPTH, camera, DEPTH > 0),
         lambda camera: rp.segment(DEPTH, camera),
         lambda camera: next(rp.segment_sequence([DEPTH], camera)),
         lambda camera: rp.segment_quadtree(DEPTH, camera),

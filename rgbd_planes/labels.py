@@ -1,0 +1,115 @@
+"""Fit planes to the pixels of each label of an image: masks, or a segmentation from elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, plain_array
+from rgbd_planes.compilation import announced
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.fit_statistics import Assessment
+from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
+from rgbd_planes.kernels.label_moments import label_moments
+from rgbd_planes.plane_fits import PlacedFits, allocate
+from rgbd_planes.wording import counted
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LabelPlanes(PlacedFits):
+    """The planes of labels 1 to K of a frame, arrays of shape S = (K,).
+
+    p-values, covariances and `plot` are those of `TilePlanes`.
+
+    Attributes
+    ----------
+    labels : (H, W) int32
+        0 for none; row i of the arrays belongs to label i + 1.
+    """
+
+    labels: npt.NDArray[np.int32]
+
+    def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        return self.labels[rows[:, None], columns].astype(np.int64) - 1
+
+    @property
+    def _title(self) -> str:
+        return counted(len(self.status), "label")
+
+
+def fit_labels(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    labels: npt.ArrayLike,
+    method: str = "range_explicit",
+    *,
+    max_missing: float = 0.5,
+    max_error: float | None = None,
+    significance: float | None = None,
+) -> LabelPlanes:
+    """Fit a plane to the pixels of a mask, or of each label of a segmentation from elsewhere.
+
+    Each valid pixel counts: one at the edge of a mask that lies on something else pulls the plane towards it.
+    `segment` finds the pixels of planes by itself.
+
+    Parameters
+    ----------
+    depth, camera, method, max_missing, max_error, significance
+        As in `fit_tiles`.
+    labels : (H, W) array_like of int or bool
+        0 for none, 1..K, of which each has a row in the result; a mask is label 1.
+
+    Returns
+    -------
+    LabelPlanes
+        Arrays of shape (K, ...); a label that no pixel has gets TOO_FEW.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `fit_tiles`, and for labels that are no integers, of another shape, negative, or above the number of pixels.
+    """
+    check_camera(camera)
+    check_choice("method", method, METHODS)
+    max_missing = check_share("max_missing", max_missing)
+    error = check_error(max_error)
+    numbers = _check_labels(labels, camera)
+    frame = as_depth_frame(depth, camera)
+
+    count = int(numbers.max())
+    arrays = allocate((), (count,))
+    assess = Assessment(camera, method, significance, numbers.size).of(arrays)
+    pixels, moments, reference = np.empty(count, np.int64), np.empty((count, 10)), np.empty((count, 3))
+    rays = (
+        (camera.tan_x_columns[None], camera.tan_y_rows[:, None])
+        if camera.is_separable
+        else (camera.tan_x, camera.tan_y)
+    )
+    with announced(("labels", method, frame.raw.dtype)):
+        label_moments(
+            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *rays,
+            method.startswith("standard"), numbers, pixels, moments, reference,
+        )  # fmt: skip
+        arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
+        solve_planes(method, arrays, valid_needed(pixels, max_missing), error, 0, count)
+        assess(0, count)
+    return LabelPlanes(camera=camera, method=method, labels=numbers, **arrays)
+
+
+def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:
+    """Return the labels as a contiguous (H, W) int32 array of its own."""
+    array = plain_array("labels", labels)
+    if array.dtype.kind not in "iub":
+        raise TypeError(f"labels must be integers, or a mask, got dtype {array.dtype}")
+    if array.shape != camera.shape:
+        raise ValueError(f"labels must have the shape of the frame, {camera.shape}, got {array.shape}")
+    # Numbers that count something else, such as colours, would make that many rows.
+    if array.min() < 0 or array.max() > array.size:
+        raise ValueError(
+            f"labels must be 0 for none, and 1 to K, got {array.min()} to {array.max()}: "
+            "np.unique(labels, return_inverse=True) numbers others"
+        )
+    return np.array(array, np.int32, order="C")

@@ -1,0 +1,145 @@
+"""Planes of the pixels of labels, wherever they lie, against the oracle."""
+
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
+
+import rgbd_planes as rp
+
+DISPARITY = {"depth_scale": None, "disparity": (-0.002, 3.0)}
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_equals_oracle(data):
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    options = data.draw(st.sampled_from([{}, DISPARITY]))
+    camera = make_camera(data.draw(st.sampled_from([(), (0.2, -0.5, 0.001, 0.002, 0.3)])), 31, 26, **options)
+    depth = make_depth(camera, rng)
+    if camera.disparity is not None:
+        depth = ((1.0 / depth - 3.0) / -0.002).round().astype(np.uint16)
+    elif data.draw(st.booleans()):
+        depth = (1000.0 * depth).astype(np.uint16)
+    depth[rng.random(depth.shape) < data.draw(st.sampled_from([0.0, 0.1, 0.7]))] = 0
+    # Half planes over each other, and pixels strewn over all: also labels of no pixel, of one, and of one line.
+    labels = np.zeros(camera.shape, data.draw(st.sampled_from([np.int32, np.uint8, np.int64])))
+    rows, columns = np.indices(camera.shape)
+    for i in range(1, data.draw(st.integers(1, 6)) + 1):
+        side = rng.normal(size=3) @ np.array([rows - 13.0, columns - 15.0, np.full(rows.shape, 5.0)]).reshape(
+            3, -1
+        )
+        labels[side.reshape(rows.shape) > 0.0] = i
+    strewn = rng.random(labels.shape) < data.draw(st.sampled_from([0.0, 0.01, 0.5]))
+    labels[strewn] = rng.integers(0, 9, np.count_nonzero(strewn))
+    method = data.draw(st.sampled_from(METHODS))
+    max_missing = data.draw(st.sampled_from([0.0, 0.5, 1.0]))
+    fits = rp.fit_labels(depth, camera, labels, method, max_missing=max_missing)
+    expected = oracle.fit_labels(
+        depth, camera, labels, method, max_missing=max_missing, change=CHANGE["naive"]
+    )
+    assert_equals_oracle(fits, expected, rmse_floor=RMSE_FLOOR["naive"])
+    np.testing.assert_array_equal(fits.labels, labels)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rectangles_are_windows(method, rng):
+    camera = replace(rp.presets.kinect_v1(), noise=rp.noise.kinect_v1())
+    depth = make_depth(camera, rng)
+    windows = [[10, 20, 100, 60], [200, 0, 280, 300], [50, 400, 1, 40]]
+    labels = np.zeros(camera.shape, int)
+    for i, (row, column, height, width) in enumerate(windows, start=1):
+        labels[row : row + height, column : column + width] = i
+    found, expected = (
+        rp.fit_labels(depth, camera, labels, method),
+        rp.fit_windows(depth, camera, windows, method),
+    )
+    np.testing.assert_array_equal(found.status, expected.status)
+    np.testing.assert_allclose(found.planes, expected.planes, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.plane_covariance, expected.plane_covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.p_value, expected.p_value, rtol=1e-6)
+
+
+def test_labels_of_tiles_are_their_merged_planes(rng):
+    camera = replace(rp.presets.kinect_v1(), noise=rp.noise.kinect_v1())
+    depth = rp.scenes.room().render(camera).measure(holes=0.1, seed=3)
+    of_tiles = rng.integers(0, 20, (30, 40))
+    merged = rp.merge(rp.fit_tiles(depth, camera, 16), of_tiles)
+    found = rp.fit_labels(depth, camera, np.kron(of_tiles, np.ones((16, 16), int)))
+    np.testing.assert_array_equal(found.valid_count, merged.valid_count)
+    np.testing.assert_allclose(found.planes, merged.planes, rtol=1e-9)
+    np.testing.assert_allclose(found.offset_std, merged.offset_std, rtol=1e-6)
+    again = rp.merge(found, (np.arange(found.shape[0]) % 2) + 1)
+    halves = rp.fit_labels(depth, camera, np.where(found.labels > 0, (found.labels - 1) % 2 + 1, 0))
+    np.testing.assert_allclose(again.planes, halves.planes, rtol=1e-9)
+
+
+def test_true_labels_give_true_planes():
+    camera = replace(rp.presets.kinect_v1(), noise=rp.noise.kinect_v1())
+    rendering = rp.scenes.room().render(camera)
+    found = rp.fit_labels(rendering.measure(holes=0.05, seed=5), camera, rendering.labels)
+    deviation = (found.alpha + rendering.planes[:, :3] / rendering.planes[:, 3:])[..., None]
+    squares = (deviation.mT @ np.linalg.solve(found.alpha_covariance, deviation)).ravel()
+    assert found.fitted.all()
+    assert np.mean(squares) == pytest.approx(3.0, abs=1.5)  # chi-square of 3 of 24 planes
+    assert (found.p_value > 1e-4).all()
+
+
+def test_a_mask_is_one_label(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    mask = depth < np.median(depth)
+    fits = rp.fit_labels(depth, camera, mask)
+    assert fits.shape == (1,)
+    assert fits.valid_count[0] == np.count_nonzero(mask)
+    assert rp.fit_labels(depth, camera, np.zeros_like(mask)).planes.shape == (0, 4)
+
+
+def test_a_label_without_pixels_has_no_plane(rng):
+    camera = make_camera()
+    labels = np.full(camera.shape, 3)
+    fits = rp.fit_labels(make_depth(camera, rng), camera, labels)
+    assert [rp.TileStatus(status).name for status in fits.status] == ["TOO_FEW", "TOO_FEW", "OK"]
+
+
+def test_the_labels_are_copied(rng):
+    camera = make_camera()
+    labels = np.ones(camera.shape, np.int32)
+    fits = rp.fit_labels(make_depth(camera, rng), camera, labels)
+    labels[:] = 2
+    assert (fits.labels == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("labels", "error", "message"),
+    [
+        (np.ones((48, 64)), TypeError, "labels must be integers, or a mask, got dtype float64"),
+        (np.ones((48, 65), int), ValueError, r"the shape of the frame, \(48, 64\), got \(48, 65\)"),
+        (np.ones((48, 64, 3), int), ValueError, r"got \(48, 64, 3\)"),
+        (np.full((48, 64), -1), ValueError, "got -1 to -1: np.unique"),
+        (np.full((48, 64), 0xFFFF00), ValueError, "got 16776960 to 16776960: np.unique"),
+        (np.full((48, 64), 2**63, np.uint64), ValueError, "got 9223372036854775808 to"),
+        (np.ma.masked_equal(np.ones((48, 64), int), 0), TypeError, r"fill it first, labels.filled\(0\)"),
+    ],
+)
+def test_bad_labels(labels, error, message):
+    camera = make_camera()
+    with pytest.raises(error, match=message):
+        rp.fit_labels(np.ones(camera.shape), camera, labels)
+
+
+def test_it_shows_itself(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    labels = np.zeros(camera.shape, int)
+    labels[8:40, :30], labels[8:40, 34:] = 1, 2
+    fits = rp.fit_labels(depth, camera, labels, max_error=1e-6)
+    assert repr(fits).startswith("<LabelPlanes (2,), range_explicit: 2 ROUGH, median rmse ")
+    assert "2 ROUGH" in fits._repr_html_()
+    figure = fits.plot(depth)
+    figure.canvas.draw()
+    assert figure.axes[2].get_title() == "2 labels, range_explicit"
