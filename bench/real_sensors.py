@@ -29,21 +29,18 @@ RESAMPLES = 1000
 def angles(folder: Path, tile: int) -> NDArray[np.float64]:
     """(N, 3) angles in degrees, by each method, of the tiles inside labelled planes."""
     camera = rp.Camera.load(folder / "camera.json")
-    whole = np.array([[0, 0, camera.height, camera.width]])
     found = []
     for path in sorted((folder / "labels").glob("*.png")):
         depth, labels = read_depth(folder / "depth" / path.name), read_depth(path)
+        normals = [rp.fit_labels(depth, camera, labels, m, max_missing=1.0).planes[:, :3] for m in METHODS]
         for label in np.unique(labels[labels > 0]):
             region = np.where(labels == label, depth, 0)
             if np.count_nonzero(region) < LEAST_PIXELS:
                 continue
             columns = []
-            for method in METHODS:
-                plane = rp.fit_windows(
-                    region, camera, whole, method, implementation="naive", max_missing=1.0
-                ).planes[0, :3]
+            for method, normal in zip(METHODS, normals, strict=True):
                 tiles = rp.fit_tiles(region, camera, tile, method, max_missing=0.05)
-                chord = np.linalg.norm(tiles.planes[..., :3] - plane, axis=-1)
+                chord = np.linalg.norm(tiles.planes[..., :3] - normal[label - 1], axis=-1)
                 columns.append(np.degrees(2.0 * np.arcsin(chord / 2.0)).ravel())
             rows = np.column_stack(columns)
             found.append(rows[np.isfinite(rows).all(axis=1)])
