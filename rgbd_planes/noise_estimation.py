@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
+from rgbd_planes.depth import warn_caller
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise_evidence import evidence_of
 from rgbd_planes.noise_samples import (
@@ -44,6 +45,8 @@ FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
 """Candidates for the length of the systematic error, up to half of the largest tile."""
 LATERALS = np.linspace(0.0, 1.2, 25)
 """Candidates for the lateral error, in pixels."""
+SPREADS = np.linspace(0.0, 1.5, 61)
+"""Candidates for the spread: of real sensors none was above 1.1."""
 _TAIL = 0.95  # quantile at which the spread is matched: above are also tiles that are not flat
 _EXACT = 1e-9  # residuals below this share of 1/Z are rounding errors of float64
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
@@ -73,6 +76,11 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     ValueError
         Too little in the frames is flat, or what is flat has no noise.
 
+    Warns
+    -----
+    UserWarning
+        What is taken for flat differs so much that it may be edges: the model is none to rely on.
+
     Notes
     -----
     Surfaces that are not flat but everywhere as smooth as a plane (a curtain, a lawn) count as noise.
@@ -96,9 +104,12 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     flat = flat_windows(tiles[WINDOW], tiles[8])
     count = int(np.count_nonzero(flat))
     if count < FEWEST_WINDOWS:
+        whole = tiles[WINDOW].valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
+        missing = np.mean(whole < (1.0 - MOST_MISSING) * WINDOW * WINDOW)
+        reason = f": of most windows more than {MOST_MISSING:.0%} of the pixels are missing"
         raise ValueError(
             f"expected frames with at least {FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
-            f"found {count} in {len(opened)} frames"
+            f"found {count} in {len(opened)} frames{reason if missing > 0.5 else ''}"
         )
     samples = all_samples(tiles, flat)
     for some in samples.values():
@@ -118,6 +129,11 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
+    if model.spread >= SPREADS[-1]:
+        warn_caller(
+            "what is taken for flat differs more than the noise of a sensor does, and may be edges: "
+            "are surfaces in the frames flat over 50 pixels or more?"
+        )
     return replace(model, evidence=evidence_of(opened, camera, model, samples, tiles, count))
 
 
@@ -237,7 +253,6 @@ def _fit_scale(samples: Samples, model: NoiseModel) -> NoiseModel:
 
 def _fit_spread(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
     """The spread with which residuals reach as far above their median as those of the tiles do."""
-    candidates = np.linspace(0.0, 1.5, 61)
     deviate = NormalDist().inv_cdf(_TAIL)
     spreads = []
     for size in (8, 12, 24):
@@ -246,6 +261,6 @@ def _fit_spread(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
         ratio = some.rss / expected
         reach = np.quantile(ratio, _TAIL) / np.median(ratio)
         freedom = float(np.median(freedoms))
-        reaches = ratio_at(deviate, freedom, candidates) / ratio_at(0.0, freedom, candidates)
-        spreads.append(float(np.interp(reach, reaches, candidates)))
+        reaches = ratio_at(deviate, freedom, SPREADS) / ratio_at(0.0, freedom, SPREADS)
+        spreads.append(float(np.interp(reach, reaches, SPREADS)))
     return replace(model, spread=float(np.median(spreads)))

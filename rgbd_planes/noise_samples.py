@@ -176,8 +176,16 @@ def bins_of(q: Float, smallest: int) -> list[npt.NDArray[np.intp]]:
 
 
 def _mode(values: Float) -> float:
-    """The mean of the densest stretch: what is flat lies close together, however much clutter is spread around it."""
+    """The mean of the first dense stretch: what is flat lies close together, however much clutter is spread beyond it.
+
+    Where there is more clutter than flat, as in small images, it has the densest stretch. Flat is then the one before,
+    of a third as many at least, after which there are less than half of those that it has.
+    """
     values = np.sort(values)
-    stops = np.searchsorted(values, values + _STRETCH, side="right")
-    start = int(np.argmax(stops - np.arange(len(values))))
-    return float(np.mean(values[start : stops[start]]))
+    first = np.arange(len(values))
+    inside = np.searchsorted(values, values + _STRETCH, side="right") - first
+    begins = int(np.argmax(3 * inside >= inside.max()))
+    most = np.maximum.accumulate(inside[begins:])
+    ends = np.append(2 * inside[begins:] < most, True).argmax()
+    start = begins + int(np.argmax(inside[begins : begins + ends]))
+    return float(np.mean(values[start : start + inside[start]]))

@@ -81,12 +81,20 @@ def test_finds_the_noise_again(truth, rng):
     assert np.mean(rejected) < 0.03
 
 
-@pytest.mark.parametrize(("width", "height", "focal"), [(256, 192, 210.0), (160, 120, 131.0)])
-def test_independent_noise_of_small_frames_stays_independent(width, height, focal):
-    """Most of their windows of 48 pixels have edges, in the smaller ones most of 24: these are not what is usual."""
+def small_frames(width, height, focal, count):
+    """A camera, and what it sees of the furnished room as it goes past."""
     camera = rp.Camera(width, height, focal, focal, width / 2 - 0.5, height / 2 - 0.5, depth_scale=1000.0)
-    views = VIEWS if width > 200 else [((0.1 * i, -1.5, -0.2), (0.5 - 0.1 * i, -0.8, 2.6)) for i in range(12)]
-    seen = [rp.scenes.room(*view).render(camera).measure(seed=i) for i, view in enumerate(views)]
+    ways = 1.2 * np.arange(count) / count
+    views = VIEWS if width > 200 else [((x, -1.5, -0.2), (0.5 - x, -0.8, 2.6)) for x in ways]
+    return camera, [rp.scenes.room(*view).render(camera).measure(seed=i) for i, view in enumerate(views)]
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "focal", "count"), [(256, 192, 210.0, 4), (160, 120, 131.0, 12), (96, 72, 79.0, 40)]
+)
+def test_independent_noise_of_small_frames_stays_independent(width, height, focal, count):
+    """Most of their windows of 48 pixels have edges, in the smaller ones most of 24: these are not what is usual."""
+    camera, seen = small_frames(width, height, focal, count)
     model = rp.estimate_noise(seen, camera)
     assert model.floor < 0.1
     np.testing.assert_allclose(model.sigma([0.3, 0.5]), rp.noise.kinect_v1().sigma([0.3, 0.5]), rtol=0.15)
@@ -135,13 +143,28 @@ def test_frames_without_anything_flat(rng):
     noise = rng.random((2, *CAMERA.shape)) + 0.5
     depth = ndimage.gaussian_filter(noise, (0, 12, 12)) * 20.0 - 17.0
     with pytest.raises(
-        ValueError, match=r"at least 16 flat windows of 24 x 24 pixels, found \d+ in 2 frames"
+        ValueError, match=r"at least 16 flat windows of 24 x 24 pixels, found \d+ in 2 frames$"
     ):
         rp.estimate_noise(depth[:, :64, :64], replace(CAMERA, width=64, height=64))
     with pytest.raises(ValueError, match="at least one frame, got none"):
         rp.estimate_noise([], CAMERA)
     with pytest.raises(ValueError, match="at least 24 x 24 pixels, got 20 x 22"):
         rp.estimate_noise([np.ones((20, 22))], replace(CAMERA, width=22, height=20))
+
+
+def test_what_may_be_edges_is_doubted():
+    """Hardly any window of 24 pixels is flat."""
+    camera, seen = small_frames(80, 60, 66.0, 40)
+    with pytest.warns(UserWarning, match="may be edges: are surfaces in the frames flat over 50 pixels"):
+        rp.estimate_noise(seen, camera)
+
+
+def test_missing_pixels_are_named():
+    depth = rendering(*VIEWS[0]).measure(holes=0.3)
+    with pytest.raises(
+        ValueError, match="found 0 in 1 frames: of most windows more than 10% of the pixels are missing"
+    ):
+        rp.estimate_noise(depth, CAMERA)
 
 
 def test_frames_without_noise():
