@@ -489,6 +489,20 @@ def test_integers_of_any_kind_are_rounded(kind):
     np.testing.assert_array_equal(found.planes, expected.planes)
 
 
+@pytest.mark.parametrize(("width", "height", "least"), [(160, 120, 12), (80, 60, 5)])
+def test_where_the_squares_of_a_small_frame_fall_costs_no_planes(width, height, least):
+    # Nearly all of its squares of 32, or of 16, pixels lie across an edge, which is no noise that grows.
+    focal = 0.82 * width
+    for pad in (0, 1, 2, 3):
+        camera = Camera(
+            width + pad, height + pad, focal, focal, width / 2 - 0.5 + pad, height / 2 - 0.5 + pad
+        )
+        rendering = scenes.room().render(camera)
+        depth = rendering.measure(quantise=False)
+        depth[:pad] = depth[:, :pad] = np.nan
+        assert compare_labels(segment(depth, camera).labels, rendering.labels).hoover(0.8).correct >= least
+
+
 def test_planes_of_sparse_pixels():
     # A block in four has more than half of its pixels: runs of blocks and of pixels make one part.
     rng = np.random.default_rng(14)
