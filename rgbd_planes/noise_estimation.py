@@ -150,12 +150,11 @@ def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
     bins = [bins[i] for i in first]  # where all is at one depth, one bin tells as much as several
     seen = samples.rss / samples.count
     seen = np.maximum(seen, 1e-3 * np.median(seen))
-    best = np.inf, 0.0, np.zeros(len(q))
-    for lateral in LATERALS:
+    best: tuple[float, float, Float] = (np.inf, 0.0, np.zeros(len(q)))
+    for lateral in LATERALS.tolist():
         known = samples.independent(replace(rounding, lateral=lateral))
-        variance = np.array(
-            [max(np.median((seen - known)[some]), 0.01 * np.median(seen[some])) for some in bins]
-        )
+        own = np.array([np.median((seen - known)[some]) for some in bins])
+        variance = np.maximum(own, [0.01 * np.median(seen[some]) for some in bins])
         ends = np.concatenate([variance[:1], variance, variance[-1:]])
         variance = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
         error = np.log(seen / (np.interp(samples.q, q, variance) + known))
@@ -165,7 +164,7 @@ def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
     _, lateral, variance = best
     sigma = np.sqrt(variance)
     spread = np.log(q) - np.log(q).mean()
-    power = float(np.clip(spread @ np.log(sigma) / max(spread @ spread, 1e-9), 0.0, 2.0))
+    power = float(np.clip(spread @ np.log(sigma) / max(float(spread @ spread), 1e-9), 0.0, 2.0))
     farther, nearer = np.array([0.25, 0.35, 0.5, 0.7]), np.array([1.4, 2.0, 2.8, 4.0])
     along = table(
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),

@@ -96,11 +96,9 @@ def plot_segments(
 
 def _write_numbers(segmentation: Segmentation, axes: Axes) -> None:
     """Write each large plane's label where most of the plane is around it."""
-    from scipy.ndimage import find_objects
-
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)
-    for i, box in enumerate(find_objects(labels)):
+    for i, box in enumerate(segmentation._boxes):
         if segmentation.sizes[i] < least:
             continue
         row, column = _middle(labels[box] == i + 1)

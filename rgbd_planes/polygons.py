@@ -158,22 +158,14 @@ def plane_polygons(
     with needs("shapely", "polygons"):
         import shapely  # noqa: F401
 
-    boxes = _boxes(segmentation.labels, len(segmentation))
     return [
-        _polygon(segmentation, label, boxes[label - 1], tolerance, min_part)
-        for label in range(1, len(segmentation) + 1)
+        _polygon(segmentation, label, box, tolerance, min_part)
+        for label, box in enumerate(segmentation._boxes, start=1)
     ]
 
 
-def _boxes(labels: NDArray[np.int32], count: int) -> list[tuple[slice, ...]]:
-    """Rows and columns in which each label lies."""
-    from scipy.ndimage import find_objects
-
-    return list(find_objects(labels, max_label=count))
-
-
 def _polygon(
-    segmentation: Segmentation, label: int, box: tuple[slice, ...], tolerance: float, min_part: float
+    segmentation: Segmentation, label: int, box: tuple[slice, slice], tolerance: float, min_part: float
 ) -> PlanePolygon:
     plane = segmentation.planes[label - 1]
     normal, d = plane[:3], plane[3]

@@ -109,6 +109,15 @@ class Segmentation:
         return np.asarray(self.sizes / sums)
 
     @property
+    def _boxes(self) -> list[tuple[slice, slice]]:
+        """The rows and the columns in which each plane's pixels lie."""
+        from scipy.ndimage import find_objects
+
+        nowhere = slice(0), slice(0)
+        boxes = find_objects(self.labels, max_label=len(self))
+        return [nowhere if box is None else (box[0], box[1]) for box in boxes]
+
+    @property
     def plane_covariance(self) -> Floats:
         """(N, 4, 4) float64: covariance of (n, d), by first-order propagation from α."""
         n, d = self.planes[:, :3], self.planes[:, 3]
