@@ -67,7 +67,9 @@ def normals(
     A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
     beside it by more than noise explains: by the factor that the ratio of two such variances exceeds once
     in a thousand times for independent normal noise. There is no threshold to set. It takes about four
-    times as long.
+    times as long. A surface that bends by more than its noise within a window is taken for an edge as well: its
+    normals are then those of half a window beside, with a window of 15 off by up to 10° at the rim of a ball of
+    0.2 m radius at 1 m.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 
