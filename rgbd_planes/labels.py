@@ -105,7 +105,11 @@ def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32
     if array.dtype.kind not in "iub":
         raise TypeError(f"labels must be integers, or a mask, got dtype {array.dtype}")
     if array.shape != camera.shape:
-        raise ValueError(f"labels must have the shape of the frame, {camera.shape}, got {array.shape}")
+        several = array.ndim == 3 and array.shape[1:] == camera.shape
+        hint = ": (masks * np.arange(1, len(masks) + 1)[:, None, None]).max(axis=0) makes labels of masks"
+        raise ValueError(
+            f"labels must have the shape of the frame, {camera.shape}, got {array.shape}{hint if several else ''}"
+        )
     # Numbers that count something else, such as colours, would make that many rows.
     if array.min() < 0 or array.max() > array.size:
         raise ValueError(
