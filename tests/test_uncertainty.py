@@ -537,6 +537,7 @@ def test_models():
         "lateral 0.3 pixels",
     ):
         assert part in repr(replace(CORRELATED, spread=0.2, lateral=0.3))
+    assert "0.4% correlated over 8 pixels" in repr(rp.noise.NoiseModel(correlation=((0.004, 8.0),)))
     assert "a function" in repr(noise.function(lambda q: 1e-3 * q))
     assert noise.kinect_v1().sigma(0.3) == 1.425e-3
     np.testing.assert_allclose(noise.kinect_v1().sigma_depth([1.0, 2.0]), [1.425e-3, 5.7e-3])
