@@ -45,8 +45,11 @@ def same_plane(
     first, second = _array("alpha", alpha, (3,)), _array("other_alpha", other_alpha, (3,))
     first_covariance = _array("covariance", covariance, (3, 3))
     second_covariance = _array("other_covariance", other_covariance, (3, 3))
-    shape = np.broadcast_shapes(
-        first.shape[:-1], second.shape[:-1], first_covariance.shape[:-2], second_covariance.shape[:-2]
+    shape = _leading(
+        alpha=first.shape[:-1],
+        covariance=first_covariance.shape[:-2],
+        other_alpha=second.shape[:-1],
+        other_covariance=second_covariance.shape[:-2],
     )
 
     def flat(array: Float, entries: tuple[int, ...]) -> Float:
@@ -87,11 +90,18 @@ def point_distance(
     """
     point, plane = _array("points", points, (3,)), _array("planes", planes, (4,))
     covariance = _array("plane_covariance", plane_covariance, (4, 4))
+    spread = None if point_covariance is None else _array("point_covariance", point_covariance, (3, 3))
+    _leading(
+        points=point.shape[:-1],
+        planes=plane.shape[:-1],
+        plane_covariance=covariance.shape[:-2],
+        point_covariance=() if spread is None else spread.shape[:-2],
+    )
     distance = np.sum(point * plane[..., :3], axis=-1) + plane[..., 3]
     lever = np.concatenate([point, np.ones((*point.shape[:-1], 1))], axis=-1)
     variance = _form(lever, covariance)
-    if point_covariance is not None:
-        variance = variance + _form(plane[..., :3], _array("point_covariance", point_covariance, (3, 3)))
+    if spread is not None:
+        variance = variance + _form(plane[..., :3], spread)
     return distance, np.sqrt(np.maximum(variance, 0.0))
 
 
@@ -121,6 +131,12 @@ def angle_between(
     )
     first_covariance = _array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
     second_covariance = _array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
+    _leading(
+        planes=first.shape[:-1],
+        plane_covariance=first_covariance.shape[:-2],
+        other_planes=second.shape[:-1],
+        other_covariance=second_covariance.shape[:-2],
+    )
     cosine = np.sum(first * second, axis=-1)
     sine = np.linalg.norm(np.cross(first, second), axis=-1)
     angle = np.arctan2(sine, cosine)
@@ -171,6 +187,15 @@ def transform_planes(
         and (np.linalg.det(rotation) > 0.0).all()
     ):
         raise ValueError(f"expected transform as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}")
+    pose = (
+        None if transform_covariance is None else _array("transform_covariance", transform_covariance, (6, 6))
+    )
+    _leading(
+        planes=plane.shape[:-1],
+        plane_covariance=covariance.shape[:-2],
+        transform=motion.shape[:-2],
+        transform_covariance=() if pose is None else pose.shape[:-2],
+    )
     # n' = R·n and d' = d - n'·t, linear in (n, d).
     linear = np.zeros(motion.shape)
     linear[..., :3, :3] = rotation
@@ -178,8 +203,7 @@ def transform_planes(
     linear[..., 3, 3] = 1.0
     moved = np.sum(linear * plane[..., None, :], axis=-1)
     moved_covariance = linear @ covariance @ np.swapaxes(linear, -1, -2)
-    if transform_covariance is not None:
-        pose = _array("transform_covariance", transform_covariance, (6, 6))
+    if pose is not None:
         normal = moved[..., :3]
         shape = np.broadcast_shapes(moved.shape[:-1], translation.shape[:-1])
         slope = np.zeros((*shape, 4, 6))
@@ -200,6 +224,15 @@ def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Float:
         expected = ", ".join(("...", *map(str, entries)))
         raise ValueError(f"expected {name} of shape ({expected}), got {array.shape}")
     return array
+
+
+def _leading(**shapes: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape that leading shapes broadcast to."""
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        came = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
+        raise ValueError(f"expected leading shapes that broadcast, got {came}") from None
 
 
 def _form(vector: Float, matrix: Float) -> Float:

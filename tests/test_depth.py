@@ -284,6 +284,7 @@ def test_masked_arrays_are_refused():
         ((6, 4), "transposed"),
         ((8, 12), r"got \(8, 12\): .* of another resolution"),
         ((8, 13), r"got \(8, 13\)$"),
+        ((6,), "a row of a frame"),
         ((24,), r"got \(24,\)$"),
         ((), r"got \(\)$"),
         ((0, 0), r"got \(0, 0\)$"),

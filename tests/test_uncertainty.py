@@ -8,6 +8,7 @@ import monte_carlo
 import numpy as np
 import pytest
 from scipy import special, stats
+from scipy.spatial.transform import Rotation
 
 import rgbd_planes as rp
 from rgbd_planes import fit_statistics, residual_statistics
@@ -524,6 +525,52 @@ def test_propagation_against_draws(two_planes, rng):
     )
     with pytest.raises(ValueError, match="rigid motion"):
         rp.uncertainty.transform_planes(plane, covariance, 2.0 * motion)
+
+
+def test_nothing_depends_on_the_frame_of_axes(rng):
+    """Motions one after the other are one; distances and angles stay, and how far they may be off."""
+    camera = rp.Camera(80, 64, 66.0, 66.0, 39.5, 31.5, noise=rp.noise.kinect_v1())
+    tiles = rp.fit_tiles(rp.scenes.room().render(camera).measure(quantise=False, seed=rng), camera, 16)
+    planes, covariance = tiles.planes, tiles.plane_covariance
+    motions = np.tile(np.eye(4), (2, 1, 1))
+    motions[:, :3, :3] = Rotation.from_rotvec(rng.standard_normal((2, 3))).as_matrix()
+    motions[:, :3, 3] = rng.standard_normal((2, 3))
+    there = rp.uncertainty.transform_planes(planes, covariance, motions[0])
+    for made, wanted in zip(
+        (
+            *rp.uncertainty.transform_planes(*there, motions[1]),
+            *rp.uncertainty.transform_planes(*there, np.linalg.inv(motions[0])),
+        ),
+        (*rp.uncertainty.transform_planes(planes, covariance, motions[1] @ motions[0]), planes, covariance),
+        strict=True,
+    ):
+        np.testing.assert_allclose(made, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
+    point, spread = rng.standard_normal(3), np.diag([1e-4, 4e-4, 9e-4])
+    turn, shift = motions[0, :3, :3], motions[0, :3, 3]
+    np.testing.assert_allclose(
+        rp.uncertainty.point_distance(turn @ point + shift, *there, turn @ spread @ turn.T),
+        rp.uncertainty.point_distance(point, planes, covariance, spread),
+        rtol=1e-9,
+    )
+    np.testing.assert_allclose(
+        rp.uncertainty.angle_between(there[0][1:], there[1][1:], there[0][:-1], there[1][:-1]),
+        rp.uncertainty.angle_between(planes[:-1], covariance[:-1], planes[1:], covariance[1:]),
+        rtol=1e-7,
+    )
+
+
+def test_leading_shapes_that_do_not_broadcast():
+    eye, plane, planes = np.eye(4), np.array([0.0, 0.0, -1.0, 2.0]), np.ones((2, 3, 4))
+    alpha = np.ones((2, 3, 3))
+    for call in (
+        lambda: rp.uncertainty.same_plane(alpha, np.eye(3), alpha[:1, :2], np.eye(3)),
+        lambda: rp.uncertainty.point_distance(np.ones((5, 3)), planes, eye),
+        lambda: rp.uncertainty.angle_between(planes, eye, planes[0, :2], eye),
+        lambda: rp.uncertainty.transform_planes(planes, eye, np.stack([eye, eye])),
+        lambda: rp.uncertainty.transform_planes(plane, np.stack([eye] * 2), eye, np.ones((3, 6, 6))),
+    ):
+        with pytest.raises(ValueError, match=r"leading shapes that broadcast, got .*\("):
+            call()
 
 
 def test_models():
