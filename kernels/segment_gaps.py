@@ -8,7 +8,7 @@ in the wall itself.
 import numpy as np
 
 from ._jit import kernel
-from .disjoint_sets import unite
+from .disjoint_sets import root_of, unite
 from .segment_moments import rise
 from .segment_planes import fit_planes
 
@@ -30,15 +30,16 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
         Joining two may raise the sum of squared residuals by floor² n + spread variances; n are the smaller
         one's pixels.
     pairs : (K, 2) int64, written
+        The first K of them, nearest labels first.
 
     Returns
     -------
     int
-        How many there are, at most K.
+        How many there are.
     """
     count = 0
     for a in range(len(moments)):
-        for b in range(a):
+        for b in range(a - 1, -1, -1):
             m, k = moments[a], moments[b]
             variance = min(deviation[a], deviation[b]) ** 2
             smaller = m if m[0] < k[0] else k
@@ -46,10 +47,11 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
             u, v = smaller[1] / smaller[0], smaller[2] / smaller[0]
             d = (alpha[a, 0] - alpha[b, 0]) * u + (alpha[a, 1] - alpha[b, 1]) * v + alpha[a, 2] - alpha[b, 2]
             # The smaller one's pixels are nearly all of the rise: a quick way to say no.
-            if not d * d <= 4.0 * allowed * variance or count == len(pairs):
+            if not d * d <= 4.0 * allowed * variance:
                 continue
             if rise(m, k) <= allowed * variance * smaller[0]:
-                pairs[count, 0], pairs[count, 1] = b, a
+                if count < len(pairs):
+                    pairs[count, 0], pairs[count, 1] = b, a
                 count += 1
     return count
 
@@ -173,6 +175,8 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, paren
     label_boxes(runs, box)
     for k in range(count):
         a, b = pairs[k]
+        if root_of(parent, a) == root_of(parent, b):
+            continue
         reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this one sees through the gap
         thin = False
         for side in range(2):

@@ -231,10 +231,13 @@ def _join_across_gaps(
     rules: Rules,
 ) -> bool:
     """Make one of the planes that something thin in front separates; whether there are any."""
-    pairs = np.empty((4 * len(moments), 2), np.int64)
-    count = segment_gaps.find_coplanar(
-        moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
-    )
+    count = 4 * len(moments)
+    pairs = np.empty((0, 2), np.int64)
+    while len(pairs) < count:  # again where there are many: a wall behind bars
+        pairs = np.empty((count, 2), np.int64)
+        count = segment_gaps.find_coplanar(
+            moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
+        )
     if count == 0:
         return False
     parent = np.arange(len(moments))

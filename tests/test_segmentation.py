@@ -240,6 +240,16 @@ def test_what_a_thin_thing_separates_is_one_plane(between, right, wall_parts):
     assert found.planes[left - 1, 3] == pytest.approx(2.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("between", [0.0, 0.9])
+def test_a_wall_behind_many_bars_is_one_plane(between):
+    rng = np.random.default_rng(21)
+    q = np.full(CAMERA.shape, 0.5) + rng.normal(0.0, 1e-3, CAMERA.shape)
+    bars = np.arange(CAMERA.width) % 16 >= 12  # the wall shows in twenty parts
+    q[:, bars] = between
+    depth = np.divide(1.0, q, out=np.zeros_like(q), where=q > 0.0)
+    assert len(np.unique(segment(depth, CAMERA).labels[:, ~bars])) == 1
+
+
 def test_a_large_thing_leaves_two_planes():
     rng = np.random.default_rng(17)
     q = np.full(CAMERA.shape, 0.5)
