@@ -1,5 +1,7 @@
 """Every method and implementation against the oracle, tile by tile."""
 
+from dataclasses import replace
+
 import numpy as np
 import oracle
 import pytest
@@ -163,6 +165,33 @@ def test_noise_free_plane_is_exact(method, incidence, distance):
             assert oracle.angle(plane[:3], normal) < 1e-9
             assert abs(plane[3] - d) < 1e-9 * d
             assert tiles.status[top // 16, left // 16] == rp.TileStatus.OK
+
+
+@pytest.mark.parametrize("distortion", [(), DISTORTIONS["five"]], ids=["pinhole", "five"])
+@pytest.mark.parametrize("method", METHODS)
+def test_however_the_image_lies_the_planes_are_the_same(method, distortion, rng):
+    """Mirrored, with a focal length of the other sign; or rows for columns, and so x for y."""
+    camera = make_camera(distortion, noise=rp.noise.kinect_v1())
+    depth = make_holes(make_depth(camera, rng), "some", rng)
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    last_column, last_row = camera.width - 1, camera.height - 1
+    across = {"width": HEIGHT, "height": WIDTH, "fx": fy, "fy": fx, "cx": cy, "cy": cx}
+    if distortion:
+        k1, k2, p1, p2, k3 = distortion
+        across["distortion"] = (k1, k2, p2, p1, k3)
+    tiles, normals = rp.fit_tiles(depth, camera, 8, method), rp.normals(depth, camera)
+    for changed, turn, axes in (
+        ({"fx": -fx, "cx": last_column - cx}, np.fliplr, (0, 1, 2)),
+        ({"fy": -fy, "cy": last_row - cy}, np.flipud, (0, 1, 2)),
+        (across, lambda image: np.swapaxes(image, 0, 1), (1, 0, 2)),
+    ):
+        other = replace(camera, **changed)
+        turned = rp.fit_tiles(turn(depth), other, 8, method)
+        np.testing.assert_array_equal(turn(turned.status), tiles.status)
+        np.testing.assert_allclose(turn(turned.planes)[..., (*axes, 3)], tiles.planes, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(turn(turned.p_value), tiles.p_value, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(turn(turned.offset_std), tiles.offset_std, rtol=1e-6)
+        np.testing.assert_allclose(turn(rp.normals(turn(depth), other))[..., axes], normals, atol=1e-6)
 
 
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
