@@ -23,7 +23,8 @@ def measurement_noise(
     Parameters
     ----------
     depth : (H, W) array_like
-        Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
+        Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
+        ``disparity``, disparities.
     camera : Camera
     sigma_inverse_depth : float, optional
         Standard deviation of 1/Z in 1/m: half the disparity's step over focal length times baseline. By default

@@ -247,7 +247,8 @@ def segment_quadtree(
     Parameters
     ----------
     depth : (H, W) array_like
-        Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
+        Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
+        ``disparity``, disparities.
     camera : Camera
     tile : int
         Width and height of the grid's squares in pixels.

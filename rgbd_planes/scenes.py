@@ -168,7 +168,8 @@ class Rendering:
         Returns
         -------
         (H, W) uint16 or float64
-            Raw units, missing is a value the camera calls missing; or, not quantised, metres with NaN.
+            Raw units, missing is a value the camera calls missing; or, not quantised, metres with NaN: for
+            a camera without `disparity`, which takes floats for disparities.
 
         Raises
         ------

@@ -48,7 +48,7 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     Parameters
     ----------
     depth : (H, W) array_like
-        Integers in the camera's raw units, or floats in metres; see `fit_tiles`.
+        Integers in the camera's raw units, or floats; see `fit_tiles`.
     camera : Camera
     noise : float, callable or noise model, optional
         Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,

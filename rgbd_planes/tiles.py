@@ -122,7 +122,8 @@ class TileFitter:
         Parameters
         ----------
         depth : (H, W) array_like
-            Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres.
+            Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
+            ``disparity``, disparities.
         out : TilePlanes, optional
             An earlier result for a frame of this fitter: its arrays are written into, with those of its
             uncertainty if it was asked for that, and it is returned.
@@ -319,8 +320,9 @@ def fit_tiles(
     Parameters
     ----------
     depth : (H, W) array_like
-        Unsigned integers in the camera's ``depth_scale`` or ``disparity``, or floats in metres. Missing is 0,
-        NaN, infinity, negative, one of the camera's ``invalid_values`` or outside its ``depth_range``.
+        Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
+        ``disparity``, disparities. Missing is NaN, infinity, 0 and negative depth, one of the camera's
+        ``invalid_values`` or outside its ``depth_range``.
     camera, tile, method, implementation, max_missing, max_error, significance, num_threads
         As in `TileFitter`.
 

@@ -21,7 +21,7 @@ class Frame:
     Attributes
     ----------
     depth : (H, W) array
-        As stored: integers in the camera's units, or floats in metres.
+        As stored; see `fit_tiles`.
     camera : Camera
     timestamp : float
         Seconds on the recording's own clock; NaN where it states none.
