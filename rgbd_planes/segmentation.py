@@ -77,12 +77,17 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
     anew to the pixels they own, and this is done again until it has settled. The same bits come out for
     the same frame, always.
     """
-    check_camera(camera)
-    min_size = check_whole("min_size", min_size, 3, "whole number of pixels")
+    given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
-    given = _given(camera.noise if noise is None else noise)
     with announced(("segment", frame.raw.dtype), "about a minute"):
         return segment_frame(frame, camera, given, min_size, Rules())
+
+
+def check_settings(camera: Camera, noise: Any, min_size: int) -> tuple[Given, int]:
+    """The noise, and the least size of a plane, that a segmentation goes by."""
+    check_camera(camera)
+    min_size = check_whole("min_size", min_size, 3, "whole number of pixels")
+    return _given(camera.noise if noise is None else noise), min_size
 
 
 def _given(noise: Any) -> Given:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_whole
+from rgbd_planes.checks import check_whole
 from rgbd_planes.metrics import plane_errors
-from rgbd_planes.segmentation import SMALLEST, segment
+from rgbd_planes.segmentation import SMALLEST, check_settings, segment
 from rgbd_planes.segmentation_result import Segmentation
 from rgbd_planes.wording import counted
 
@@ -76,8 +76,13 @@ def segment_sequence(
     -------
     iterator of TrackedSegmentation
         One for each frame, made when it is asked for.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `segment`: at once for an argument that cannot be, with its frame for a frame.
     """
-    check_camera(camera)
+    check_settings(camera, noise, min_size)
     tracker = Tracker(camera, check_whole("memory", memory, 0, "whole number of frames"))
     return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in frames)
 

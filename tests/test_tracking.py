@@ -1,5 +1,7 @@
 """Ids stay with their planes while the camera moves."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -88,6 +90,14 @@ def test_frames_are_read_one_at_a_time() -> None:
     assert read == [0]
 
 
-def test_bad_memory() -> None:
-    with pytest.raises(ValueError, match="memory must be at least 0, got -1"):
-        segment_sequence([], CAMERA, memory=-1)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"memory": -1}, "memory must be at least 0, got -1"),
+        ({"min_size": 2}, "min_size must be at least 3"),
+        ({"noise": -1.0}, "positive standard deviation"),
+    ],
+)
+def test_bad_arguments_are_an_error_before_any_frame(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        segment_sequence([], CAMERA, **arguments)
