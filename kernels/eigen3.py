@@ -11,6 +11,9 @@ from ._jit import kernel
 
 # Rows of room that `smallest_eigenpairs` needs.
 WORK = 3
+# Where the second eigenvalue is below this share of the largest, the cubic has lost the digits that tell the two
+# smaller ones apart.
+NEARLY_A_LINE = 1e-5
 
 
 @kernel(inline=True)
@@ -53,11 +56,55 @@ def eigenvector(a, b, c, d, e, f, eigenvalue):
 
 
 @kernel()
+def eigenpair_of_line(a, b, c, d, e, f):
+    """Smallest eigenvalue and unit eigenvector of a matrix whose other eigenvalues are far below the largest.
+
+    The largest one's eigenvector is any column after a few multiplications with the matrix. Across it a 2x2 matrix is
+    left, whose digits are those of the smaller eigenvalues.
+    """
+    is_first, is_second = (a >= d) & (a >= f), d >= f
+    x = a if is_first else (b if is_second else c)
+    y = b if is_first else (d if is_second else e)
+    z = c if is_first else (e if is_second else f)
+    for _ in range(3):
+        x, y, z = a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
+        inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+        x, y, z = x * inverse, y * inverse, z * inverse
+    x1, y1, z1, x2, y2, z2 = orthogonal(x, y, z)
+    cx, cy, cz = a * x1 + b * y1 + c * z1, b * x1 + d * y1 + e * z1, c * x1 + e * y1 + f * z1
+    b11, b12 = x1 * cx + y1 * cy + z1 * cz, x2 * cx + y2 * cy + z2 * cz
+    cx, cy, cz = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
+    b22 = x2 * cx + y2 * cy + z2 * cz
+    half = 0.5 * (b11 - b22)
+    radius = math.sqrt(half * half + b12 * b12)
+    first = -b12 if half >= 0.0 else radius - half
+    second = radius + half if half >= 0.0 else -b12
+    norm = math.sqrt(first * first + second * second)
+    first, second = (first / norm, second / norm) if norm > 0.0 else (1.0, 0.0)
+    value = 0.5 * (b11 + b22) - radius
+    x, y, z = first * x1 + second * x2, first * y1 + second * y2, first * z1 + second * z2
+    return value if value > 0.0 else 0.0, x, y, z
+
+
+@kernel(inline=True)
+def orthogonal(x, y, z):
+    """Two unit vectors that are orthogonal to a unit vector and to each other."""
+    by_z = (abs(z) >= abs(x)) & (abs(z) >= abs(y))
+    by_y = abs(y) >= abs(x)
+    x2 = z if by_z else (-y if by_y else -z)
+    y2 = 0.0 if by_z else (x if by_y else 0.0)
+    z2 = -x if by_z else (0.0 if by_y else x)
+    inverse = 1.0 / math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
+    x2, y2, z2 = x2 * inverse, y2 * inverse, z2 * inverse
+    return x2, y2, z2, y * z2 - z * y2, z * x2 - x * z2, x * y2 - y * x2
+
+
+@kernel()
 def smallest_eigenpairs(matrix, count, work, eigenvalue, vector):
     """Smallest eigenvalue and its unit eigenvector, which is NaN for a zero matrix.
 
     The root of the cubic has lost digits to the determinant. A Rayleigh quotient, which cubes the error of
-    the vector, brings them back.
+    the vector, brings them back; or `eigenpair_of_line`, where there was none left.
 
     Parameters
     ----------
@@ -95,3 +142,18 @@ def smallest_eigenpairs(matrix, count, work, eigenvalue, vector):
         vector[0, i] = x
         vector[1, i] = y
         vector[2, i] = z
+    lines = 0
+    for i in range(count):
+        lines += 1 if minors[i] < NEARLY_A_LINE else 0
+    for i in range(count if lines > 0 else 0):
+        if minors[i] < NEARLY_A_LINE:
+            trace = matrix[0, i] + matrix[3, i] + matrix[5, i]
+            inverse = 1.0 / trace
+            value, x, y, z = eigenpair_of_line(
+                matrix[0, i] * inverse, matrix[1, i] * inverse, matrix[2, i] * inverse,
+                matrix[3, i] * inverse, matrix[4, i] * inverse, matrix[5, i] * inverse,
+            )  # fmt: skip
+            eigenvalue[i] = value * trace
+            vector[0, i] = x
+            vector[1, i] = y
+            vector[2, i] = z

@@ -17,6 +17,7 @@ import math
 
 from . import eigen3
 from ._jit import kernel
+from .eigen3 import orthogonal
 
 # Rows of room that `smallest_eigenvectors` needs.
 WORK = 9
@@ -33,19 +34,6 @@ def secular_step(s, first, n, square, b22, b23, b33, m2, m3):
     value = 1.0 - eigenvalue / n - square * s - eigenvalue * spread
     slope = square + first / ((1.0 + s) * (1.0 + s)) * (1.0 / n + spread + eigenvalue * (g2 * g2 + g3 * g3))
     return value, value / slope, eigenvalue, g2, g3
-
-
-@kernel(inline=True)
-def orthogonal(x, y, z):
-    """Two unit vectors that are orthogonal to a unit vector and to each other."""
-    by_z = (abs(z) >= abs(x)) & (abs(z) >= abs(y))
-    by_y = abs(y) >= abs(x)
-    x2 = z if by_z else (-y if by_y else -z)
-    y2 = 0.0 if by_z else (x if by_y else 0.0)
-    z2 = -x if by_z else (0.0 if by_y else x)
-    inverse = 1.0 / math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
-    x2, y2, z2 = x2 * inverse, y2 * inverse, z2 * inverse
-    return x2, y2, z2, y * z2 - z * y2, z * x2 - x * z2, x * y2 - y * x2
 
 
 @kernel(inline=True)

@@ -3,6 +3,11 @@
 import numpy as np
 import pytest
 import real_data
+from hypothesis import settings
+
+# The same examples every time: what passes here passes elsewhere. ``pytest --hypothesis-profile=default`` looks for others.
+settings.register_profile("same", derandomize=True, database=None)
+settings.load_profile("same")
 
 
 @pytest.fixture

@@ -738,7 +738,7 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
         rays = np.stack([ones[own], all_u[own], all_v[own]], axis=1)
         if own.sum() < 0.5 * all_of_it[0]:
             np.testing.assert_array_equal(row, all_of_it)
-        elif np.linalg.matrix_rank(rays) == 3:
+        elif own.any() and np.linalg.matrix_rank(rays) == 3:
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)
 
 

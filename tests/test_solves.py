@@ -65,6 +65,21 @@ def test_normal_of_a_strip(width, thickness, rng):
         assert np.linalg.norm(vector - wanted * np.sign(vector @ wanted)) < 3e-14 / width**2
 
 
+@pytest.mark.parametrize("width", [1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("thickness", [0.0, 0.3, 0.9])
+def test_points_near_a_line(width, thickness, rng):
+    """Two eigenvalues far below the third are told from each other as well as rounding of the matrix allows."""
+    for _ in range(100):
+        axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        matrix = (axes * (np.array([thickness * width, width, 1.0]) * rng.uniform(1e-3, 1e3))) @ axes.T
+        matrix = 0.5 * (matrix + matrix.T)
+        values, vectors = np.linalg.eigh(matrix)
+        value, *vector = smallest_eigenpair(matrix)
+        assert abs(value - values[0]) < 2e-15 * values[2]
+        sine = np.linalg.norm(np.cross(vector, vectors[:, 0]))
+        assert sine < 4e-15 * values[2] / (values[1] - values[0])
+
+
 @settings(max_examples=300, deadline=None)
 @given(clouds, st.floats(1e-3, 1), st.floats(0.3, 30))
 def test_smallest_eigenvector_4x4(points, thickness, distance):
