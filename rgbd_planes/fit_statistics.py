@@ -24,8 +24,8 @@ Float = npt.NDArray[np.float64]
 
 DEFAULT_SIGNIFICANCE = 0.01
 ROUGH = 3
-# Tables have an entry for each number of pixels up to this one.
-_MOST_COUNTS = 10_000
+# Tables have an entry for each number of pixels up to this one, for as many sizes of tiles as a grid has.
+_MOST_COUNTS, _MOST_SIZES = 10_000, 4
 _NOTHING = np.empty((0, 1, 1))
 _ARGUMENTS = ("_moments", "_reference", "planes", "rmse_metric", "valid_count", "status")
 _arguments = operator.itemgetter(*_ARGUMENTS)
@@ -54,10 +54,7 @@ class FitStatistics:
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
         self.rows = np.empty((*frames, statistics.RESULTS, *cells))
         """What `kernels.statistics.assess` writes: also whenever the fit's arrays are written into."""
-        most = fits._most_pixels
-        if most is None:
-            most = int(fits.valid_count.max(initial=0))
-        assess = Assessment(fits.camera, fits.method, 0.0, most)
+        assess = Assessment(fits.camera, fits.method, 0.0, fits._whole)
         arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
         for frame in np.ndindex(frames):
             assess.of({name: array[frame] for name, array in arrays.items()})(0, math.prod(cells))
@@ -84,15 +81,34 @@ def _settings(noise: NoiseModel, fx: float, fy: float) -> Float:
     return np.concatenate([lateral, rounding, [inverse_freedom(noise.spread)], noise._variances])
 
 
-def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer]) -> Float:
-    made = noise.statistics(counts)
+def _some_tables(
+    noise: NoiseModel, counts: npt.NDArray[np.integer], whole: npt.NDArray[np.integer] | int
+) -> Float:
+    made = noise.statistics(counts, whole)
     return np.stack([made.expected, made.expected**2 / made.freedom, made.tilt, made.offset], axis=1)
 
 
 @functools.lru_cache(maxsize=32)
-def _all_tables(noise: NoiseModel, most: int) -> Float:
-    """For every number of pixels from 0 to ``most``: few sizes, so that tables are shared."""
-    return _some_tables(noise, np.arange(most + 1))
+def _all_tables(noise: NoiseModel, whole: int) -> Float:
+    """For every number of valid pixels among ``whole``."""
+    return _some_tables(noise, np.arange(whole + 1), whole)
+
+
+def _tables_of(
+    noise: NoiseModel, whole: npt.NDArray[np.int64]
+) -> tuple[Float | None, npt.NDArray[np.int32] | None]:
+    """A row for every number of valid pixels, and each tile's first row, if not all have one.
+
+    None where tiles are of many sizes, or large.
+    """
+    sizes = whole[:1] if (whole == whole[:1]).all() else np.unique(whole)
+    if not 0 < len(sizes) <= _MOST_SIZES or sizes[-1] > _MOST_COUNTS:
+        return None, None
+    tables = [_all_tables(noise, int(size)) for size in sizes]
+    if len(sizes) == 1:
+        return tables[0], None
+    first = np.cumsum(sizes + 1) - sizes - 1
+    return np.concatenate(tables), first[np.searchsorted(sizes, whole)].astype(np.int32)
 
 
 # What `_made_limits` makes for the default level, so that most need no SciPy, which takes 0.3 s to load.
@@ -127,6 +143,19 @@ def _made_limits(level: float) -> Float:
     return np.asarray(made.convert(kind=Polynomial).coef)
 
 
+def check_significance(significance: float | None, camera: Camera) -> None:
+    """Raise ValueError unless it is a share below 1, for a camera with a noise model, or None."""
+    if significance is None:
+        return
+    if not 0.0 <= number("significance", significance, finite=False) < 1.0:
+        raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
+    if camera.noise is None:
+        raise ValueError(
+            "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
+            "or rp.estimate_noise(frames, camera)"
+        )
+
+
 class Assessment:
     """Gives ROUGH to tiles whose residual the noise explains less often than a significance level; and statistics.
 
@@ -136,28 +165,24 @@ class Assessment:
     method : str
     significance : float or None
         As in `TileFitter`.
-    largest : int
-        Most pixels of a tile.
+    whole : (N,) int64
+        Pixels of each tile of a frame, row by row, valid ones and missing ones.
     """
 
-    def __init__(self, camera: Camera, method: str, significance: float | None, largest: int) -> None:
-        if significance is not None and not 0.0 <= number("significance", significance, finite=False) < 1.0:
-            raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
-        if significance is not None and camera.noise is None:
-            raise ValueError(
-                "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
-                "or rp.estimate_noise(frames, camera)"
-            )
+    def __init__(
+        self, camera: Camera, method: str, significance: float | None, whole: npt.NDArray[np.int64]
+    ) -> None:
+        check_significance(significance, camera)
         self._noise = camera.noise
         if camera.noise is None:
             return
         level = DEFAULT_SIGNIFICANCE if significance is None else significance
         self._limits = _limits(level, camera.noise.spread)
-        self._tables: Float | None = None
-        if camera.noise.is_independent:
-            self._tables = np.empty((0, 4))
-        elif largest <= _MOST_COUNTS:
-            self._tables = _all_tables(camera.noise, max(256, 1 << max(largest - 1, 0).bit_length()))
+        self._whole = whole
+        self._tables: Float | None = np.empty((0, 4))
+        self._first: npt.NDArray[np.int32] | None = None
+        if not camera.noise.is_independent:
+            self._tables, self._first = _tables_of(camera.noise, whole)
         self._of_noise = _settings(camera.noise, camera.fx, camera.fy)
         self._in_range_space = method.startswith("range")
 
@@ -180,10 +205,14 @@ class Assessment:
 
         def assess(start: int, stop: int) -> None:
             index, tables = counts, self._tables
-            if tables is None:  # of these tiles' numbers of pixels: there may be nothing yet in other parts
-                numbers, inverse = np.unique(counts.ravel()[start:stop], return_inverse=True)
-                index, tables = np.zeros(counts.shape, counts.dtype), _some_tables(noise, numbers)
-                index.ravel()[start:stop] = inverse
+            if tables is None or self._first is not None:
+                some = counts.ravel()[start:stop]  # there may be nothing yet in other parts
+                index = np.zeros(counts.shape, counts.dtype)
+                if tables is None:
+                    tables = _some_tables(noise, some, self._whole[start:stop])
+                    index.ravel()[start:stop] = np.arange(len(some))
+                elif self._first is not None:
+                    index.ravel()[start:stop] = some + self._first[start:stop]
             statistics.assess(*fits, index, tables, *settings, start, stop, status, ROUGH, results)
 
         return assess

@@ -11,7 +11,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, plain_array
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.fit_statistics import Assessment
+from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
 from rgbd_planes.plane_fits import PlacedFits, allocate
@@ -34,6 +34,10 @@ class LabelPlanes(PlacedFits):
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return self.labels[rows[:, None], columns].astype(np.int64) - 1
+
+    @property
+    def _whole(self) -> npt.NDArray[np.int64]:
+        return np.bincount(self.labels.ravel(), minlength=len(self.status) + 1)[1:]
 
     @property
     def _title(self) -> str:
@@ -76,12 +80,12 @@ def fit_labels(
     check_choice("method", method, METHODS)
     max_missing = check_share("max_missing", max_missing)
     error = check_error(max_error)
+    check_significance(significance, camera)
     numbers = _check_labels(labels, camera)
     frame = as_depth_frame(depth, camera)
 
     count = int(numbers.max())
     arrays = allocate((), (count,))
-    assess = Assessment(camera, method, significance, numbers.size).of(arrays)
     pixels, moments, reference = np.empty(count, np.int64), np.empty((count, 10)), np.empty((count, 3))
     rays = (
         (camera.tan_x_columns[None], camera.tan_y_rows[:, None])
@@ -95,7 +99,7 @@ def fit_labels(
         )  # fmt: skip
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(pixels, max_missing), error, 0, count)
-        assess(0, count)
+        Assessment(camera, method, significance, pixels).of(arrays)(0, count)
     return LabelPlanes(camera=camera, method=method, labels=numbers, **arrays)
 
 

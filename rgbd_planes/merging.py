@@ -27,6 +27,11 @@ class MergedPlanes(PlaneFits):
     """
 
     labels: npt.NDArray[np.int32]
+    _pixels: npt.NDArray[np.int64]
+
+    @property
+    def _whole(self) -> npt.NDArray[np.int64]:
+        return self._pixels
 
 
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
@@ -83,9 +88,11 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         moments[:, None], reference[:, None], flat, arrays["_moments"][:, None], arrays["_reference"][:, None]
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
-    largest = int(arrays["valid_count"].max(initial=0))
-    Assessment(fits.camera, fits.method, significance, largest).of(arrays)(0, count)
-    return MergedPlanes(camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), **arrays)
+    pixels = np.bincount(flat, fits._whole, count + 1)[1:].astype(np.int64)
+    Assessment(fits.camera, fits.method, significance, pixels).of(arrays)(0, count)
+    return MergedPlanes(
+        camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), _pixels=pixels, **arrays
+    )
 
 
 def _means(

@@ -178,14 +178,20 @@ class NoiseModel:
         """
         return np.asarray(1.0 / self.statistics(count).offset)
 
-    def statistics(self, count: ArrayLike) -> ResidualStatistics:
+    def statistics(self, count: ArrayLike, whole: ArrayLike | None = None) -> ResidualStatistics:
         """What this noise does to a plane fitted to so many neighbouring pixels.
 
         Parameters
         ----------
         count : array_like of int
             Numbers of valid pixels. Correlated noise is worked out for full squares of as many pixels.
+        whole : array_like of int, optional
+            Numbers of pixels among which these lie, valid ones and missing ones. Where some are missing, they may be
+            so in one piece, or here and there in a square of this size: of the two what makes errors larger counts.
         """
+        if whole is not None and not self.is_independent:
+            n, most = np.broadcast_arrays(np.asarray(count, np.float64), np.asarray(whole, np.float64))
+            return self.statistics(n).or_larger(self.statistics(most).of_some(n, most))
         n = np.asarray(count, np.float64)
         if self.is_independent:
             freedom = np.maximum(n - 3.0, 0.0)

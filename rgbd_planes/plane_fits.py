@@ -141,9 +141,9 @@ class PlaneFits:
         return min(self._moments.ndim - 1, 2)
 
     @property
-    def _most_pixels(self) -> int | None:
-        """What ``valid_count`` cannot exceed, where that is known beforehand."""
-        return None
+    def _whole(self) -> npt.NDArray[np.int64]:
+        """(N,) int64: pixels of each of one frame's parts, valid ones and missing ones."""
+        raise NotImplementedError
 
     @property
     def fitted(self) -> npt.NDArray[np.bool_]:

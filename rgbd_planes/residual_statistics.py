@@ -45,6 +45,35 @@ class ResidualStatistics:
         half = half + independent * (2.0 * along * self.expected + independent * number)
         return expected, expected**2 / half
 
+    def of_some(self, count: Floats, whole: Floats) -> "ResidualStatistics":
+        """The same where only ``count`` of ``whole`` pixels have a measurement, here and there.
+
+        With P and C as in `kernels.statistics.assess`: what pixels do alone, the diagonal of PCP, falls with their
+        number, what they do in pairs with its square.
+        """
+        more = count > 3.0
+        freedoms = np.maximum(whole - 3.0, 1.0)
+        share = np.where(more, (count - 3.0) / freedoms, 0.0)
+        alone = self.expected / freedoms
+        half = self.expected**2 / self.freedom
+        single = np.minimum(alone * self.expected, half)
+        half = share * single + share**2 * (half - single)
+        expected = share * self.expected
+        freedom = np.where(more, expected**2 / np.where(more, half, 1.0), 1e-3)
+        pairs = count / np.maximum(whole, 1.0)
+        tilt, offset = (alone + pairs * (factor - alone) for factor in (self.tilt, self.offset))
+        return ResidualStatistics(expected, freedom, tilt, offset)
+
+    def or_larger(self, other: "ResidualStatistics") -> "ResidualStatistics":
+        """Of each of two, the one that says that errors are larger."""
+        rougher = other.expected > self.expected
+        return ResidualStatistics(
+            np.where(rougher, other.expected, self.expected),
+            np.where(rougher, other.freedom, self.freedom),
+            np.maximum(self.tilt, other.tilt),
+            np.maximum(self.offset, other.offset),
+        )
+
 
 def inverse_freedom(spread: float | Floats) -> Any:
     """One over the degrees of freedom ν of a noise's variance: of mean 1, distributed as (ν - 2) / χ²(ν)."""

@@ -43,6 +43,14 @@ def tile_sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
     return np.minimum(starts + tile, length) - starts
 
 
+@lru_cache(maxsize=16)
+def tile_areas(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """(R * C,) int64: pixels of every tile of a frame of (height, width)."""
+    areas = np.outer(tile_sizes(frame[0], tile[0]), tile_sizes(frame[1], tile[1])).ravel()
+    areas.flags.writeable = False
+    return areas
+
+
 def grid_shape(camera: Camera, tile: tuple[int, int]) -> tuple[int, int]:
     """Number of rows and of columns of a frame's tiles."""
     return len(tile_sizes(camera.height, tile[0])), len(tile_sizes(camera.width, tile[1]))

@@ -28,7 +28,14 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import central_rays, check_tile, relative_rays, tile_sizes, tile_windows
+from rgbd_planes.tile_grid import (
+    central_rays,
+    check_tile,
+    relative_rays,
+    tile_areas,
+    tile_sizes,
+    tile_windows,
+)
 from rgbd_planes.tile_planes import TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
@@ -94,9 +101,10 @@ class TileFitter:
 
         sizes = tile_sizes(camera.height, self.tile[0]), tile_sizes(camera.width, self.tile[1])
         self._grid = len(sizes[0]), len(sizes[1])
-        self._needed = valid_needed(np.outer(*sizes), max_missing).ravel()
+        whole = tile_areas(camera.shape, self.tile)
+        self._needed = valid_needed(whole, max_missing)
         self._compiled_for = method, implementation, camera.is_separable
-        self._assessment = Assessment(camera, method, significance, self.tile[0] * self.tile[1])
+        self._assessment = Assessment(camera, method, significance, whole)
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles

@@ -41,6 +41,10 @@ class WindowPlanes(PlacedFits):
         return cells[rows[:, None], columns]
 
     @property
+    def _whole(self) -> npt.NDArray[np.int64]:
+        return self.windows[:, 2] * self.windows[:, 3]
+
+    @property
     def _title(self) -> str:
         return counted(len(self.windows), "window")
 
@@ -87,9 +91,9 @@ def fit_windows(
     frame = as_depth_frame(depth, camera)
 
     arrays = allocate((), (len(rectangles),))
-    largest = int(rectangles[:, 2:].prod(axis=1).max(initial=0))
-    assess = Assessment(camera, method, significance, largest).of(arrays)
-    needed = valid_needed(rectangles[:, 2] * rectangles[:, 3], max_missing)
+    whole = rectangles[:, 2] * rectangles[:, 3]
+    assess = Assessment(camera, method, significance, whole).of(arrays)
+    needed = valid_needed(whole, max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
         window_moments = WindowMoments(camera, method, implementation)

@@ -242,17 +242,22 @@ def test_correlated_noise_between_whole_sides():
     np.testing.assert_allclose([general.tilt, general.offset], 1.0)
 
 
+def correlated_errors(model, tile, runs, rng):
+    """(runs, tile, tile): errors of 1/Z as the model has them."""
+    y, x = np.mgrid[:tile, :tile].reshape(2, -1)
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    covariance = (1.0 + 1e-9 - sum(share for share, _ in model.correlation)) * np.eye(tile * tile)
+    for share, length in (*model.correlation, (model.floor**2, model.floor_length)):
+        covariance += share * np.exp(-0.5 * squared / length**2)
+    error = rng.standard_normal((runs, tile * tile)) @ np.linalg.cholesky(covariance).T
+    return error.reshape(runs, tile, tile) * model.sigma(1.0)
+
+
 def test_simulated_correlated_noise(rng):
     """Frames with that noise: p-values are nearly uniform, covariances hold, and ignoring it fails."""
     tile, runs = 16, 3000
     camera = monte_carlo.tile_camera(tile, CORRELATED)
-    y, x = np.mgrid[:tile, :tile].reshape(2, -1)
-    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-    covariance = 0.5 * np.eye(tile * tile)
-    for share, length in ((0.3, 1.5), (0.2, 5.0), (0.25, 20.0)):
-        covariance += share * np.exp(-0.5 * squared / length**2)
-    error = rng.standard_normal((runs, tile * tile)) @ np.linalg.cholesky(covariance).T
-    error = error.reshape(runs, tile, tile) * rp.noise.KINECT_V1
+    error = correlated_errors(CORRELATED, tile, runs, rng)
     alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
     frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
     stack = monte_carlo.fit(camera, frames)
@@ -261,6 +266,37 @@ def test_simulated_correlated_noise(rng):
     assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.03)
     naive = monte_carlo.fit(replace(camera, noise=rp.noise.kinect_v1()), frames)
     assert np.mean(monte_carlo.normalised_error(naive, alpha)) > 30.0
+
+
+@pytest.mark.parametrize("missing", ["here and there", "a corner"])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.NoiseModel(correlation=((0.9, 6.0),), floor=1.0, floor_length=30.0),
+        rp.noise.NoiseModel(correlation=((0.5, 2.0), (0.25, 4.0)), floor=0.8, floor_length=32.0),
+    ],
+    ids=["smooth", "rough"],
+)
+def test_simulated_correlated_noise_with_missing_pixels(noise, missing, rng):
+    """Neither are pixels that lie apart taken for a small square, nor those in one piece for a thin large one."""
+    tile, runs = 16, 3000
+    camera = monte_carlo.tile_camera(tile, noise)
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=correlated_errors(noise, tile, runs, rng))
+    if missing == "a corner":
+        frames[:, :11, 5:] = np.nan
+    else:
+        frames[rng.random(frames.shape) < 0.5] = np.nan
+    stack = monte_carlo.fit(camera, frames)
+    assert 1.8 < np.mean(monte_carlo.normalised_error(stack, alpha)) < 4.2
+    assert 0.001 < np.mean(stack.p_value < 0.01) < 0.03
+    whole = rp.fit_windows(frames[0], camera, [(0, 0, tile, tile)], max_missing=1.0)
+    labels = rp.fit_labels(frames[0], camera, np.ones(camera.shape, int), max_missing=1.0)
+    parts = rp.fit_tiles(frames[0], camera, 8, max_missing=1.0)
+    merged = rp.merge(parts, np.ones(parts.shape, int))
+    for other in (whole, labels, merged, rp.merge(merged, [1])):
+        np.testing.assert_allclose(other.p_value[0], stack.p_value[0, 0, 0], rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(other.alpha_covariance[0], stack.alpha_covariance[0, 0, 0], rtol=1e-5)
 
 
 @pytest.mark.parametrize(
