@@ -13,8 +13,6 @@ it is nearly a straight line, also where λ₁ is 0 and M singular: forming M an
 digits that the answer is made of.
 """
 
-import math
-
 from . import eigen3
 from ._jit import kernel
 from .eigen3 import orthogonal

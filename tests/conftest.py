@@ -5,7 +5,8 @@ import pytest
 import real_data
 from hypothesis import settings
 
-# The same examples every time: what passes here passes elsewhere. ``pytest --hypothesis-profile=default`` looks for others.
+# The same examples every time: what passes here passes elsewhere.
+# ``pytest --hypothesis-profile=default`` looks for others.
 settings.register_profile("same", derandomize=True, database=None)
 settings.load_profile("same")
 
