@@ -22,11 +22,13 @@ FLAT = 4.0  # variances of a square that holds one surface
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
 MOST_GROWTH = 8.0
-# In a small frame hardly a large square holds one surface, and edges would pass for noise that grows. So many squares
-# of 16 pixels must there be to tell of it at all; so many of 32, or what they add to the variance of those of 8 is at
-# most so many times what those of 16 add. Of most sensors it is 1.4 to 3.8 times that.
-FEWEST_GROWN, FEWEST_UNBOUND = 40, 100
-MOST_STEEPENING = 4.0
+# Where things are small, or the frame is, hardly a large square holds one surface, and edges would pass for noise that
+# grows. So many squares of 16 pixels must there be to tell of it at all.
+FEWEST_GROWN = 40
+# What squares of 32 pixels add to the variance of those of 8 is at most so many times what those of 16 add: sensors'
+# errors add up to 8.5 times as much, and most of them up to 3.8, which is the most where the squares are few.
+MOST_STEEPENING = 9.0
+FEW, MOST_OF_FEW = 100, 4.0
 # Share of its pixels that a small square may show to go together, to say how many do beyond it.
 MOST_SHOWN = 0.75
 
@@ -200,8 +202,9 @@ def estimate_noise(pyramid, sigma, growth):
             lateral = lateral_of(mean_square[:count], slope_square[:count], typical)
         elif smallest > 0.0:
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
-            if level == 3 and count < FEWEST_UNBOUND:
-                grown = min(grown, math.sqrt(1.0 + MOST_STEEPENING * (growth[1] ** 2 - 1.0)))
+            if level == 3:
+                most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
+                grown = min(grown, math.sqrt(1.0 + most * (growth[1] ** 2 - 1.0)))
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
     # Of squares of 32 pixels; where errors reach far, that is more than within 8.
     grown = typical * growth[len(growth) - 1] ** 2

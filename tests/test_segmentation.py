@@ -513,6 +513,19 @@ def test_where_the_squares_of_a_small_frame_fall_costs_no_planes(width, height, 
         assert compare_labels(segment(depth, camera).labels, rendering.labels).hoover(0.8).correct >= least
 
 
+def test_small_things_all_over_a_large_frame_are_planes():
+    # Like a chessboard, each field tilted another way: hardly a square of 32 pixels is within one.
+    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+    row, column = np.indices(camera.shape) // 44
+    field = row * 15 + column
+    rng = np.random.default_rng(22)
+    height, tilt = rng.uniform(0.4, 0.6, field.max() + 1), rng.uniform(-1.0, 1.0, (2, field.max() + 1))
+    x, y = (np.indices(camera.shape)[::-1] % 44 - 21.5) / 525.0
+    q = height[field] + tilt[0][field] * x + tilt[1][field] * y + rng.normal(0.0, 1e-3, camera.shape)
+    found = segment(1.0 / q, camera)
+    assert compare_labels(found.labels, field + 1).hoover(0.8).correct > 0.85 * field.max()
+
+
 def test_planes_of_sparse_pixels():
     # A block in four has more than half of its pixels: runs of blocks and of pixels make one part.
     rng = np.random.default_rng(14)
