@@ -26,6 +26,7 @@ DEFAULT_SIGNIFICANCE = 0.01
 ROUGH = 3
 # Tables have an entry for each number of pixels up to this one, for as many sizes of tiles as a grid has.
 _MOST_COUNTS, _MOST_SIZES = 10_000, 4
+_MOST_FOR_EACH = 64  # entries for each tile: of longer tables most would be made in vain
 _NOTHING = np.empty((0, 1, 1))
 _ARGUMENTS = ("_moments", "_reference", "planes", "rmse_metric", "valid_count", "status")
 _arguments = operator.itemgetter(*_ARGUMENTS)
@@ -99,10 +100,10 @@ def _tables_of(
 ) -> tuple[Float | None, npt.NDArray[np.int32] | None]:
     """A row for every number of valid pixels, and each tile's first row, if not all have one.
 
-    None where tiles are of many sizes, or large.
+    None where tiles are of many sizes, large, or few: then each is worked out alone.
     """
     sizes = whole[:1] if (whole == whole[:1]).all() else np.unique(whole)
-    if not 0 < len(sizes) <= _MOST_SIZES or sizes[-1] > _MOST_COUNTS:
+    if not 0 < len(sizes) <= _MOST_SIZES or sizes[-1] > min(_MOST_COUNTS, _MOST_FOR_EACH * len(whole)):
         return None, None
     tables = [_all_tables(noise, int(size)) for size in sizes]
     if len(sizes) == 1:
