@@ -206,14 +206,12 @@ class Assessment:
 
         def assess(start: int, stop: int) -> None:
             index, tables = counts, self._tables
-            if tables is None or self._first is not None:
+            if tables is None:
                 some = counts.ravel()[start:stop]  # there may be nothing yet in other parts
-                index = np.zeros(counts.shape, counts.dtype)
-                if tables is None:
-                    tables = _some_tables(noise, some, self._whole[start:stop])
-                    index.ravel()[start:stop] = np.arange(len(some))
-                elif self._first is not None:
-                    index.ravel()[start:stop] = some + self._first[start:stop]
+                tables = _some_tables(noise, some, self._whole[start:stop])
+                index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
+            elif self._first is not None:
+                index = counts + self._first.reshape(counts.shape)
             statistics.assess(*fits, index, tables, *settings, start, stop, status, ROUGH, results)
 
         return assess
