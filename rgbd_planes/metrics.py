@@ -215,9 +215,9 @@ class LabelComparison:
             return 0.0
         rows, columns = np.nonzero(table)
         shared = table[rows, columns]
-        given_truth = shared / table.sum(axis=1)[rows]
-        given_predicted = shared / table.sum(axis=0)[columns]
-        return float(-(shared * (np.log2(given_truth) + np.log2(given_predicted))).sum() / pixels)
+        of_truth = table.sum(axis=1)[rows] / shared
+        of_predicted = table.sum(axis=0)[columns] / shared
+        return float((shared * (np.log2(of_truth) + np.log2(of_predicted))).sum() / pixels)
 
     @property
     def covering(self) -> float:

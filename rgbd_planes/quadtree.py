@@ -262,7 +262,8 @@ def segment_quadtree(
     max_missing : float
         Share of missing pixels above which a square is dropped.
     clusters : int
-        Number of clusters of k-means. Fewer come back where the frame has fewer different planes.
+        Number of clusters of k-means. Fewer come back where the frame has fewer different planes, or k-means
+        leaves some empty.
     seed : int
         Of k-means' starting points. The same seed gives the same segmentation.
 
