@@ -752,7 +752,9 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
             np.testing.assert_array_equal(row, all_of_it)
             continue
         spread = np.cov(all_u[own], all_v[own])
-        if np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1]:  # else they may determine no plane
+        if (
+            np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1] > 1e-12
+        ):  # else they may determine no plane
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)
 
 
