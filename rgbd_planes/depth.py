@@ -200,12 +200,7 @@ def _warn_of_units(
         )
     if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
         return
-    # About a thousand pixels say it as well as all of them; a step without a common divisor with the width
-    # meets every column, whatever pattern the holes have.
-    step = max(1, raw.size // 1024)
-    while math.gcd(step, raw.shape[1]) > 1:
-        step += 1
-    sample = raw.reshape(-1)[::step]
+    sample = some_of(raw)
     far = np.count_nonzero((sample > farthest) & (sample < np.inf))
     if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf))):
         return
@@ -219,6 +214,15 @@ def _warn_of_units(
             f"with a depth_scale of {depth_scale:g} per metre most of this frame is beyond "
             f"{_PLAINLY_NOT_METRES:g} m: is it in millimetres, depth_scale=1000?"
         )
+
+
+def some_of(raw: NDArray[Any]) -> NDArray[Any]:
+    """About a thousand pixels of a frame, which often say as much as all of them."""
+    # A step without a common divisor with the width meets every column, whatever pattern the holes have.
+    step = max(1, raw.size // 1024)
+    while math.gcd(step, raw.shape[1]) > 1:
+        step += 1
+    return raw.reshape(-1)[::step]
 
 
 def warn_caller(message: str) -> None:

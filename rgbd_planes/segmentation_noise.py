@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.checks import check_noise
-from rgbd_planes.depth import DepthFrame
+from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
 from rgbd_planes.residual_statistics import ResidualStatistics
@@ -20,6 +20,8 @@ FLATNESS = 4e-4
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
+_GRAIN = 1e-5  # metres: steps are multiples of it, and it is finer than any sensor
+_FEW_VALUES = 50  # of which nothing can be said: a scene may have been made of whole numbers
 _UNKNOWN = np.empty(0)
 _SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth of a surface: where the table has entries
 
@@ -66,6 +68,7 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     given : Given
     """
     growth = np.empty(3)
+    rounding_step = _step_of(frame)
     q = _SHARES * (nearest_surface(pyramid, nearest) or 1.0)
     step = q[1:2]
     known, flattest = _UNKNOWN, FLATNESS * q
@@ -78,10 +81,12 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     typical, own_lateral, together = estimate_noise(pyramid, known, growth)
     if given.sigma is None:
         # Between the first two entries it is not to fall to nothing: far surfaces may lie there.
-        table = np.maximum(np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, q))
+        table = np.maximum(
+            np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, rounding_step, q)
+        )
     elif given.at_large and typical > 0.0:
         # An error that neighbours share is not seen within a square: it shows as growth.
-        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
+        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, rounding_step, q)), table)
     lateral = given.lateral or own_lateral
     return Noise(
         sigma=np.concatenate([step, np.maximum(table, flattest)]),
@@ -93,7 +98,21 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     )
 
 
-def _rounding(frame: DepthFrame, q: Floats) -> Floats:
+def _rounding(frame: DepthFrame, raw_step: float, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(frame.step * step / 12.0**0.5)
+    return np.asarray(raw_step * step / 12.0**0.5)
+
+
+def _step_of(frame: DepthFrame) -> float:
+    """Between neighbouring raw values: of integers, and of metres that integers were made into; 0 if there is none."""
+    if frame.step > 0.0 or frame.is_disparity:
+        return frame.step
+    sample = some_of(frame.raw)
+    grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / _GRAIN
+    whole = np.rint(grains)
+    # What single precision does to metres is 1e-7 of them.
+    if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * grains, 0.3)).any():
+        return 0.0
+    values = np.unique(whole)
+    return _GRAIN * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, gaussian_filter
 
-from rgbd_planes import Camera, estimate_noise, fit_tiles, scenes, segment, segmentation_workspace
+from rgbd_planes import (
+    Camera,
+    estimate_noise,
+    fit_tiles,
+    scenes,
+    segment,
+    segmentation_noise,
+    segmentation_workspace,
+)
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks, segment_inside
 from rgbd_planes.kernels.segment_noise_estimation import quantile
@@ -524,6 +532,26 @@ def test_small_things_all_over_a_large_frame_are_planes():
     q = height[field] + tilt[0][field] * x + tilt[1][field] * y + rng.normal(0.0, 1e-3, camera.shape)
     found = segment(1.0 / q, camera)
     assert compare_labels(found.labels, field + 1).hoover(0.8).correct > 0.85 * field.max()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("scale", [50.0, 1000.0, 5000.0])
+def test_metres_that_integers_were_made_into_are_rounded(kind, scale):
+    camera = replace(CAMERA, depth_scale=scale)
+    depth = scenes.room().render(camera).measure(noise=1e-4)
+    metres = as_depth_frame((depth / scale).astype(kind), camera)
+    assert segmentation_noise._step_of(metres) == pytest.approx(1.0 / scale, rel=1e-9)
+    expected, found = segment(depth, camera), segment(metres.raw, camera)
+    assert len(found) == len(expected)
+    assert np.mean(found.labels != expected.labels) < 1e-3
+
+
+def test_metres_that_were_measured_have_no_step():
+    depth = scenes.room().render(CAMERA).measure(noise=1e-4, quantise=False)
+    flat = np.full(CAMERA.shape, 2.0)
+    flat[:, 100:] = 3.5
+    for metres in (depth, depth.astype(np.float32), flat, np.zeros(CAMERA.shape)):
+        assert segmentation_noise._step_of(as_depth_frame(metres, CAMERA)) == 0.0
 
 
 def test_planes_of_sparse_pixels():
