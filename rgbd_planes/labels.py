@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, plain_array
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.depth import as_depth_frame, warn_caller
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
@@ -75,6 +76,11 @@ def fit_labels(
     ------
     TypeError, ValueError
         As `fit_tiles`, and for labels that are no integers, of another shape, negative, or above the number of pixels.
+
+    Warns
+    -----
+    UserWarning
+        The labels are an image of 0 and 255, which are those of a mask.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
@@ -105,6 +111,10 @@ def fit_labels(
 
 def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:
     """Return the labels as a contiguous (H, W) int32 array of its own."""
+    if isinstance(labels, (str, os.PathLike)):
+        raise TypeError(
+            f"expected labels as an array, got {type(labels).__name__}: rgbd_planes.images.read_depth reads a file"
+        )
     array = plain_array("labels", labels)
     if array.dtype.kind not in "iub":
         raise TypeError(f"labels must be integers, or a mask, got dtype {array.dtype}")
@@ -120,4 +130,6 @@ def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32
             f"labels must be 0 for none, and 1 to K, got {array.min()} to {array.max()}: "
             "np.unique(labels, return_inverse=True) numbers others"
         )
+    if array.dtype == np.uint8 and array.max() == 255 and not np.any((array > 0) & (array < 255)):
+        warn_caller("the only label is 255: is it a mask? mask > 0 is one label, and not the last of 255")
     return np.array(array, np.int32, order="C")

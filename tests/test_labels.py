@@ -99,6 +99,18 @@ def test_a_mask_is_one_label(rng):
     assert rp.fit_labels(depth, camera, np.zeros_like(mask)).planes.shape == (0, 4)
 
 
+def test_an_image_of_a_mask_is_said_to_be_one(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    mask = np.where(depth < np.median(depth), 255, 0).astype(np.uint8)
+    with pytest.warns(UserWarning, match="the only label is 255: is it a mask") as caught:
+        fits = rp.fit_labels(depth, camera, mask)
+    assert caught[0].filename == __file__
+    assert fits.shape == (255,)
+    mask[0, 0] = 7  # labels, then
+    rp.fit_labels(depth, camera, mask)
+
+
 def test_a_label_without_pixels_has_no_plane(rng):
     camera = make_camera()
     labels = np.full(camera.shape, 3)
@@ -117,6 +129,7 @@ def test_the_labels_are_copied(rng):
 @pytest.mark.parametrize(
     ("labels", "error", "message"),
     [
+        ("labels.png", TypeError, "expected labels as an array, got str: .* reads a file"),
         (np.ones((48, 64)), TypeError, "labels must be integers, or a mask, got dtype float64"),
         (np.ones((48, 65), int), ValueError, r"the shape of the frame, \(48, 64\), got \(48, 65\)"),
         (np.ones((48, 64, 3), int), ValueError, r"got \(48, 64, 3\)$"),
