@@ -71,10 +71,7 @@ def eigenpair_of_line(a, b, c, d, e, f):
         inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * inverse, y * inverse, z * inverse
     x1, y1, z1, x2, y2, z2 = orthogonal(x, y, z)
-    cx, cy, cz = a * x1 + b * y1 + c * z1, b * x1 + d * y1 + e * z1, c * x1 + e * y1 + f * z1
-    b11, b12 = x1 * cx + y1 * cy + z1 * cz, x2 * cx + y2 * cy + z2 * cz
-    cx, cy, cz = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
-    b22 = x2 * cx + y2 * cy + z2 * cz
+    b11, b12, b22 = in_plane_of(a, b, c, d, e, f, x1, y1, z1, x2, y2, z2)
     half = 0.5 * (b11 - b22)
     radius = math.sqrt(half * half + b12 * b12)
     first = -b12 if half >= 0.0 else radius - half
@@ -97,6 +94,15 @@ def orthogonal(x, y, z):
     inverse = 1.0 / math.sqrt(x2 * x2 + y2 * y2 + z2 * z2)
     x2, y2, z2 = x2 * inverse, y2 * inverse, z2 * inverse
     return x2, y2, z2, y * z2 - z * y2, z * x2 - x * z2, x * y2 - y * x2
+
+
+@kernel(inline=True)
+def in_plane_of(a, b, c, d, e, f, x1, y1, z1, x2, y2, z2):
+    """Entries 11, 12 and 22 of a matrix in the plane of two orthogonal unit vectors."""
+    x, y, z = a * x1 + b * y1 + c * z1, b * x1 + d * y1 + e * z1, c * x1 + e * y1 + f * z1
+    m11, m12 = x1 * x + y1 * y + z1 * z, x2 * x + y2 * y + z2 * z
+    x, y, z = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
+    return m11, m12, x2 * x + y2 * y + z2 * z
 
 
 @kernel()

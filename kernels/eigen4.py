@@ -15,7 +15,7 @@ digits that the answer is made of.
 
 from . import eigen3
 from ._jit import kernel
-from .eigen3 import orthogonal
+from .eigen3 import in_plane_of, orthogonal
 
 # Rows of room that `smallest_eigenvectors` needs.
 WORK = 9
@@ -57,11 +57,7 @@ def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
         a, b, c, d, e, f = matrix[0, i], matrix[1, i], matrix[2, i], matrix[3, i], matrix[4, i], matrix[5, i]
         x1, y1, z1 = vector[0, i], vector[1, i], vector[2, i]
         x2, y2, z2, x3, y3, z3 = orthogonal(x1, y1, z1)
-        cx, cy, cz = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
-        b22[i] = x2 * cx + y2 * cy + z2 * cz
-        b23[i] = x3 * cx + y3 * cy + z3 * cz
-        cx, cy, cz = a * x3 + b * y3 + c * z3, b * x3 + d * y3 + e * z3, c * x3 + e * y3 + f * z3
-        b33[i] = x3 * cx + y3 * cy + z3 * cz
+        b22[i], b23[i], b33[i] = in_plane_of(a, b, c, d, e, f, x2, y2, z2, x3, y3, z3)
         m1[i] = x1 * mean[0, i] + y1 * mean[1, i] + z1 * mean[2, i]
         m2[i] = x2 * mean[0, i] + y2 * mean[1, i] + z2 * mean[2, i]
         m3[i] = x3 * mean[0, i] + y3 * mean[1, i] + z3 * mean[2, i]

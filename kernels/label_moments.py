@@ -27,13 +27,16 @@ def points_of_row(
         there[column] = 1.0 if valid else 0.0
         u[column] = xs[column] if valid else 0.0
         v[column] = v[column] if valid else 0.0
-        w[column] = inverse_depth(value, scale, offset, is_disparity) if valid else 0.0
     if is_standard:
         for column in range(len(values)):
             z = depth(values[column], scale, offset, is_disparity) if there[column] > 0.0 else 0.0
             u[column] *= z
             v[column] *= z
             w[column] = z
+    else:
+        for column in range(len(values)):
+            q = inverse_depth(values[column], scale, offset, is_disparity) if there[column] > 0.0 else 0.0
+            w[column] = q
 
 
 @kernel(inline=True)
@@ -58,7 +61,10 @@ def find_first(points, start, stop, reference):
 
 @kernel(reduction=True)
 def add_run(points, start, stop, reference, sums):
-    """Add a run's points, less ``reference``, to a label's ten ``sums``, those of eq. tan_theta_scattermatrix."""
+    """Add a run's points, less ``reference``, to a label's ten ``sums``.
+
+    Those of eq. tan_theta_scattermatrix, or of eq. XYZ_scattermatrix.
+    """
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
     for i in range(start, stop):
         there = points[3, i]

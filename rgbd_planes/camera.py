@@ -179,6 +179,13 @@ class Camera:
         return _read_only((np.arange(float(self.height)) - self.cy) / self.fy)
 
     @property
+    def _rays(self) -> tuple[Array, Array]:
+        """tanθx and tanθy, (1, W) and (H, 1), or both (H, W) where the camera is not `is_separable`."""
+        if self.is_separable:
+            return self.tan_x_columns[None], self.tan_y_rows[:, None]
+        return self.tan_x, self.tan_y
+
+    @property
     def tan_x(self) -> Array:
         """(H, W) float64, C-contiguous, read-only: tanθx of each pixel's ray (tan_x, tan_y, 1).
 

@@ -64,12 +64,8 @@ def solve_planes(
 
 def ray_tables(camera: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """(H, W) tanθx and tanθy; views of one row and one column where these hold all rays: less to read."""
-    if not camera.is_separable:
-        return camera.tan_x, camera.tan_y
-    return (
-        np.broadcast_to(camera.tan_x_columns, camera.shape),
-        np.broadcast_to(camera.tan_y_rows[:, None], camera.shape),
-    )
+    tan_x, tan_y = camera._rays
+    return np.broadcast_to(tan_x, camera.shape), np.broadcast_to(tan_y, camera.shape)
 
 
 class WindowMoments:

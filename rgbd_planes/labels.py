@@ -93,14 +93,9 @@ def fit_labels(
     count = int(numbers.max())
     arrays = allocate((), (count,))
     pixels, moments, reference = np.empty(count, np.int64), np.empty((count, 10)), np.empty((count, 3))
-    rays = (
-        (camera.tan_x_columns[None], camera.tan_y_rows[:, None])
-        if camera.is_separable
-        else (camera.tan_x, camera.tan_y)
-    )
     with announced(("labels", method, frame.raw.dtype)):
         label_moments(
-            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *rays,
+            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
             method.startswith("standard"), numbers, pixels, moments, reference,
         )  # fmt: skip
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T

@@ -68,7 +68,6 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     given : Given
     """
     growth = np.empty(3)
-    rounding_step = _step_of(frame)
     q = _SHARES * (nearest_surface(pyramid, nearest) or 1.0)
     step = q[1:2]
     known, flattest = _UNKNOWN, FLATNESS * q
@@ -81,12 +80,10 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     typical, own_lateral, together = estimate_noise(pyramid, known, growth)
     if given.sigma is None:
         # Between the first two entries it is not to fall to nothing: far surfaces may lie there.
-        table = np.maximum(
-            np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, rounding_step, q)
-        )
+        table = np.maximum(np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, q))
     elif given.at_large and typical > 0.0:
         # An error that neighbours share is not seen within a square: it shows as growth.
-        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, rounding_step, q)), table)
+        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
     lateral = given.lateral or own_lateral
     return Noise(
         sigma=np.concatenate([step, np.maximum(table, flattest)]),
@@ -98,10 +95,10 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
     )
 
 
-def _rounding(frame: DepthFrame, raw_step: float, q: Floats) -> Floats:
+def _rounding(frame: DepthFrame, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(raw_step * step / 12.0**0.5)
+    return np.asarray(_step_of(frame) * step / 12.0**0.5)
 
 
 def _step_of(frame: DepthFrame) -> float:

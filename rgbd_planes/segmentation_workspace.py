@@ -22,8 +22,7 @@ def rays_of(camera: Camera) -> Rays:
         np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
     )
     return Rays(
-        tan_x=camera.tan_x_columns[None, :] if camera.is_separable else camera.tan_x,
-        tan_y=camera.tan_y_rows[:, None] if camera.is_separable else camera.tan_y,
+        *camera._rays,
         centre_u=camera.tan_x[middle],
         centre_v=camera.tan_y[middle],
         pitch_x=1.0 / camera.fx,
