@@ -235,15 +235,18 @@ def table(rows: list[dict[str, Any]]) -> str:
     least, most = (100.0 * end(row["independent"] for row in rows) for end in (min, max))
     lines += [
         "",
-        f"Bold is what is not between 0.3 and 3 %, or 0.75 and 1.25. Right are {count('rejected', 'rejected')} shares, "
-        f"of {FEWEST_TILES} tiles or more, and {count('angle', 'angle')} angles, of {FEWEST_ANGLES} or more. "
-        f"{wrong('rejected')} shares are wrong beyond chance: of the other wrong ones so few tiles are rejected that "
-        "their 95 % interval, as if tiles were independent, reaches what is right. With the noise of the very half "
-        f"that is tested, {count('rejected', 'own_rejected')} shares and {count('angle', 'own_angle')} angles are "
-        f"right, and {wrong('own_rejected')} wrong beyond chance. Of the tiles {median('thousandth')} are below 0.001 "
-        f"in the median of the sets, {median('own_thousandth')} by their own half's noise. With a Kinect v1's noise "
-        f"taken as independent, {least:.0f} to {most:.0f} % are rejected. The shares that are not right, bold beyond "
-        "chance, with their intervals, and what they are by their own half's noise:",
+        "A share is right between 0.3 and 3 %, an angle between 0.75 and 1.25; what is not right is bold. "
+        f"{count('rejected', 'rejected')} shares, of {FEWEST_TILES} tiles or more, are right, and so are "
+        f"{count('angle', 'angle')} angles, of {FEWEST_ANGLES} tiles or more. {wrong('rejected')} shares are wrong "
+        "beyond chance: the 95 % intervals of the other wrong ones, as if tiles were independent, reach what is right. "
+        f"With the noise of the very half that is tested, {count('rejected', 'own_rejected')} shares and "
+        f"{count('angle', 'own_angle')} angles are right (shares wrong beyond chance: {wrong('own_rejected')}). "
+        f"In the median of the sets, the p-values of {median('thousandth')} of the tiles are below 0.001, and by their "
+        f"own half's noise those of {median('own_thousandth')}. By a Kinect v1's noise, taken as independent, "
+        f"{least:.0f} to {most:.0f} % are rejected.",
+        "",
+        "The shares that are not right (bold: beyond chance), with their intervals, and what they are by their own "
+        "half's noise:",
         "",
         "| frames | tile | tiles | rejected by the other half's noise | 95 % | by its own |",
         "|---|---:|---:|---:|---:|---:|",

@@ -33,7 +33,7 @@ class Reason(enum.IntEnum):
     ROUGH = 4
     """Its region is no plane: the residual is too large."""
     NARROW = 5
-    """Its region is a strip of a pixel or two, as depth edges make."""
+    """Its region is a strip of a few pixels, as depth edges make."""
     CURVED = 6
     """Its region is part of a curved surface."""
 

@@ -127,9 +127,11 @@ def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
     assert explicit > 2 * ours
 
 
-def test_every_status_and_format_is_explained():
+def test_every_status_reason_method_and_column_is_explained():
     red = (ROOT / "docs/howto/red-tiles.md").read_text()
     assert all(f"`{status.name}`" in red for status in rp.TileStatus)
+    segments = (ROOT / "docs/howto/segments.md").read_text()
+    assert all(f"`{reason.name}`" in segments for reason in rp.Reason)
     shown = (ROOT / "docs/howto/methods.md").read_text()
     from rgbd_planes.fitting import METHODS
 
