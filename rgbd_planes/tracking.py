@@ -18,7 +18,7 @@ from rgbd_planes.wording import counted
 
 SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
 TURNED = 20.0  # degrees between them, at most
-MOVED = 0.15  # difference of their distances from the camera, as a share of it, at most
+MOVED = 0.15  # difference of their distances from the camera, or of 1/Z where they were seen, as a share of it, at most
 
 MEMORY = 30  # frames: a second
 
@@ -129,21 +129,32 @@ class Tracker:
         ids = np.zeros(len(found), np.int32)
         if not len(self._ids) or not len(found):
             return ids
-        sizes = np.bincount(labels, minlength=len(found) + 1)[1:]
-        shared = np.array(
-            [np.bincount(labels[place], minlength=len(found) + 1)[1:] for place in self._places]
-        )
+        count = len(found) + 1
+        lengths = np.array([len(place) for place in self._places])
+        places = np.concatenate(self._places)
+        pairs = np.repeat(np.arange(len(lengths)) * count, lengths) + labels[places]
+
+        def sums(weights: NDArray[np.float64] | None = None) -> NDArray[Any]:
+            return np.bincount(pairs, weights, len(lengths) * count).reshape(-1, count)[:, 1:]
+
+        shared = sums()
         rows, columns = np.nonzero(shared)
-        old = self._planes[rows]
+        old, pixels = self._planes[rows], shared[rows, columns]
         errors = plane_errors(found.planes[columns], old)
-        smaller = np.minimum(np.array([len(place) for place in self._places])[rows], sizes[columns])
-        same = (
-            (shared[rows, columns] >= SHARED * smaller)
-            & (errors.angle_deg <= TURNED)
-            & (np.abs(errors.offset) <= MOVED * old[:, 3])
+        # Of a plane seen slantwise a small turn changes the distance a lot, and hardly 1/Z where it is; of one that the
+        # camera turns away from it is the other way round.
+        x, y = (
+            sums(table[::2, ::2].ravel()[places])[rows, columns] / pixels
+            for table in (found.camera.tan_x, found.camera.tan_y)
         )
+        before, now = (
+            a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns])
+        )
+        near = (np.abs(errors.offset) <= MOVED * old[:, 3]) | (np.abs(now - before) <= MOVED * before)
+        smaller = np.minimum(lengths[rows], np.bincount(labels, minlength=count)[1:][columns])
+        same = (pixels >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near
         # What is in sight goes before what was covered.
-        weight = np.where(same, shared[rows, columns] / (1.0 + self._missed[rows]), 0.0)
+        weight = np.where(same, pixels / (1.0 + self._missed[rows]), 0.0)
         table = np.zeros(shared.shape)
         table[rows, columns] = weight
         for i, j in zip(*linear_sum_assignment(table, maximize=True), strict=True):

@@ -69,6 +69,19 @@ def test_another_plane_in_the_same_place_is_new() -> None:
     assert ids == [[1, 2], [1], [1, 3]]
 
 
+def test_a_small_turn_of_a_plane_seen_slantwise_keeps_its_id() -> None:
+    frames = []
+    for i, degrees in enumerate((70.0, 75.0)):  # its distance from the camera: 0.68 m, then 0.52 m
+        along = 0.4 * np.array([np.cos(np.radians(degrees)), 0.0, np.sin(np.radians(degrees))])
+        up, middle = np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.0, 2.0])
+        board = [middle - along - up, middle + along - up, middle + along + up, middle - along + up]
+        wall = [(-9, -9, 4.0), (9, -9, 4.0), (9, 9, 4.0), (-9, 9, 4.0)]
+        scene = scenes.Scene((scenes.polygon("board", board), scenes.polygon("wall", wall)), np.eye(4))
+        frames.append(scene.render(CAMERA).measure(seed=i))
+    ids = [sorted(tracked.ids.tolist()) for tracked in segment_sequence(frames, CAMERA)]
+    assert ids == [[1, 2], [1, 2]]
+
+
 def test_missing_frames_do_not_lose_the_ids() -> None:
     frames = [wall_and_board(True), np.zeros(CAMERA.shape), np.zeros(CAMERA.shape), wall_and_board(True)]
     kept = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=3)]
