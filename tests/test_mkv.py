@@ -64,6 +64,14 @@ def test_the_camera_is_that_of_the_sdk():
         assert found[name] == pytest.approx(stated[name], rel=1e-6), name
 
 
+def test_a_recording_is_read_from_another_working_directory(tmp_path, frames, monkeypatch):
+    write_recording(tmp_path / "a.mkv", {"DEPTH": timed(frames)}, {"calibration.json": calibration()})
+    monkeypatch.chdir(tmp_path)
+    sequence = rp.open_sequence("a.mkv")
+    monkeypatch.chdir("/")
+    assert np.array_equal(sequence[0].depth, frames[0])
+
+
 def test_one_track_and_a_camera_will_do(tmp_path):
     camera = rp.Camera(80, 60, 65.0, 65.0, 39.5, 29.5, depth_scale=1000.0)
     depth = scenes.room().render(camera).measure(seed=1)

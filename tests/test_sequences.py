@@ -85,6 +85,32 @@ def test_tum(tmp_path, frames, number):
     assert repr(rp.open_sequence(root)).startswith("<FrameSequence: 3 frames, 640 x 480 pixels, depth/")
 
 
+def test_tum_by_a_link(tmp_path, frames):
+    """The calibration is known by the name of a link, or by that of the folder that it leads to."""
+    for folder, link in (("volume", "freiburg2_desk"), ("freiburg2_xyz", "frames")):
+        write_tum(tmp_path / folder, frames)
+        (tmp_path / link).symlink_to(folder)
+        assert rp.open_sequence(tmp_path / link).camera == presets.tum_freiburg2()
+
+
+@pytest.mark.parametrize("name", ["freiburg1", "a.sens", "a.bag"])
+def test_frames_are_read_from_another_working_directory(tmp_path, frames, monkeypatch, name):
+    """What was opened by a relative path: after a change of directory, or in another process."""
+    if name == "freiburg1":
+        write_tum(tmp_path / name, frames)
+    elif name == "a.sens":
+        write_sens(tmp_path / name, frames)
+    else:
+        pytest.importorskip("rosbags")
+        depth, info = messages(type_store(tmp_path / name)[0], frames)
+        timed = [(i + 1, message) for i, message in enumerate(depth)]
+        write_bag(tmp_path / name, {"/depth/image_raw": timed, "/depth/camera_info": [(1, info)]})
+    monkeypatch.chdir(tmp_path)
+    sequence = rp.open_sequence(name)
+    monkeypatch.chdir("/")
+    assert np.array_equal([frame.depth for frame in sequence], frames)
+
+
 def test_tum_says_what_is_wrong(tmp_path, frames):
     write_tum(tmp_path / "office", frames)
     with pytest.raises(ValueError, match="freiburg1, freiburg2 or freiburg3 in the folder's name"):

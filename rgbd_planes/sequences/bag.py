@@ -56,7 +56,7 @@ def rosbag(
     ValueError
         It is no bag, or damaged; it has no depth, or several topics of depth; it has no CameraInfo for them.
     """
-    source = Path(path)
+    source = Path(path).absolute()
     bag = _OpenBag(source)
     try:
         topics = bag.depth_topics()

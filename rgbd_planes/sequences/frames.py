@@ -147,8 +147,8 @@ def numbered(paths: Iterable[Path]) -> list[Path]:
 
 
 def existing_folder(path: Any) -> Path:
-    """The path, if it is a folder."""
-    folder = Path(path)
+    """The path, if it is a folder, as it is from anywhere: frames are read later, perhaps by other processes."""
+    folder = Path(path).absolute()
     if not folder.is_dir():
         raise NotADirectoryError(f"{path}: expected a folder")
     return folder

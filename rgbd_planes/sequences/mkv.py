@@ -50,7 +50,7 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     ValueError
         It is no recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
     """
-    source = existing_file(path)
+    source = existing_file(path).absolute()
     recording = _OpenRecording(source)
     try:
         camera = camera or recording.camera()

@@ -66,7 +66,7 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     FrameSequence
         Seconds on the sensor's clock; a frame that was not stamped has NaN.
     """
-    file = existing_file(path)
+    file = existing_file(path).absolute()
     with file.open("rb") as stream:
         try:
             header = _read_header(stream)

@@ -9,6 +9,7 @@ from rgbd_planes import presets
 from rgbd_planes.camera import Camera
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
 
+_NUMBER = re.compile(r"freiburg([123])|(?:^|[^a-z])fr([123])(?![0-9])")
 _CAMERAS = {"1": presets.tum_freiburg1, "2": presets.tum_freiburg2, "3": presets.tum_freiburg3}
 
 
@@ -29,7 +30,8 @@ def tum(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     """
     root = existing_folder(path)
     if camera is None:
-        found = re.findall(r"freiburg([123])|(?:^|[^a-z])fr([123])(?![0-9])", root.resolve().name)
+        # The folder may be a link to one of another name.
+        found = _NUMBER.findall(root.name) or _NUMBER.findall(root.resolve().name)
         if not found:
             raise ValueError(
                 f"{root}: expected freiburg1, freiburg2 or freiburg3 in the folder's name, by which the "
