@@ -22,7 +22,7 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     Parameters
     ----------
     path : path
-        A .png (8 or 16 bits), .tif or .tiff (integers of 8 to 32 bits, or float32), .pgm (8 or 16 bits), .npy,
+        A .png (2 to 16 bits), .tif or .tiff (integers of 2 to 32 bits, or float32), .pgm (8 or 16 bits), .npy,
         or .npz with one array.
 
     Returns
@@ -69,10 +69,11 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
     if Path(path).suffix.lower() != ".png":
         raise ValueError(f"{path}: expected a path that ends in .png")
     image = plain_array("image", image)
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    native = image.dtype.newbyteorder("=")
+    if image.ndim != 2 or native not in (np.uint8, np.uint16):
         raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
     with write_beside(path) as beside:
-        Image.fromarray(np.ascontiguousarray(image)).save(beside, format="PNG")
+        Image.fromarray(np.ascontiguousarray(image, native)).save(beside, format="PNG")
 
 
 def _read_png(path: Path) -> Frame:
@@ -92,6 +93,11 @@ _UNREAD = {
     (_FLOAT, 16): "float16", (_FLOAT, 64): "float64", (_SIGNED, 64): "int64", (_UNSIGNED, 64): "uint64",
     (_UNSIGNED, 32): "uint32",  # of the other byte order
 }  # fmt: skip
+
+# What Pillow unpacks to 0..255, by the largest value that was stored.
+_STRETCHED = {"L;2": 3, "L;4": 15}
+# Of compressed images of the other byte order Pillow swaps the bytes that libtiff has swapped already.
+_SWAPPED_TWICE = {"F;32BF": "float32", "I;32BS": "int32", "I;16BS": "int16"}
 
 
 def _unread_kind(path: Path) -> str | None:
@@ -115,8 +121,14 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
     try:
         with Image.open(path, formats=[file_format]) as image:
             mode, count = image.mode, getattr(image, "n_frames", 1)
-            if mode.startswith(("L", "I", "F")) and mode not in ("LA", "La", "LAB") and count == 1:
+            codec, stored_as = _encoding(image)
+            swapped = _SWAPPED_TWICE.get(stored_as) if codec == "libtiff" else None
+            if swapped is not None:
+                frame = None
+            elif mode.startswith(("L", "I", "F")) and mode not in ("LA", "La", "LAB") and count == 1:
                 frame = np.array(image)
+                if stored_as in _STRETCHED:
+                    frame //= 255 // _STRETCHED[stored_as]
                 if file_format == "TIFF":
                     sample_format = getattr(image, "tag_v2", {}).get(_SAMPLE_FORMAT, (_UNSIGNED,))
                     frame = frame.view(_STORED_AS.get((mode, *sample_format), frame.dtype))
@@ -131,6 +143,11 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
         raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
         raise ValueError(f"{path}: damaged or truncated {file_format} image ({error})") from error
+    if swapped is not None:
+        raise ValueError(
+            f"{path}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
+            "save it little-endian or uncompressed, or NPY"
+        )
     if frame is None:
         reason = (
             f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
@@ -139,6 +156,14 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
     if file_format == "PNG" and mode == "I":  # how some versions of Pillow open 16 bits
         frame = frame.astype(np.uint16)
     return frame
+
+
+def _encoding(image: Any) -> tuple[str, str]:
+    """Pillow's names of how an open image is compressed, and of how its pixels are stored."""
+    if not image.tile:
+        return "", ""
+    codec, _, _, arguments = image.tile[0]
+    return codec, arguments if isinstance(arguments, str) else str(arguments[0])
 
 
 _PGM_HEADER = re.compile(rb"P([25])" + rb"(?:\s|#[^\n]*\n)+(\d+)" * 3 + rb"\s")

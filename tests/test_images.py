@@ -4,6 +4,7 @@ import io
 import os
 import struct
 import threading
+import zlib
 
 import numpy as np
 import pytest
@@ -45,12 +46,41 @@ def test_big_endian_tiff(tmp_path):
     assert read.max() > 255
 
 
-def tiff(frame):
+def packed(frame, bits):
+    """Rows of numbers of less than a byte, each row from a byte on."""
+    ones = (frame[..., None] >> np.arange(bits)[::-1]) & 1
+    return np.packbits(ones.reshape(len(frame), -1), axis=1).tobytes()
+
+
+def png(frame, bits):
+    """A grey PNG image of so many bits."""
+
+    def chunk(name, content):
+        return (
+            struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+        )
+
+    height, width = frame.shape
+    rows = np.frombuffer(packed(frame, bits), np.uint8).reshape(height, -1)
+    pixels = zlib.compress(np.pad(rows, ((0, 0), (1, 0))).tobytes())
+    header = struct.pack(">IIBBBBB", width, height, bits, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+def tiff(frame, bits=None, *, compressed=False):
     """A TIFF image of any kind of numbers, also of those that Pillow does not write."""
-    pixels, order = frame.tobytes(), ">" if frame.dtype.str[0] == ">" else "<"
-    (height, width), bits, kind = frame.shape, 8 * frame.itemsize, "uif".index(frame.dtype.kind) + 1
-    tags = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: 1, 278: height, 279: len(pixels)}
-    tags[339] = kind
+    pixels, order = frame.tobytes() if bits is None else packed(frame, bits), "<>"[frame.dtype.str[0] == ">"]
+    (height, width), kind = frame.shape, "uif".index(frame.dtype.kind) + 1
+    pixels = zlib.compress(pixels) if compressed else pixels
+    tags = {
+        256: width,
+        257: height,
+        258: bits or 8 * frame.itemsize,
+        259: 8 if compressed else 1,
+        262: 1,
+        273: 8,
+    }
+    tags |= {277: 1, 278: height, 279: len(pixels), 339: kind}
     entries = b"".join(struct.pack(f"{order}HHII", tag, 4, 1, value) for tag, value in tags.items())
     header = (b"MM\0*" if order == ">" else b"II*\0") + struct.pack(f"{order}I", 8 + len(pixels))
     return header + pixels + struct.pack(f"{order}H", len(tags)) + entries + bytes(4)
@@ -65,6 +95,29 @@ def test_numbers_of_a_tiff_keep_their_values(tmp_path, dtype):
     read = images.read_depth(tmp_path / "depth.tif")
     assert np.array_equal(read, frame)
     assert read.dtype.kind == frame.dtype.kind
+
+
+@pytest.mark.parametrize("bits", [2, 4])
+def test_numbers_of_less_than_a_byte_keep_their_values(tmp_path, bits):
+    frame = a_frame(np.uint8) >> (8 - bits)  # few labels, which a program that saves room stores so
+    (tmp_path / "labels.png").write_bytes(png(frame, bits))
+    (tmp_path / "labels.tif").write_bytes(tiff(frame, bits))
+    assert np.array_equal(images.read_depth(tmp_path / "labels.png"), frame)
+    assert np.array_equal(images.read_depth(tmp_path / "labels.tif"), frame)
+
+
+@pytest.mark.parametrize("dtype", ["<i4", ">i4", "<i2", ">i2", "<f4", ">f4", "<u2", ">u2", "u1"])
+def test_numbers_of_a_compressed_tiff_keep_their_values_or_are_an_error(tmp_path, dtype):
+    frame = a_frame(dtype)
+    (tmp_path / "depth.tif").write_bytes(tiff(frame, compressed=True))
+    if dtype in (">i4", ">i2", ">f4"):
+        kind = np.dtype(dtype).name
+        with pytest.raises(
+            ValueError, match=rf"big-endian {kind}, which Pillow misreads: save it little-endian"
+        ):
+            images.read_depth(tmp_path / "depth.tif")
+    else:
+        assert np.array_equal(images.read_depth(tmp_path / "depth.tif"), frame)
 
 
 @pytest.mark.parametrize("dtype", ["<f8", ">f8", "<f2", ">f2", ">u4", "<u8", "<i8"])
@@ -105,7 +158,7 @@ def test_arrays_come_back_as_they_were_stored(tmp_path, dtype):
         assert np.array_equal(read, frame)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, ">u2"])
 def test_write_png_comes_back(tmp_path, dtype):
     frame = a_frame(dtype)
     images.write_png(tmp_path / "depth.png", frame[:, ::2])
