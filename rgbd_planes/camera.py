@@ -380,17 +380,17 @@ class Camera:
         return cls(**camera_formats.from_ros(info, rectified), **depth)
 
     @classmethod
-    def from_open3d(cls, source: str | os.PathLike[str] | Mapping[str, Any], **depth: Any) -> Self:
-        """Make a camera from Open3D's JSON, PinholeCameraIntrinsic or PinholeCameraParameters.
+    def from_open3d(cls, source: Any, **depth: Any) -> Self:
+        """Make a camera from Open3D's PinholeCameraIntrinsic or PinholeCameraParameters, or from their JSON.
 
         Parameters
         ----------
-        source : path or mapping
-            With width, height and intrinsic_matrix, nine numbers, column-major.
+        source : object, path or mapping
+            With width, height and intrinsic_matrix; in JSON its nine numbers are column-major.
         **depth
             `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
         """
-        if isinstance(source, Mapping):
+        if not isinstance(source, str | os.PathLike):
             return cls(**camera_formats.from_open3d(source), **depth)
         values = camera_formats.read_json(source)
         with naming(source):

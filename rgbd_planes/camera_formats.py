@@ -58,6 +58,7 @@ def from_opencv(
     matrix = _matrix("camera_matrix", camera_matrix)
     if np.shape(size) != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
+    pixel_center = number("pixel_center", pixel_center)
     coefficients = [] if distortion is None else _floats("distortion", distortion).ravel().tolist()
     return {
         "width": size[0],
@@ -134,14 +135,17 @@ def _ros_distortion(info: Any) -> list[float]:
     return _without_thin_prism(coefficients)
 
 
-def from_open3d(values: Mapping[str, Any]) -> dict[str, Any]:
-    intrinsic = values.get("intrinsic", values)
+def from_open3d(values: Any) -> dict[str, Any]:
+    intrinsic = _get(values, "intrinsic", default=values)
     numbers = _floats("intrinsic_matrix", _get(intrinsic, "intrinsic_matrix"))
-    if numbers.shape != (9,):
+    if not isinstance(intrinsic, Mapping):  # Open3D's own object has a matrix
+        matrix = _matrix("intrinsic_matrix", numbers)
+    elif numbers.shape == (9,):
+        matrix = _matrix("intrinsic_matrix, column-major,", numbers.reshape(3, 3).T)
+    else:
         raise ValueError(
             f"expected intrinsic_matrix as nine numbers, column-major, got shape {numbers.shape}"
         )
-    matrix = _matrix("intrinsic_matrix, column-major,", numbers.reshape(3, 3).T)
     return {"width": _get(intrinsic, "width"), "height": _get(intrinsic, "height"), **_pinhole(matrix)}
 
 

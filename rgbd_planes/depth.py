@@ -295,7 +295,8 @@ def _validity(
         above, below = below, above
     lowest = _first_float(above, scalar)
     highest = -_first_float(lambda raw: below(-raw), scalar)
-    values = {scalar(v) for v in invalid_values}
+    with np.errstate(over="ignore"):  # what float32 does not hold is infinite there: no measurement anyway
+        values = {scalar(v) for v in invalid_values}
     return scalar(lowest), scalar(highest), tuple(v for v in values if lowest <= v <= highest), np.nan
 
 

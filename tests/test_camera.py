@@ -425,6 +425,10 @@ def test_from_open3d(tmp_path):
         Camera.from_open3d(row_major)
     with pytest.raises(ValueError, match="nine numbers, column-major"):
         Camera.from_open3d(values | {"intrinsic_matrix": MATRIX})
+    intrinsic = SimpleNamespace(width=640, height=480, intrinsic_matrix=np.array(MATRIX))
+    assert Camera.from_open3d(intrinsic, depth_scale=1000.0) == expected
+    parameters = SimpleNamespace(intrinsic=intrinsic, extrinsic=np.eye(4))
+    assert Camera.from_open3d(parameters, depth_scale=1000.0) == expected
 
 
 def without(values, key):
@@ -482,6 +486,15 @@ def test_from_realsense_models(model, expected):
         (lambda: small(fx=10**400), "expected fx as a finite number, got 1000"),
         (lambda: small(width=10**400), "expected width as a whole number of pixels, 1 to"),
         (lambda: small(distortion=np.array(5.0)), r"expected distortion as a sequence of numbers, got array"),
+        (
+            lambda: small(distortion=np.zeros((1, 5))),
+            r"expected distortion as a sequence of numbers, got array",
+        ),
+        (
+            lambda: Camera.from_opencv(MATRIX, None, (640, 480), pixel_center="a"),
+            "expected pixel_center as a number, got 'a'",
+        ),
+        (lambda: Camera.from_open3d(None), "expected intrinsic_matrix in the NoneType"),
         (lambda: Camera.from_opencv([["a"]], None, (1, 1)), "expected camera_matrix as numbers, got .*'a'"),
         (lambda: Camera.from_opencv(MATRIX, "ab", (1, 1)), "expected distortion as numbers, got 'ab'"),
         (lambda: Camera.from_ros(camera_info(width=math.inf)), "width must be a whole number, got inf"),

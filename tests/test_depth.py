@@ -199,6 +199,8 @@ def test_extremes_that_would_overflow_are_missing(dtype):
     frame = as_depth_frame(depth, camera())
     expected = [False, False, True, True, False, dtype is np.float32]
     assert frame.valid[0].tolist() == expected
+    frame = as_depth_frame(depth, camera(invalid_values=(1e300, 1e30)))  # of which float32 holds but one
+    assert frame.valid[0].tolist() == [False, False, True, False, False, dtype is np.float32]
 
 
 def test_float_frames_are_metres_whatever_the_depth_scale():
