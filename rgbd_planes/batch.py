@@ -79,7 +79,15 @@ class BatchReport:
 
 
 class Progress(NamedTuple):
-    """Some frames are done: how many, and which of them were bad."""
+    """Some frames are done.
+
+    Attributes
+    ----------
+    frames : int
+        How many, since the last call.
+    problems : tuple of Problem
+        Those of them that could not be read or fitted.
+    """
 
     frames: int
     problems: tuple[Problem, ...]

@@ -53,7 +53,13 @@ class FitSettings:
             object.__setattr__(self, name, value)
 
     def check(self, camera: Camera) -> None:
-        """Raise what fitting a frame of this camera would raise for these settings."""
+        """Raise what fitting a frame of this camera would raise for these settings.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Settings that cannot be used; or some of tiles with `segments`.
+        """
         if not self.segments:
             _fitter.__wrapped__(camera, self)  # settings that cannot be used may not do for a cache
             return
@@ -72,7 +78,17 @@ class FitSettings:
 
 
 class Problem(NamedTuple):
-    """A frame that was skipped, and why."""
+    """A frame that was skipped, and why.
+
+    Attributes
+    ----------
+    frame : int
+        Its number in the sequence, from 0.
+    name : str
+        Its name in the data set.
+    reason : str
+        What was wrong with it, in one line.
+    """
 
     frame: int
     name: str

@@ -18,7 +18,7 @@ from rgbd_planes.depth import as_depth_frame, warn_caller
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise import NoiseModel
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 _FARTHEST = 75.0  # degrees from the optical axis; no lens of these models sees more
 
@@ -169,24 +169,24 @@ class Camera:
         return not self.is_distorted
 
     @property
-    def tan_x_columns(self) -> Array:
+    def tan_x_columns(self) -> Floats:
         """(W,) float64: (x - cx) / fx of each column. It is tan_x itself where the camera `is_separable`."""
         return _read_only((np.arange(float(self.width)) - self.cx) / self.fx)
 
     @property
-    def tan_y_rows(self) -> Array:
+    def tan_y_rows(self) -> Floats:
         """(H,) float64: (y - cy) / fy of each row. It is tan_y itself where the camera `is_separable`."""
         return _read_only((np.arange(float(self.height)) - self.cy) / self.fy)
 
     @property
-    def _rays(self) -> tuple[Array, Array]:
+    def _rays(self) -> tuple[Floats, Floats]:
         """tanθx and tanθy, (1, W) and (H, 1), or both (H, W) where the camera is not `is_separable`."""
         if self.is_separable:
             return self.tan_x_columns[None], self.tan_y_rows[:, None]
         return self.tan_x, self.tan_y
 
     @property
-    def tan_x(self) -> Array:
+    def tan_x(self) -> Floats:
         """(H, W) float64, C-contiguous, read-only: tanθx of each pixel's ray (tan_x, tan_y, 1).
 
         Raises
@@ -197,27 +197,27 @@ class Camera:
         return self._tables[0]
 
     @property
-    def tan_y(self) -> Array:
+    def tan_y(self) -> Floats:
         """(H, W) float64, C-contiguous, read-only: tanθy of each pixel's ray; see `tan_x`."""
         return self._tables[1]
 
     @property
-    def _tables(self) -> tuple[Array, Array]:
-        tables: tuple[Array, Array] | None = self.__dict__.get("_tables_made")
+    def _tables(self) -> tuple[Floats, Floats]:
+        tables: tuple[Floats, Floats] | None = self.__dict__.get("_tables_made")
         if tables is None:
             # Threads that come at once may each make them, and all get the same. A lock would make cameras wait
             # for each other, and for ever in a process that is forked meanwhile.
             tables = self.__dict__.setdefault("_tables_made", self._make_tables())
         return tables
 
-    def _make_tables(self) -> tuple[Array, Array]:
+    def _make_tables(self) -> tuple[Floats, Floats]:
         x = np.tile(self.tan_x_columns, (self.height, 1))
         y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
         if self.is_distorted:
             x, y = distortion.rays_of_image(x, y, self.distortion, self.distortion_model)
         return _read_only(x), _read_only(y)
 
-    def points(self, depth: ArrayLike) -> Array:
+    def points(self, depth: ArrayLike) -> Floats:
         """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z.
 
         Parameters
@@ -229,11 +229,16 @@ class Camera:
         -------
         (H, W, 3) ndarray of float64
             X, Y, Z in metres in the camera's frame, NaN where the depth is missing.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `rgbd_planes.fit_tiles`, for a frame that is none of this camera's.
         """
         z = as_depth_frame(depth, self).metres
         return np.stack([z * self.tan_x, z * self.tan_y, z], axis=-1)
 
-    def project(self, points: ArrayLike) -> Array:
+    def project(self, points: ArrayLike) -> Floats:
         """Project points into the image.
 
         Parameters
@@ -246,6 +251,11 @@ class Camera:
         (..., 2) ndarray of float64
             Column x and row y in pixels; NaN behind the camera and where the distortion has no image of the
             ray.
+
+        Raises
+        ------
+        ValueError
+            The points are of another shape.
         """
         array = np.asarray(points, np.float64)
         if array.ndim == 0 or array.shape[-1] != 3:
@@ -281,8 +291,8 @@ class Camera:
 
         Raises
         ------
-        ValueError
-            Naming the keys that are unknown or missing.
+        TypeError, ValueError
+            Naming the keys that are unknown or missing, or the value that cannot be.
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
@@ -353,6 +363,11 @@ class Camera:
             Where the calibration has the centre of the first pixel: 0 in OpenCV, 0.5 in COLMAP and OpenGL.
         **depth
             `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The matrix has a skew or is none, or there are coefficients of a thin prism or of a tilted sensor.
         """
         return cls(**camera_formats.from_opencv(camera_matrix, distortion, size, pixel_center), **depth)
 
@@ -370,6 +385,12 @@ class Camera:
             Whether the depth image is rectified (P, no distortion) or raw (K and D).
         **depth
             `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Something that is needed is missing, or cannot be; or the distortion model is another than plumb_bob and
+            rational_polynomial.
 
         Notes
         -----
@@ -389,6 +410,11 @@ class Camera:
             With width, height and intrinsic_matrix; in JSON its nine numbers are column-major.
         **depth
             `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+
+        Raises
+        ------
+        OSError, TypeError, ValueError
+            The file cannot be read, or something that is needed is missing, or cannot be.
         """
         if not isinstance(source, str | os.PathLike):
             return cls(**camera_formats.from_open3d(source), **depth)
@@ -409,6 +435,12 @@ class Camera:
         **depth
             `depth_scale` instead of `depth_units`, `disparity`, `depth_range`, `invalid_values`, `noise`.
 
+        Raises
+        ------
+        TypeError, ValueError
+            Something that is needed is missing, or cannot be; or the model is one that `Camera` has not, with
+            coefficients other than zero.
+
         Notes
         -----
         Inverse Brown-Conrady is taken as librealsense's header defines it: the polynomial undistorts. (The
@@ -422,7 +454,7 @@ class Camera:
         return cls(**{**made, **depth})
 
 
-def _read_only(array: Array) -> Array:
+def _read_only(array: Floats) -> Floats:
     array.flags.writeable = False
     return array
 

@@ -55,6 +55,7 @@ def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
 def from_opencv(
     camera_matrix: ArrayLike, distortion: ArrayLike | None, size: tuple[int, int], pixel_center: float
 ) -> dict[str, Any]:
+    """Arguments of `Camera`; see `Camera.from_opencv`."""
     matrix = _matrix("camera_matrix", camera_matrix)
     if np.shape(size) != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
@@ -79,6 +80,7 @@ def whose(keys: list[str]) -> str:
 
 
 def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
+    """Arguments of `Camera`; see `Camera.from_ros`."""
     if isinstance(info, Mapping) and "image_width" in info:
         info = _camera_info(info)
     width, height = _whole(info, "width"), _whole(info, "height")
@@ -136,6 +138,7 @@ def _ros_distortion(info: Any) -> list[float]:
 
 
 def from_open3d(values: Any) -> dict[str, Any]:
+    """Arguments of `Camera`; see `Camera.from_open3d`."""
     intrinsic = _get(values, "intrinsic", default=values)
     numbers = _floats("intrinsic_matrix", _get(intrinsic, "intrinsic_matrix"))
     if not isinstance(intrinsic, Mapping):  # Open3D's own object has a matrix
@@ -150,6 +153,7 @@ def from_open3d(values: Any) -> dict[str, Any]:
 
 
 def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]:
+    """Arguments of `Camera`; see `Camera.from_realsense`."""
     coefficients = _floats("coeffs", _get(intrinsics, "coeffs")).ravel().tolist()
     made: dict[str, Any] = {
         "width": _get(intrinsics, "width"),

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 MODELS = ("brown_conrady", "inverse_brown_conrady")
 
@@ -40,7 +40,7 @@ def check(coefficients: Sequence[float], model: str) -> None:
         )
 
 
-def rays_of_image(x: Array, y: Array, coefficients: Sequence[float], model: str) -> tuple[Array, Array]:
+def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: str) -> tuple[Floats, Floats]:
     """Rays (x, y, 1) of all pixels of an image.
 
     Parameters
@@ -77,7 +77,7 @@ def rays_of_image(x: Array, y: Array, coefficients: Sequence[float], model: str)
     return ray_x, ray_y
 
 
-def image_of_rays(x: Array, y: Array, coefficients: Sequence[float], model: str) -> tuple[Array, Array]:
+def image_of_rays(x: Floats, y: Floats, coefficients: Sequence[float], model: str) -> tuple[Floats, Floats]:
     """Normalised coordinates of the places where rays (x, y, 1) meet the image; NaN where there is none.
 
     The inverse of `rays_of_image`, for arrays of any shape.
@@ -90,14 +90,14 @@ def image_of_rays(x: Array, y: Array, coefficients: Sequence[float], model: str)
     return distort(np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), coefficients)
 
 
-def coefficients8(coefficients: Sequence[float]) -> Array:
+def coefficients8(coefficients: Sequence[float]) -> Floats:
     """Coefficients k1 k2 p1 p2 k3 k4 k5 k6, zero where fewer were given."""
     padded = np.zeros(8)
     padded[: len(coefficients)] = coefficients
     return padded
 
 
-def distort(x: Array, y: Array, coefficients: Sequence[float]) -> tuple[Array, Array]:
+def distort(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats, Floats]:
     """Where the lens puts the ray (x, y, 1): the forward model.
 
     Parameters
@@ -120,8 +120,8 @@ def distort(x: Array, y: Array, coefficients: Sequence[float]) -> tuple[Array, A
 
 
 def distortion_jacobian(
-    x: Array, y: Array, coefficients: Sequence[float]
-) -> tuple[Array, Array, Array, Array]:
+    x: Floats, y: Floats, coefficients: Sequence[float]
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Partial derivatives of `distort`: (dx'/dx, dx'/dy, dy'/dx, dy'/dy), each of the shape of `x`."""
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients8(coefficients)
     r2 = x * x + y * y
@@ -155,7 +155,9 @@ def fold_radius(coefficients: Sequence[float]) -> float:
     return float(1.0 / np.sqrt(real.max())) if len(real) else np.inf
 
 
-def undistort(x: Array, y: Array, coefficients: Sequence[float]) -> tuple[Array, Array, NDArray[np.bool_]]:
+def undistort(
+    x: Floats, y: Floats, coefficients: Sequence[float]
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The ray (x, y, 1) that the lens puts at the given place: the inverse of `distort`.
 
     A Newton iteration with the analytic Jacobian, started at the inverse of the radial part. A step is halved
@@ -186,7 +188,7 @@ def undistort(x: Array, y: Array, coefficients: Sequence[float]) -> tuple[Array,
     return out_x.reshape(shape), out_y.reshape(shape), found.reshape(shape)
 
 
-def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tuple[Array, Array]:
+def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tuple[Floats, Floats]:
     """Radii and what the radial part makes of them, as far as the given distorted radius or the fold."""
     zero = np.zeros(1)
     fold = fold_radius(coefficients)
@@ -201,8 +203,12 @@ def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tup
 
 
 def _newton(
-    target_x: Array, target_y: Array, coefficients: Sequence[float], radius: Array, distorted_radius: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+    target_x: Floats,
+    target_y: Floats,
+    coefficients: Sequence[float],
+    radius: Floats,
+    distorted_radius: Floats,
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     target_radius = np.hypot(target_x, target_y)
     start = np.interp(target_radius, distorted_radius, radius)
     ratio = np.divide(start, target_radius, out=np.ones_like(start), where=target_radius > 0)
@@ -245,8 +251,8 @@ def _newton(
 
 
 def _residual(
-    x: Array, y: Array, target_x: Array, target_y: Array, coefficients: Sequence[float]
-) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array], Array]:
+    x: Floats, y: Floats, target_x: Floats, target_y: Floats, coefficients: Sequence[float]
+) -> tuple[Floats, Floats, Floats, tuple[Floats, Floats, Floats, Floats], Floats]:
     distorted_x, distorted_y = distort(x, y, coefficients)
     error_x, error_y = distorted_x - target_x, distorted_y - target_y
     jacobian = distortion_jacobian(x, y, coefficients)
@@ -254,7 +260,7 @@ def _residual(
     return error_x, error_y, error_x * error_x + error_y * error_y, jacobian, det
 
 
-def unfolded(x: Array, y: Array, coefficients: Sequence[float]) -> NDArray[np.bool_]:
+def unfolded(x: Floats, y: Floats, coefficients: Sequence[float]) -> NDArray[np.bool_]:
     """Whether `distort` stays one-to-one on the way from the optical axis to each (x, y)."""
     k4, k5, k6 = coefficients8(coefficients)[5:]
     along_x, along_y = x[..., None] * _SEGMENT, y[..., None] * _SEGMENT

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
-from rgbd_planes.kernels import statistics
+from rgbd_planes.kernels import solve, statistics
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.residual_statistics import inverse_freedom
 from rgbd_planes.threads import Work
@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting import Arrays
     from rgbd_planes.plane_fits import PlaneFits
 
-Float = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 DEFAULT_SIGNIFICANCE = 0.01
-ROUGH = 3
 # Tables have an entry for each number of pixels up to this one, for as many sizes of tiles as a grid has.
 _MOST_COUNTS, _MOST_SIZES = 10_000, 4
 _MOST_FOR_EACH = 64  # entries for each tile: of longer tables most would be made in vain
@@ -63,11 +62,11 @@ class FitStatistics:
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
 
-    def row(self, first: int) -> Float:
+    def row(self, first: int) -> Floats:
         """Return one value a tile: S."""
         return np.asarray(self._by_row[first])
 
-    def matrix(self, first: int, side: int) -> Float:
+    def matrix(self, first: int, side: int) -> Floats:
         """Return one matrix a tile: S + (side, side). Its entries are apart in memory: each is a row."""
         rows = self._by_row[first : first + side * side]
         matrix = rows.reshape(side, side, *rows.shape[1:])
@@ -75,7 +74,7 @@ class FitStatistics:
 
 
 @functools.lru_cache(maxsize=32)
-def _settings(noise: NoiseModel, fx: float, fy: float) -> Float:
+def _settings(noise: NoiseModel, fx: float, fy: float) -> Floats:
     """A camera's noise, as `kernels.statistics` takes it."""
     lateral = np.array([noise.lateral / fx, noise.lateral / fy]) ** 2
     rounding = np.array([noise.step, noise.disparity_step]) ** 2 / 12.0
@@ -84,20 +83,20 @@ def _settings(noise: NoiseModel, fx: float, fy: float) -> Float:
 
 def _some_tables(
     noise: NoiseModel, counts: npt.NDArray[np.integer], whole: npt.NDArray[np.integer] | int
-) -> Float:
+) -> Floats:
     made = noise.statistics(counts, whole)
     return np.stack([made.expected, made.expected**2 / made.freedom, made.tilt, made.offset], axis=1)
 
 
 @functools.lru_cache(maxsize=32)
-def _all_tables(noise: NoiseModel, whole: int) -> Float:
+def _all_tables(noise: NoiseModel, whole: int) -> Floats:
     """For every number of valid pixels among ``whole``."""
     return _some_tables(noise, np.arange(whole + 1), whole)
 
 
 def _tables_of(
     noise: NoiseModel, whole: npt.NDArray[np.int64]
-) -> tuple[Float | None, npt.NDArray[np.int32] | None]:
+) -> tuple[Floats | None, npt.NDArray[np.int32] | None]:
     """A row for every number of valid pixels, and each tile's first row, if not all have one.
 
     None where tiles are of many sizes, large, or few: then each is worked out alone.
@@ -120,7 +119,7 @@ _DEFAULT_LIMITS = (
 
 
 @functools.lru_cache(maxsize=32)
-def _limits(level: float, spread: float) -> Float:
+def _limits(level: float, spread: float) -> Floats:
     """Quantiles of chi-square over its degrees of freedom, by powers of 1/√(degrees of freedom), right to 1e-5 of p.
 
     With a spread of the variance only the normal deviate of the level.
@@ -132,11 +131,11 @@ def _limits(level: float, spread: float) -> Float:
     return np.array(_DEFAULT_LIMITS) if level == DEFAULT_SIGNIFICANCE else _made_limits(level)
 
 
-def _made_limits(level: float) -> Float:
+def _made_limits(level: float) -> Floats:
     from numpy.polynomial import Chebyshev, Polynomial
     from scipy.special import chdtri
 
-    def limit(x: Float) -> Float:
+    def limit(x: Floats) -> Floats:
         freedom = np.maximum(x, 1e-3) ** -2
         return np.asarray(chdtri(freedom, level) / freedom)
 
@@ -180,7 +179,7 @@ class Assessment:
         level = DEFAULT_SIGNIFICANCE if significance is None else significance
         self._limits = _limits(level, camera.noise.spread)
         self._whole = whole
-        self._tables: Float | None = np.empty((0, 4))
+        self._tables: Floats | None = np.empty((0, 4))
         self._first: npt.NDArray[np.int32] | None = None
         if not camera.noise.is_independent:
             self._tables, self._first = _tables_of(camera.noise, whole)
@@ -212,6 +211,6 @@ class Assessment:
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first.reshape(counts.shape)
-            statistics.assess(*fits, index, tables, *settings, start, stop, status, ROUGH, results)
+            statistics.assess(*fits, index, tables, *settings, start, stop, status, solve.ROUGH, results)
 
         return assess

@@ -15,8 +15,8 @@ from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.uncertainty import same_plane
 
-Float = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 CELL = 8
 """Side in pixels of the cells of the flatness map."""
@@ -26,7 +26,7 @@ _BIAS, _BIAS_LENGTH = 1.0, 48.0  # that is expected, in standard deviations of a
 _STEPS = 300
 
 
-def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, Index]:
+def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Floats, Indices]:
     """The bias over the image, and how many pixels each cell's is from: see `NoiseEvidence`.
 
     A plane that sees a part of the image takes up what of the bias is planar there. So bias and planes are found
@@ -76,15 +76,15 @@ def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Float, Index]:
 
 
 def _bias(
-    plane: Index,
-    cell: Index,
-    weight: Float,
-    residual: Float,
-    rays: Float,
+    plane: Indices,
+    cell: Indices,
+    weight: Floats,
+    residual: Floats,
+    rays: Floats,
     prior: float,
     planes: int,
     cells: int,
-) -> Float:
+) -> Floats:
     """Least squares of residual = δα(plane)·ray + bias(cell), with a weight for bias = 0; NaN where no plane is.
 
     The biases follow from δα, of which a system is left that conjugate gradients solve. Of a bias that is planar
@@ -119,7 +119,7 @@ def _bias(
     return seen
 
 
-def _large_planes(tiles: TilePlanes) -> tuple[Index, Float]:
+def _large_planes(tiles: TilePlanes) -> tuple[Indices, Floats]:
     """(R, C) which of the large planes that are seen each tile is of, from 1, 0 for none; their α, (K, 3)."""
     labels = _connected(tiles)
     merged = merge(tiles, labels)
@@ -143,7 +143,7 @@ def _large_planes(tiles: TilePlanes) -> tuple[Index, Float]:
     return number[labels], merged.alpha[large]
 
 
-def _connected(tiles: TilePlanes) -> Index:
+def _connected(tiles: TilePlanes) -> Indices:
     """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

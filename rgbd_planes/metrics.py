@@ -20,29 +20,52 @@ LARGEST_TABLE = 1 << 22
 
 @dataclass(frozen=True, eq=False)
 class HooverCounts:
-    """Hoover's five counts, and which regions are meant (labels of the truth and of the prediction)."""
+    """Hoover's five counts, and which regions they are of.
+
+    Attributes
+    ----------
+    correct, over_segmented, under_segmented, missed, noise : int
+        Numbers of regions: of the prediction for ``under_segmented`` and ``noise``, of the truth for the others.
+    correct_pairs : (correct, 2) int64
+        Label of the truth, label of the prediction.
+    missed_labels : (missed,) int64
+        Of the truth.
+    noise_labels : (noise,) int64
+        Of the prediction.
+    """
 
     correct: int
     over_segmented: int
     under_segmented: int
     missed: int
     noise: int
-    # (correct, 2): label of the truth, label of the prediction
     correct_pairs: NDArray[np.int64] = field(repr=False)
-    missed_labels: NDArray[np.int64] = field(repr=False)  # of the truth
-    noise_labels: NDArray[np.int64] = field(repr=False)  # of the prediction
+    missed_labels: NDArray[np.int64] = field(repr=False)
+    noise_labels: NDArray[np.int64] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
 class DetectionScores:
-    """Regions matched one to one at a threshold on intersection over union."""
+    """Regions matched one to one at a threshold on intersection over union.
+
+    Attributes
+    ----------
+    precision, recall, f_score : float
+        Matches as a share of the predicted regions, and of the true ones; the harmonic mean of both.
+    panoptic_quality : float
+        ``f_score`` times ``matched_iou``.
+    matched_iou : float
+        Mean intersection over union of the matched pairs; 0 where there are none.
+    pairs : (matches, 2) int64
+        Label of the truth, label of the prediction.
+    """
 
     precision: float
     recall: float
     f_score: float
     panoptic_quality: float
-    matched_iou: float  # mean over the matched pairs; 0 where there are none
-    pairs: NDArray[np.int64] = field(repr=False)  # (matches, 2): label of the truth, label of the prediction
+    matched_iou: float
+    pairs: NDArray[np.int64] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,17 +92,17 @@ class LabelComparison:
 
     @cached_property
     def truth_sizes(self) -> NDArray[np.int64]:
-        """(T,) pixels of each true region."""
+        """(T,) int64: pixels of each true region."""
         return np.asarray(self.table[1:].sum(axis=1))
 
     @cached_property
     def predicted_sizes(self) -> NDArray[np.int64]:
-        """(P,) pixels of each predicted region."""
+        """(P,) int64: pixels of each predicted region."""
         return np.asarray(self.table[:, 1:].sum(axis=0))
 
     @cached_property
     def iou(self) -> NDArray[np.float64]:
-        """(T, P) intersection over union of every pair of regions."""
+        """(T, P) float64: intersection over union of every pair of regions."""
         shared = self.table[1:, 1:]
         return np.asarray(shared / (self.truth_sizes[:, None] + self.predicted_sizes[None, :] - shared))
 
@@ -93,6 +116,11 @@ class LabelComparison:
         ----------
         tolerance : float
             Share of the pixels that must agree, above 0.5 and at most 1.
+
+        Raises
+        ------
+        ValueError
+            The tolerance is not.
 
         Notes
         -----
@@ -157,6 +185,11 @@ class LabelComparison:
         ----------
         iou : float
             Threshold on intersection over union, above 0 and at most 1.
+
+        Raises
+        ------
+        ValueError
+            The threshold is not.
 
         Notes
         -----
@@ -278,10 +311,18 @@ def _consecutive(given: NDArray[np.generic], name: str) -> tuple[NDArray[np.intp
 
 @dataclass(frozen=True, eq=False)
 class PlaneErrors:
-    """How far planes are from the true ones, pair by pair."""
+    """How far planes are from the true ones, pair by pair.
 
-    angle_deg: NDArray[np.float64]  # (K,) between the normals, 0..180
-    offset: NDArray[np.float64]  # (K,) metres: predicted less true distance from the camera
+    Attributes
+    ----------
+    angle_deg : (K,) float64
+        Between the normals, in degrees, 0 to 180.
+    offset : (K,) float64
+        Predicted less true distance from the camera, in metres.
+    """
+
+    angle_deg: NDArray[np.float64]
+    offset: NDArray[np.float64]
 
 
 def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
@@ -296,6 +337,11 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
     -------
     PlaneErrors
         NaN where a plane is.
+
+    Raises
+    ------
+    ValueError
+        The shapes differ, or are others.
     """
     first, second = np.asarray(predicted, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if first.ndim != 2 or first.shape[1] != 4 or first.shape != second.shape:

@@ -58,6 +58,11 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
         Pixels.
     disparity_noise : float
         Standard deviation of the disparity in pixels.
+
+    Raises
+    ------
+    TypeError, ValueError
+        One of them is no positive number.
     """
     for name, value in (
         ("baseline", baseline), ("focal_length", focal_length), ("disparity_noise", disparity_noise)
@@ -76,6 +81,11 @@ def axial(constant: float = 0.0, linear: float = 0.0, quadratic: float = 0.0) ->
     ----------
     constant, linear, quadratic : float
         Metres, metres per metre and metres per square metre.
+
+    Raises
+    ------
+    TypeError, ValueError
+        All are 0, or σZ is negative at some depth.
     """
     if not (constant or linear or quadratic):
         raise ValueError("expected at least one coefficient of the noise that is not 0, got none")
@@ -93,6 +103,11 @@ def time_of_flight(constant: float = 0.0, linear: float = 0.0) -> NoiseModel:
         Metres.
     linear : float
         Metres per metre.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `axial`.
     """
     return axial(constant, linear)
 
@@ -104,6 +119,11 @@ def table(inverse_depth: ArrayLike, sigma: ArrayLike) -> NoiseModel:
     ----------
     inverse_depth, sigma : (K,) array_like
         1/m, the inverse depths growing, the standard deviations above 0.
+
+    Raises
+    ------
+    ValueError
+        They are not, or not of one length.
     """
     q, s = np.atleast_1d(inverse_depth), np.atleast_1d(sigma)
     if q.shape != s.shape or q.ndim != 1:
@@ -119,6 +139,11 @@ def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
     sigma : callable
         Takes an array of inverse depths above 0, 1/m, returns the standard deviation of each, 1/m: a finite
         number, 0 or more, at all of 1.2e-3 to 20 1/m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is no function, or what it returns is not that.
     """
     if not callable(sigma):
         raise TypeError(f"expected a function of the inverse depth, got {type(sigma).__name__}")
@@ -133,6 +158,11 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     model : NoiseModel
     step : float or Camera
         Quantum of the depth in metres, or a camera: of its ``depth_scale`` or ``disparity``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The model is none, the step is no positive number, or the camera has neither of the two.
 
     Notes
     -----

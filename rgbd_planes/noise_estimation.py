@@ -35,7 +35,7 @@ from rgbd_planes.noise_samples import (
 from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tiles import TileFitter
 
-Float = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 SIZES = (6, 8, 12, 24, 48, 96)
 """Sides of the tiles that are compared: they divide a window, or are two or four of them."""
@@ -150,7 +150,7 @@ def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
     bins = [bins[i] for i in first]  # where all is at one depth, one bin tells as much as several
     seen = samples.rss / samples.count
     seen = np.maximum(seen, 1e-3 * np.median(seen))
-    best: tuple[float, float, Float] = (np.inf, 0.0, np.zeros(len(q)))
+    best: tuple[float, float, Floats] = (np.inf, 0.0, np.zeros(len(q)))
     for lateral in LATERALS.tolist():
         known = samples.independent(replace(rounding, lateral=lateral))
         own = np.array([np.median((seen - known)[some]) for some in bins])
@@ -178,12 +178,12 @@ def _alone(part: tuple[float, float]) -> NoiseModel:
     return NoiseModel(correlation=(part,) if part[1] else ())
 
 
-def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Float:
+def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Floats:
     """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
     return np.asarray(_alone(part).statistics(sizes**2).expected / sizes**2)
 
 
-def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Float:
+def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Floats:
     """Expected variance of slopes about those of the window that the tiles are part of."""
     shared = (sizes / window) ** 4 * float(_alone(part).statistics(window**2).tilt)
     return np.asarray(_alone(part).statistics(sizes**2).tilt - shared)
@@ -209,7 +209,7 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
     chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
 
-    def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Float]:
+    def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Floats]:
         terms = [np.append(_per_pixel(part, sizes), _tilts(part, small, window)) for part in parts]
         shares, distance = nnls(np.stack(terms, axis=1) / scale[:, None], values / scale, maxiter=1000)
         return distance**2, np.asarray(shares)

@@ -17,7 +17,7 @@ from rgbd_planes.tile_planes import TilePlanes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Float = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,14 +48,14 @@ class NoiseEvidence:
 
     windows: int
     sizes: npt.NDArray[np.int64]
-    residuals: Float
-    expected: Float
-    inverse_depth: Float
-    sigma: Float
-    sigma_fit: Float
-    p_values: Float
-    noise_map: Float
-    flatness: Float
+    residuals: Floats
+    expected: Floats
+    inverse_depth: Floats
+    sigma: Floats
+    sigma_fit: Floats
+    p_values: Floats
+    noise_map: Floats
+    flatness: Floats
     flatness_count: npt.NDArray[np.int64]
 
     def __repr__(self) -> str:

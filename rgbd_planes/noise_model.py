@@ -52,19 +52,19 @@ class NoiseModel:
     floor_length : float
         Distance in pixels over which the systematic error changes, in the same sense.
     spread : float
-        Relative standard deviation of the noise's variance from place to place, over what depth explains:
-        texture, reflectance. The variance is taken for inverse gamma distributed.
+        Relative standard deviation of the noise's variance from place to place, beyond what depth explains: that of
+        texture and reflectance. The variance is taken to be inverse gamma distributed.
     lateral : float
-        Standard deviation, in pixels, of where across its ray a measurement lies: times the change of q from pixel
-        to pixel it is noise, too, that of steep surfaces. `sigma` is without it.
+        Standard deviation, in pixels, of how far beside its ray a measurement lies. Times the change of q from pixel
+        to pixel it is another error, which is large on steep surfaces. `sigma` does not contain it.
     evidence : NoiseEvidence, optional
-        What `rgbd_planes.estimate_noise` saw; no part of a file.
+        What `rgbd_planes.estimate_noise` saw; a file does not keep it.
 
     Notes
     -----
-    Fits of tiles and windows take σq of more than one coefficient, of samples and of a formula from a table. From
-    0.05 to 20 m that of coefficients is right to 0.2 %, up to 100 m to 5 %. Nearer and further it may be far off: of
-    ``time_of_flight(0.02)`` they take 0.56 of σq at 0.025 m, 1.3 at 273 m and 4 at 1000 m.
+    Fits of tiles and windows look σq up in a table, unless it is a single coefficient. Made of coefficients, the table
+    is right to 0.2 % from 0.05 to 20 m, and to 5 % up to 100 m. Nearer and farther it may be far off: for
+    ``time_of_flight(0.02)`` it gives 0.56 times σq at 0.025 m, 1.3 times at 273 m and 4 times at 1000 m.
     """
 
     coefficients: tuple[float, ...] = (KINECT_V1,)
@@ -233,7 +233,13 @@ class NoiseModel:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Make a model from what `to_dict` returned."""
+        """Make a model from what `to_dict` returned.
+
+        Raises
+        ------
+        TypeError, ValueError
+            There are other keys, or values that cannot be.
+        """
         known = {f.name for f in fields(cls)} - {"formula", "evidence"}
         if not isinstance(values, Mapping) or not set(values) <= known:
             raise ValueError(

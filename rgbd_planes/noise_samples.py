@@ -9,7 +9,7 @@ from rgbd_planes.noise import NoiseModel
 from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tile_planes import TilePlanes
 
-Float = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 WINDOW = 24
 """Side in pixels of the windows that are judged flat or not."""
@@ -33,11 +33,11 @@ class Samples:
     sum of squared residuals, pixels, place.
     """
 
-    q: Float
-    slope_square: Float
-    tilt_square: Float
+    q: Floats
+    slope_square: Floats
+    tilt_square: Floats
     window: int
-    rss: Float
+    rss: Floats
     count: npt.NDArray[np.int32]
     place: tuple[npt.NDArray[np.intp], ...]
 
@@ -86,11 +86,11 @@ class Samples:
             place,
         )
 
-    def independent(self, model: NoiseModel) -> Float:
+    def independent(self, model: NoiseModel) -> Floats:
         """Variance of q from the lateral error and from rounding."""
         return np.asarray(model.lateral**2 * self.slope_square + model._rounding(self.q))
 
-    def expected(self, model: NoiseModel) -> tuple[Float, Float]:
+    def expected(self, model: NoiseModel) -> tuple[Floats, Floats]:
         """The sum of squared residuals that the model expects, and its degrees of freedom."""
         made = model.statistics(self.count)
         return made.with_independent(model._along(self.q) ** 2, self.independent(model), self.count)
@@ -104,7 +104,7 @@ class Samples:
         """Variance of slopes, as a multiple of that of independent errors of variance σq², in the same way."""
         return self._middle(model, self.tilt_square / np.log(2.0))
 
-    def _middle(self, model: NoiseModel, seen: Float) -> tuple[float, float]:
+    def _middle(self, model: NoiseModel, seen: Floats) -> tuple[float, float]:
         square = model._along(self.q) ** 2
         return float(np.median((seen - self.independent(model)) / square)), float(np.median(seen / square))
 
@@ -117,7 +117,7 @@ def all_samples(
     return {size: some for size, some in samples.items() if len(some.count) >= FEWEST_WINDOWS // 3}
 
 
-def _depth(planes: TilePlanes) -> Float:
+def _depth(planes: TilePlanes) -> Floats:
     """Mean depth of tiles: rmse_metric is d·Z̄·rmse."""
     mean = planes._reference[:, 2] + planes._moments[:, 3] / np.maximum(planes._moments[:, 0], 1.0)
     return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
@@ -170,12 +170,12 @@ def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -
     return np.asarray(padded.reshape(len(flat), rows, many, columns, many).all(axis=(2, 4)))
 
 
-def bins_of(q: Float, smallest: int) -> list[npt.NDArray[np.intp]]:
+def bins_of(q: Floats, smallest: int) -> list[npt.NDArray[np.intp]]:
     """Indices of equally many values, by size."""
     return np.array_split(np.argsort(q, kind="stable"), int(np.clip(len(q) // smallest, 1, 12)))
 
 
-def _mode(values: Float) -> float:
+def _mode(values: Floats) -> float:
     """The mean of the first dense stretch: what is flat lies close together, however much clutter is spread beyond it.
 
     Where there is more clutter than flat, as in small images, it has the densest stretch. Flat is then the one before,

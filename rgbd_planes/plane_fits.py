@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rgbd_planes.fit_statistics import FitStatistics
 
-Float = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 
 class TileStatus(enum.IntEnum):
@@ -67,16 +67,16 @@ class PlaneFits:
 
     camera: Camera
     method: str
-    planes: Float
-    alpha: Float
-    rmse: Float
-    rmse_metric: Float
+    planes: Floats
+    alpha: Floats
+    rmse: Floats
+    rmse_metric: Floats
     valid_count: npt.NDArray[np.int32]
     status: npt.NDArray[np.uint8]
     # The ten sums of `kernels.range_moments` or `standard_moments` and the point that they are relative to:
     # (..., 10) + S' and (..., 3) + S' with S' = (R, C) or (K,).
-    _moments: Float
-    _reference: Float
+    _moments: Floats
+    _reference: Floats
 
     def __getstate__(self) -> dict[str, Any]:
         # Without the statistics: in a copy, what is shown would no longer be what a fit writes.
@@ -88,7 +88,7 @@ class PlaneFits:
         return self.status.shape
 
     @functools.cached_property
-    def p_value(self) -> Float:
+    def p_value(self) -> Floats:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
         Of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
@@ -105,7 +105,7 @@ class PlaneFits:
         return self._statistics.row(statistics.P_VALUE)
 
     @functools.cached_property
-    def alpha_covariance(self) -> Float:
+    def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
         Of ``range_explicit`` it is exact where σq is constant over the tile. For the other methods it is, to
@@ -114,17 +114,17 @@ class PlaneFits:
         return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
     @functools.cached_property
-    def plane_covariance(self) -> Float:
+    def plane_covariance(self) -> Floats:
         """S + (4, 4) float64: covariance of (n, d), from that of α to first order; its rank is 3."""
         return self._statistics.matrix(statistics.PLANE_COVARIANCE, 4)
 
     @functools.cached_property
-    def angle_std(self) -> Float:
+    def angle_std(self) -> Floats:
         """S float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
         return self._statistics.row(statistics.ANGLE_STD)
 
     @functools.cached_property
-    def offset_std(self) -> Float:
+    def offset_std(self) -> Floats:
         """S float64, metres: standard deviation of d."""
         return self._statistics.row(statistics.OFFSET_STD)
 

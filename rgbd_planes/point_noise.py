@@ -27,8 +27,9 @@ def measurement_noise(
         ``disparity``, disparities.
     camera : Camera
     sigma_inverse_depth : float, optional
-        Standard deviation of 1/Z in 1/m: half the disparity's step over focal length times baseline. By default
-        that of ``camera.noise`` at each pixel's depth, and a Kinect v1's for a camera without a noise model.
+        Standard deviation of 1/Z in 1/m: for a disparity sensor that of the disparity over focal length times
+        baseline. By default that of ``camera.noise`` at each pixel's depth, or a Kinect v1's if the camera has no
+        noise model.
 
     Returns
     -------
@@ -45,7 +46,7 @@ def measurement_noise(
     σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. noise_models of the paper, after
     Khoshelham and Oude Elberink 2012, lens distortion included. The three are one error along the ray, seen
     from three sides: fully correlated. A noise model's lateral error, which depends on the slope of the surface,
-    is not among it.
+    is not in it.
     """
     check_camera(camera)
     if sigma_inverse_depth is None and camera.noise is None:

@@ -121,6 +121,11 @@ def realsense_d435(width: int = 1280, height: int = 720) -> Camera:
     width, height : int
         1280x720, 848x480 or 640x360.
 
+    Raises
+    ------
+    ValueError
+        It is none of these.
+
     Notes
     -----
     Source: the D400 datasheet's imager, focal length 1.93 mm and pixels of 3 µm at 1280 columns: 643.3

@@ -55,7 +55,7 @@ class QuadtreeSegmentation:
     element_labels : (K,) int32
         The cluster of each element: 0 none, 1..N.
     planes : (N, 4) float64
-        nx, ny, nz, d of the plane through all pixels of a cluster, |n| = 1, d > 0; row i is label i + 1.
+        nx, ny, nz, d of the plane through all pixels of a cluster, ‖n‖ = 1, d > 0; row i is label i + 1.
         Cluster 1 has the most pixels. NaN where the cluster's pixels determine none (`TileStatus` DEGENERATE).
     """
 

@@ -124,7 +124,7 @@ class Rendering:
     labels : (H, W) int32
         Which plane each pixel sees: 0 none, 1..N.
     planes : (N, 4) float64
-        n·X + d = 0 in camera coordinates, |n| = 1, d > 0; row i belongs to label i + 1.
+        n·X + d = 0 in camera coordinates, ‖n‖ = 1, d > 0; row i belongs to label i + 1.
     names : tuple of str
         What each plane is, in the order of `planes`.
     """
@@ -365,7 +365,7 @@ def _whole_plane(name: str, normal: Floats, offset: float) -> Surface:
 
 
 def _facing_camera(coefficients: Floats) -> Floats:
-    """The same plane with |n| = 1 and d >= 0: its normal towards the camera centre."""
+    """The same plane with ‖n‖ = 1 and d >= 0: its normal towards the camera centre."""
     scale = np.linalg.norm(coefficients[:3])
     return coefficients / (-scale if coefficients[3] < 0.0 else scale)
 

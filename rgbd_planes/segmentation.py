@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,9 @@ from rgbd_planes.segmentation_noise import Given, noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
+if TYPE_CHECKING:
+    from rgbd_planes.noise_model import NoiseModel
+
 Floats = NDArray[np.float64]
 
 SMALLEST = 60  # pixels of a region, where the caller does not say
@@ -42,7 +46,13 @@ _REASONS = tuple(
 _REASON_OF_PIXELS = np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED)
 
 
-def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: int = SMALLEST) -> Segmentation:
+def segment(
+    depth: ArrayLike,
+    camera: Camera,
+    *,
+    noise: NoiseModel | float | Callable[[Floats], ArrayLike] | None = None,
+    min_size: int = SMALLEST,
+) -> Segmentation:
     """Find the planes of a depth frame and the pixels that belong to each.
 
     Parameters
@@ -54,9 +64,9 @@ def segment(depth: ArrayLike, camera: Camera, *, noise: Any = None, min_size: in
         Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
         or what has such a function as ``sigma``: a noise model. Of a model its ``lateral`` error, in pixels, is
         taken, too, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
-        share their errors, that counts. By default ``camera.noise``; what nothing says, the frame says.
+        share their errors, that counts. By default ``camera.noise``; without either the frame tells the noise.
     min_size : int
-        Pixels that a plane must have. What has fewer is left out; from 60 on the other planes stay as they are.
+        Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on changes no other one.
 
     Returns
     -------

@@ -16,8 +16,6 @@ from rgbd_planes.kernels import dense, window_choice
 from rgbd_planes.kernels.sliding import BAND
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
-Floats = npt.NDArray[np.float32]
-
 
 def normals(
     depth: npt.ArrayLike,
@@ -27,7 +25,7 @@ def normals(
     avoid_edges: bool = False,
     max_missing: float = 0.5,
     num_threads: int | None = None,
-) -> Floats:
+) -> npt.NDArray[np.float32]:
     """Fit a plane to the window around every pixel and return its normal.
 
     The plane is the least-squares fit of the inverse depth to the window's valid pixels (the paper's eq.
@@ -82,7 +80,7 @@ def curvature(
     avoid_edges: bool = False,
     max_missing: float = 0.5,
     num_threads: int | None = None,
-) -> Floats:
+) -> npt.NDArray[np.float32]:
     """Surface variation around every pixel: how far the surface, or its noise, leaves the fitted plane.
 
     Parameters
@@ -115,7 +113,7 @@ def _surfaces(
     max_missing: float,
     num_threads: int | None,
     normals_only: bool,
-) -> tuple[Floats, Floats]:
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return normals and surface variation, the latter empty for ``normals_only`` when that is quicker."""
     check_camera(camera)
     window, max_missing = _check_window(window), check_share("max_missing", max_missing)

@@ -51,7 +51,13 @@ class TilePlanes(PlacedFits):
         return tile_areas(self.camera.shape, self.tile)
 
     def __getitem__(self, frame: int) -> "TilePlanes":
-        """The planes of one frame of a batch, without copying."""
+        """The planes of one frame of a batch, without copying.
+
+        Raises
+        ------
+        TypeError
+            They are those of a single frame.
+        """
         if len(self.shape) != 3:
             raise TypeError(
                 "only the planes of a batch of frames can be indexed; index an array, such as .planes"
@@ -62,7 +68,13 @@ class TilePlanes(PlacedFits):
         )  # fmt: skip
 
     def __len__(self) -> int:
-        """Number of frames of a batch."""
+        """Number of frames of a batch.
+
+        Raises
+        ------
+        TypeError
+            The planes are those of a single frame.
+        """
         if len(self.shape) != 3:
             raise TypeError("the planes of a single frame have no length; see .shape")
         return self.shape[0]

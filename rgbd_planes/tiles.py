@@ -140,6 +140,12 @@ class TileFitter:
         -------
         TilePlanes
             Arrays of shape (R, C, ...).
+
+        Raises
+        ------
+        TypeError, ValueError
+            The frame is no array of the camera's size, or of integers without a unit; or ``out`` is not a result of
+            this fitter for one frame.
         """
         frame = as_depth_frame(depth, self.camera)
         if out is None:
@@ -167,6 +173,11 @@ class TileFitter:
         -------
         TilePlanes
             Arrays of shape (F, R, C, ...).
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `fit`, for each frame; or there is no frame, or no length to count them by.
         """
         if not hasattr(frames, "__len__"):
             raise TypeError(
@@ -202,7 +213,12 @@ class TileFitter:
         TilePlanes
             Of one frame, in order. With ``num_threads`` above 1 so many frames are fitted at a time, and read
             ahead: a frame must then not be overwritten before its planes have come. Otherwise each frame is
-            done with before the next is asked for. Where ``frames`` raises, that comes after the planes of all
+            done with before the next is asked for.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `fit`, in the place of the frame's planes. What ``frames`` itself raises comes after the planes of all
             frames before.
         """
         ahead = 1 if self._num_threads is None else self._num_threads
@@ -323,7 +339,7 @@ def fit_tiles(
 ) -> TilePlanes:
     """Fit a plane to every tile of a depth frame.
 
-    For many frames of one camera, make a `TileFitter` once. See there for the parameters.
+    For many frames of one camera, make a `TileFitter` once; it has the same parameters.
 
     Parameters
     ----------
@@ -338,6 +354,17 @@ def fit_tiles(
     -------
     TilePlanes
         Arrays of shape (R, C, ...).
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that cannot be used, saying what was expected and what came.
+
+    Warns
+    -----
+    UserWarning
+        The frame is most likely not in the units that the camera says: most of it is beyond 50 m, or all of it is
+        nearer than 1 m in 8 bits.
     """
     fitter = TileFitter(
         camera,

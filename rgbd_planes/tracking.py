@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation import SMALLEST, check_settings, segment
 from rgbd_planes.segmentation_result import Segmentation
 from rgbd_planes.wording import counted
+
+if TYPE_CHECKING:
+    from rgbd_planes.noise_model import NoiseModel
 
 SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
 TURNED = 20.0  # degrees between them, at most
@@ -52,7 +55,7 @@ def segment_sequence(
     frames: Iterable[ArrayLike],
     camera: Camera,
     *,
-    noise: Any = None,
+    noise: NoiseModel | float | Callable[[NDArray[np.float64]], ArrayLike] | None = None,
     min_size: int = SMALLEST,
     memory: int = MEMORY,
 ) -> Iterator[TrackedSegmentation]:
@@ -70,7 +73,7 @@ def segment_sequence(
     noise, min_size
         See `segment`.
     memory : int
-        For how many frames a plane that is not in sight is remembered, where it was.
+        For how many frames a plane that is out of sight is remembered at its last place.
 
     Returns
     -------
@@ -80,7 +83,7 @@ def segment_sequence(
     Raises
     ------
     TypeError, ValueError
-        As `segment`: at once for an argument that cannot be, with its frame for a frame.
+        As `segment`: at once for an argument that cannot be, and for a frame when it is that frame's turn.
     """
     check_settings(camera, noise, min_size)
     tracker = Tracker(camera, check_whole("memory", memory, 0, "whole number of frames"))

@@ -1,7 +1,8 @@
 """What follows from a plane's covariance: comparisons, distances, angles, other frames.
 
 Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
-``plane_covariance`` of a fit. All is to first order in the errors. Leading shapes broadcast.
+``plane_covariance`` of a fit. All is to first order in the errors. Leading shapes broadcast. Arrays of other
+shapes are a ValueError that names them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from rgbd_planes.kernels import statistics
 
-Float = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 
 def same_plane(
@@ -19,7 +20,7 @@ def same_plane(
     covariance: npt.ArrayLike,
     other_alpha: npt.ArrayLike,
     other_covariance: npt.ArrayLike,
-) -> Float:
+) -> Floats:
     """Test whether planes fitted to different pixels are one plane.
 
     Parameters
@@ -52,7 +53,7 @@ def same_plane(
         other_covariance=second_covariance.shape[:-2],
     )
 
-    def flat(array: Float, entries: tuple[int, ...]) -> Float:
+    def flat(array: Floats, entries: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray(np.broadcast_to(array, (*shape, *entries))).reshape(-1, *entries)
 
     p_value = np.empty(shape)
@@ -71,7 +72,7 @@ def point_distance(
     planes: npt.ArrayLike,
     plane_covariance: npt.ArrayLike,
     point_covariance: npt.ArrayLike | None = None,
-) -> tuple[Float, Float]:
+) -> tuple[Floats, Floats]:
     """Signed distance of points to planes, positive on the camera's side, and its standard deviation.
 
     Parameters
@@ -110,7 +111,7 @@ def angle_between(
     plane_covariance: npt.ArrayLike,
     other_planes: npt.ArrayLike,
     other_covariance: npt.ArrayLike,
-) -> tuple[Float, Float]:
+) -> tuple[Floats, Floats]:
     """Angle between the normals of planes fitted to different pixels, and its standard deviation.
 
     Parameters
@@ -158,7 +159,7 @@ def transform_planes(
     plane_covariance: npt.ArrayLike,
     transform: npt.ArrayLike,
     transform_covariance: npt.ArrayLike | None = None,
-) -> tuple[Float, Float]:
+) -> tuple[Floats, Floats]:
     """Take planes and their covariances to another frame.
 
     Parameters
@@ -176,6 +177,11 @@ def transform_planes(
     planes : (..., 4) float64
         n still points to the side of the camera that saw the plane, so d may be negative.
     plane_covariance : (..., 4, 4) float64
+
+    Raises
+    ------
+    ValueError
+        The transform is no rigid motion.
     """
     plane = _array("planes", planes, (4,))
     covariance = _array("plane_covariance", plane_covariance, (4, 4))
@@ -218,7 +224,7 @@ def transform_planes(
     return moved, moved_covariance
 
 
-def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Float:
+def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Floats:
     array = np.asarray(values, np.float64)
     if array.shape[-len(entries) :] != entries:
         expected = ", ".join(("...", *map(str, entries)))
@@ -235,6 +241,6 @@ def _leading(**shapes: tuple[int, ...]) -> tuple[int, ...]:
         raise ValueError(f"expected leading shapes that broadcast, got {came}") from None
 
 
-def _form(vector: Float, matrix: Float) -> Float:
+def _form(vector: Floats, matrix: Floats) -> Floats:
     """vᵀMv."""
     return np.asarray(np.einsum("...i,...ij,...j->...", vector, matrix, vector))

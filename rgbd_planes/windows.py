@@ -64,8 +64,8 @@ def fit_windows(
     """Fit a plane to each of many rectangles of a frame, which may overlap.
 
     Summed-area tables, built once for the frame, make the cost of a window independent of its size (the
-    paper's section on integral images). Only float64's own rounding sets these fits apart from those of
-    `fit_tiles`: differences of sums over the whole frame.
+    paper's section on integral images). They differ from the fits of `fit_tiles` only by float64's rounding, which is
+    that of differences of sums over the whole frame.
 
     Parameters
     ----------
@@ -80,6 +80,11 @@ def fit_windows(
     -------
     WindowPlanes
         Arrays of shape (K, ...).
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `fit_tiles`, and for windows that are not (K, 4) integers, empty, or not wholly inside the frame.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)

@@ -8,6 +8,7 @@ import pytest
 from test_tiles import make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
+from rgbd_planes.kernels import solve
 
 
 @pytest.fixture
@@ -15,6 +16,11 @@ def tiles(rng):
     camera = make_camera((0.1, -0.2, 0.001, 0.0, 0.0), depth_range=(0.1, 9.0))
     depth = make_holes(make_depth(camera, rng), "tiles", rng)
     return rp.fit_tiles(depth, camera, (11, 13), "range_implicit", max_error=0.01)
+
+
+def test_the_kernels_number_the_status_as_the_library_does():
+    numbers = {status.name: getattr(solve, status.name) for status in rp.TileStatus}
+    assert numbers == {status.name: status.value for status in rp.TileStatus}
 
 
 def test_repr_says_what_there_is(tiles):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
 from rgbd_planes.images import read_depth
+from rgbd_planes.noise_model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ class FrameSequence(Sequence[Frame]):
         }  # few, faster than to compare all
         return tuple(dict.fromkeys(objects.values()))
 
-    def with_noise(self, noise: Any) -> "FrameSequence":
+    def with_noise(self, noise: NoiseModel | None) -> "FrameSequence":
         """The same frames, of cameras with a noise model (`rgbd_planes.noise`)."""
         cameras = {camera: replace(camera, noise=noise) for camera in self.cameras}
         return FrameSequence((replace(e, camera=cameras[e.camera]) for e in self.entries), self._read)
