@@ -1,1 +1,31 @@
-"""Numba kernels: arrays in, arrays out. They know nothing of cameras, files or results."""
+"""Numba kernels: arrays in, arrays out. They know nothing of cameras, files or results.
+
+What calls what:
+
+- tiles: `grid` from raw depth to planes, with `strips`, `range_moments` and `camera_terms` or `standard_moments`, then
+  `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` has those of any pixels
+- windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
+- normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
+- uncertainty: `statistics`, with `chi_square` or `variance_ratio`, and `normal`
+- segments: `segment_blocks`, `segment_noise_estimation`, `segment_quadtree`, `segment_regions`, which does most of the
+  work with `segment_merge` and `segment_pixels`, then `segment_shape`, `segment_runs`, `segment_parts`, `segment_gaps`,
+  `segment_labels`, `segment_inside` and `segment_planes`, in this order; `segment_records` has what they hand on
+
+What the same name means everywhere:
+
+raw, lowest, highest
+    A frame, (H, W) uint16, float32 or float64; a pixel is valid if ``lowest <= raw <= highest``.
+scale, offset, is_disparity
+    The inverse depth of a raw value: ``scale / raw``, or ``scale * raw + offset`` of disparity. Where there is no
+    ``is_disparity``, an ``offset`` of None says that it is depth.
+q, alpha
+    Inverse depth 1/Z, and the plane -n/d: q = α·(tanθx, tanθy, 1); 1/m.
+tan_x, tan_y
+    (H, W) float64: tanθx and tanθy of each pixel's ray.
+u, v, w
+    The coordinates that are summed up: (tanθx, tanθy, q) in range space, (X, Y, Z) in the standard form.
+moments, reference
+    The sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over valid pixels, and the point that they are about.
+work, room
+    Memory that the caller lends; what is in it means nothing before, nor, where nothing else is said, after.
+"""

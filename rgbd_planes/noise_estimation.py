@@ -73,13 +73,13 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
 
     Raises
     ------
-    ValueError
-        Too little in the frames is flat, or what is flat has no noise.
+    TypeError, ValueError
+        Too little in the frames is flat, or what is flat has no noise; or a frame is none of this camera's.
 
     Warns
     -----
     UserWarning
-        What is taken for flat differs so much that it may be edges: the model is none to rely on.
+        What is taken for flat differs so much that it may be edges: do not rely on the model then.
 
     Notes
     -----

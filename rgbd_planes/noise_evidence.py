@@ -63,7 +63,13 @@ class NoiseEvidence:
         return f"<NoiseEvidence: {self.windows} flat windows, {tiles}>"
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Draw the fit and the maps; see `noise_plotting.plot_evidence`."""
+        """Draw the fit and the maps; see `noise_plotting.plot_evidence`.
+
+        Parameters
+        ----------
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
         from rgbd_planes.noise_plotting import plot_evidence
 
         return plot_evidence(self, figure)

@@ -27,10 +27,24 @@ _STRETCH = 0.25  # of logarithms of residuals, in which what is usual is looked 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Flat tiles of one size.
+    """T flat tiles of one size.
 
-    Mean of q, squared slope of q a pixel and how the tile's own differs from it, side of the window of which it is,
-    sum of squared residuals, pixels, place.
+    Attributes
+    ----------
+    q : (T,) float64
+        Mean inverse depth, 1/m.
+    slope_square : (T,) float64
+        Squared slope of q, a pixel, of the window that the tile is part of.
+    tilt_square : (T,) float64
+        By how much the tile's own slope differs from that, squared: independent errors of variance 1 make it 1.
+    window : int
+        Side of that window in pixels.
+    rss : (T,) float64
+        Sum of squared residuals, 1/m².
+    count : (T,) int32
+        Valid pixels.
+    place : three (T,) arrays of int
+        Frame, row and column of the tile.
     """
 
     q: Floats
@@ -68,7 +82,7 @@ class Samples:
             of_window = windows.alpha[frame, row * size // side, column * size // side]
         pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
         slope_square = np.sum((of_window[:, :2] * pitch) ** 2, axis=1)
-        # Independent errors of variance 1 make it 1 on average, but for what the window shares.
+        # Independent errors of variance 1 make its mean 1, less what the window shares of them.
         n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = planes._moments[frame, :, row, column].T
         tilt_x, tilt_y = (alpha - of_window)[:, :2].T
         tilt_square = 0.5 * (

@@ -70,6 +70,7 @@ def plot_segments(
 
     Parameters
     ----------
+    segmentation : Segmentation
     depth : (H, W) array_like, optional
         The frame that was segmented, for its relief.
     figure : matplotlib Figure or SubFigure, optional
