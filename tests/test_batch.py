@@ -361,7 +361,7 @@ def test_a_noise_that_is_a_function_is_not_resumed(recording, tmp_path):
         rp.fit_sequence(sequence, tmp_path / "out")
 
 
-def test_arguments_that_cannot_be_used(recording, tmp_path):
+def test_arguments_that_cannot_be_used_are_refused(recording, tmp_path):
     sequence, out = rp.open_sequence(recording), tmp_path / "out"
     for settings, message in (
         (FitSettings(tile=1), "tile must be"),
@@ -393,7 +393,7 @@ def test_arguments_that_cannot_be_used(recording, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["pyarrow", "pyarrow.parquet"])
-def test_without_pyarrow(recording, tmp_path, monkeypatch, name):
+def test_without_pyarrow_the_extra_is_named(recording, tmp_path, monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[batch\]"'):
         rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out")
@@ -474,7 +474,7 @@ def until(condition, seconds=60.0):
         time.sleep(0.01)
 
 
-def test_command_line(recording, tmp_path, capsys):
+def test_command_writes_the_table_and_says_what_it_did(recording, tmp_path, capsys):
     out = tmp_path / "planes.parquet"
     arguments = ["batch", str(recording), "--out", str(out), "--tile", "12x16", "--max-error", "0.02"]
     assert cli.main(arguments) == 0

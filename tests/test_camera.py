@@ -184,7 +184,7 @@ def test_a_camera_is_a_value():
         ({"depth_range": (np.nan, 2)}, "expected depth_range as .nearest, farthest."),
     ],
 )
-def test_values_that_cannot_be(changed, message):
+def test_values_that_cannot_be_are_refused(changed, message):
     with pytest.raises(ValueError, match=message):
         small(**changed)
 
@@ -192,13 +192,13 @@ def test_values_that_cannot_be(changed, message):
 @pytest.mark.parametrize(
     "changed", [{"fx": "525"}, {"fx": None}, {"cx": True}, {"distortion": 0.1}, {"invalid_values": "0"}]
 )
-def test_types_that_cannot_be(changed):
+def test_types_that_cannot_be_are_refused(changed):
     with pytest.raises(TypeError, match=rf"expected {next(iter(changed))} as .*, got"):
         small(**changed)
 
 
 @pytest.mark.parametrize("distortion", [(), KINECT[:4]])
-def test_points(distortion):
+def test_points_project_back_to_their_pixels(distortion):
     camera = small(distortion=distortion, fx=80.0, fy=-80.0, depth_scale=1000.0, depth_range=(0.1, 9))
     depth = np.random.default_rng(0).integers(0, 10000, camera.shape).astype(np.uint16)
     points = camera.points(depth)
@@ -527,7 +527,7 @@ def test_from_realsense_models(model, expected):
         ),
     ],
 )
-def test_what_no_format_has(make, message):
+def test_formats_refuse_what_they_do_not_have(make, message):
     with pytest.raises((TypeError, ValueError), match=message):
         make()
 
@@ -560,12 +560,12 @@ def test_a_file_is_named_with_what_is_wrong_in_it(tmp_path):
         ({"floor_length": "a"}, "expected floor_length as a number, got 'a'"),
     ],
 )
-def test_noise_that_cannot_be(changed, message):
+def test_noise_that_cannot_be_is_refused(changed, message):
     with pytest.raises((TypeError, ValueError), match=message):
         Camera.from_dict(small().to_dict() | {"noise": changed})
 
 
-def test_from_realsense_models_that_cannot_be():
+def test_from_realsense_models_that_cannot_be_are_refused():
     assert Camera.from_realsense(realsense(model="none", coeffs=KINECT)).distortion == ()
     assert Camera.from_realsense(realsense(model="Modified Brown Conrady")).distortion == ()
     with pytest.raises(ValueError, match=r"got modified_brown_conrady with coefficients"):
@@ -575,7 +575,7 @@ def test_from_realsense_models_that_cannot_be():
 
 
 @pytest.mark.parametrize("preset", PRESETS, ids=lambda p: p.__name__)
-def test_presets(preset):
+def test_presets_name_their_source_and_have_rays(preset):
     camera = preset()
     assert "Source:" in preset.__doc__
     assert (camera.depth_scale is None) != (camera.disparity is None)

@@ -30,7 +30,7 @@ FRAMES = sequences.FrameSequence([sequences.FrameEntry("0", 0.0, CAMERA, None)],
         rp.warmup,
     ],
 )
-def test_no_camera(use):
+def test_what_is_no_camera_is_refused(use):
     with pytest.raises(TypeError, match="expected a Camera, got ndarray"):
         use(np.eye(3))
 
@@ -45,7 +45,7 @@ def test_no_camera(use):
         (None, "got NoneType$"),
     ],
 )
-def test_what_makes_a_camera(camera, message):
+def test_what_would_make_a_camera_is_named(camera, message):
     with pytest.raises(TypeError, match=message):
         rp.fit_tiles(DEPTH, camera)
     if camera is not None:
@@ -71,7 +71,7 @@ def test_what_makes_a_camera(camera, message):
         (DEPTH[1:], ValueError, r"got \(47, 64\)$"),
     ],
 )
-def test_no_depth_frame(depth, error, message):
+def test_what_is_no_depth_frame_is_refused(depth, error, message):
     with pytest.raises(error, match=message):
         rp.fit_tiles(depth, CAMERA)
 
@@ -113,7 +113,7 @@ def test_no_depth_frame(depth, error, message):
         (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must hold integer labels, got object"),
     ],
 )  # fmt: skip
-def test_no_such_argument(use, error, message):
+def test_arguments_that_cannot_be_are_refused(use, error, message):
     with pytest.raises(error, match=message):
         use()
 
@@ -189,7 +189,7 @@ def test_points_and_what_they_have_are_as_many(tmp_path):
     assert b"element vertex 2" in (tmp_path / "points.ply").read_bytes()
 
 
-def test_frames_of_no_camera():
+def test_frames_need_a_camera():
     with pytest.raises(TypeError, match="expected a Camera, got str"):
         sequences.FrameSequence([sequences.FrameEntry("a", 0.0, "camera", 0)], np.zeros)
 

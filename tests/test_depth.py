@@ -127,7 +127,7 @@ def test_the_ends_of_the_range_are_exact(bound, dtype):
         (">f8", "f8"),
     ],
 )
-def test_dtypes(dtype, becomes):
+def test_values_of_any_dtype_are_kept(dtype, becomes):
     depth = (np.arange(24).reshape(4, 6) % 7).astype(dtype)
     frame = as_depth_frame(depth, camera(depth_scale=2.0))
     assert frame.raw.dtype == np.dtype(becomes)
@@ -144,7 +144,7 @@ def test_negative_integers_are_missing():
     assert frame.valid.tolist() == [[False, False, False], [True, False, True]]
 
 
-def test_layouts():
+def test_frames_of_any_memory_layout_are_the_same():
     whole = np.arange(96, dtype=np.uint16).reshape(8, 12)
     read_only = whole[:4, :6].copy()
     read_only.flags.writeable = False
@@ -266,7 +266,7 @@ def test_integers_need_a_unit(dtype):
 
 
 @pytest.mark.parametrize("dtype", [bool, complex, object, "U3", "M8[s]"])
-def test_other_dtypes(dtype):
+def test_other_dtypes_are_refused(dtype):
     with pytest.raises(TypeError, match="integers or floats, got dtype"):
         as_depth_frame(np.zeros((4, 6), dtype), camera())
 
@@ -292,11 +292,11 @@ def test_masked_arrays_are_refused():
         ((0, 0), r"got \(0, 0\)$"),
     ],
 )
-def test_shapes(shape, hint):
+def test_other_shapes_are_refused_with_a_hint(shape, hint):
     with pytest.raises(ValueError, match=rf"\(4, 6\).*{hint}"):
         as_depth_frame(np.ones(shape), camera())
 
 
-def test_lists():
+def test_nested_lists_are_frames():
     frame = as_depth_frame([[1, 2], [0, 4]], camera((2, 2), depth_scale=2.0))
     np.testing.assert_array_equal(frame.metres, [[0.5, 1.0], [np.nan, 2.0]])

@@ -69,7 +69,7 @@ def test_a_tile_that_its_corner_rays_miss_has_no_polygon():
     assert export.to_ros_polygons(tiles)["polygons"] == export.to_ros_planes(tiles)["coefficients"] == []
 
 
-def test_json(tiles, tmp_path):
+def test_json_holds_the_tiles(tiles, tmp_path):
     export.write_json(tmp_path / "planes.json", tiles)
     read = json.loads((tmp_path / "planes.json").read_text())
     assert rp.Camera.from_dict(read["camera"]) == CAMERA
@@ -85,7 +85,7 @@ def test_json(tiles, tmp_path):
     np.testing.assert_array_equal(chosen, export.tile_polygons(tiles))
 
 
-def test_ply(tiles, depth, tmp_path):
+def test_ply_holds_the_polygons(tiles, depth, tmp_path):
     plyfile = pytest.importorskip("plyfile")
     export.write_tiles_ply(tmp_path / "tiles.ply", tiles)
     read = plyfile.PlyData.read(tmp_path / "tiles.ply")
@@ -112,7 +112,7 @@ def test_ply(tiles, depth, tmp_path):
     assert not (tmp_path / "no.ply").exists()
 
 
-def test_open3d(tiles, depth, tmp_path):
+def test_open3d_gets_the_same_mesh_and_points(tiles, depth, tmp_path):
     open3d = pytest.importorskip("open3d")
     mesh = export.to_open3d(tiles)
     polygons, planes = export.tile_polygons(tiles), tiles.planes[export.exported(tiles)]
@@ -131,7 +131,7 @@ def test_open3d(tiles, depth, tmp_path):
     assert len(open3d.io.read_point_cloud(str(tmp_path / "points.ply")).points) == len(cloud.points)
 
 
-def test_ros_messages(tiles, depth):
+def test_ros_messages_survive_serialisation(tiles, depth):
     pytest.importorskip("rosbags")
     chosen = export.exported(tiles)
     about = ("camera_depth_optical_frame", 12.345678901)
@@ -166,7 +166,7 @@ def test_ros_messages(tiles, depth):
         np.testing.assert_array_equal(read[name], expected[..., i])
 
 
-def test_rerun(depth, tiles, tmp_path):
+def test_rerun_recording_holds_every_frame(depth, tiles, tmp_path):
     pytest.importorskip("rerun")
 
     for i in range(3):

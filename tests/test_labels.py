@@ -140,7 +140,7 @@ def test_the_labels_are_copied(rng):
         (np.ma.masked_equal(np.ones((48, 64), int), 0), TypeError, r"fill it first, labels.filled\(0\)"),
     ],
 )
-def test_bad_labels(labels, error, message):
+def test_bad_labels_are_refused(labels, error, message):
     camera = make_camera()
     with pytest.raises(error, match=message):
         rp.fit_labels(np.ones(camera.shape), camera, labels)

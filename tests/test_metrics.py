@@ -81,7 +81,7 @@ def test_detection_below_one_half_matches_as_many_as_it_can() -> None:
     assert scores.pairs.tolist() == [[1, 2], [2, 1]]
 
 
-def test_empty_sides() -> None:
+def test_scores_where_one_side_or_both_are_empty() -> None:
     none = np.zeros((2, 3), dtype=np.int32)
     both = compare_labels(none, none)
     assert both.detection().f_score == 1.0

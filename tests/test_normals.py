@@ -134,7 +134,7 @@ def test_equal_the_plain_fit_for_any_dtype_and_share(dtype, max_missing, distort
 
 
 @pytest.mark.parametrize("window", range(3, 32, 2))
-def test_every_window_size(window, rng):
+def test_every_window_size_equals_the_plain_fit(window, rng):
     camera = make_camera(width=43, height=47)
     depth = make_holes(make_depth(camera, rng), "some", rng)
     pixels = [tuple(pixel) for pixel in rng.integers((47, 43), size=(150, 2))]
@@ -190,7 +190,7 @@ def test_equal_the_plain_fit_on_any_frame(
 
 
 @pytest.mark.parametrize("disparity", [(2e-4, 0.05), (-3e-4, 0.9)])
-def test_disparity(disparity, rng):
+def test_disparity_equals_the_plain_fit(disparity, rng):
     camera = make_camera(width=30, height=25, depth_scale=None, disparity=disparity, invalid_values=(7,))
     raw = np.round((1.0 / make_depth(camera, rng) - disparity[1]) / disparity[0])
     raw = np.clip(raw, 0, 65535).astype(np.uint16)
@@ -362,13 +362,13 @@ def test_avoiding_edges_helps_at_edges_and_leaves_planes_alone():
         ((7, 7), TypeError, "whole number"),
     ],
 )
-def test_bad_windows(window, error, message):
+def test_bad_windows_are_refused(window, error, message):
     camera = make_camera()
     with pytest.raises(error, match=message.replace("(", r"\(")):
         rp.normals(np.ones(camera.shape), camera, window)
 
 
-def test_bad_arguments():
+def test_bad_arguments_are_refused():
     camera = make_camera()
     depth = np.ones(camera.shape)
     with pytest.raises(TypeError, match="expected a Camera, got dict"):

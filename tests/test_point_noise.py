@@ -61,6 +61,6 @@ def test_the_noise_of_the_camera_is_taken_unless_another_is_given(camera):
 
 
 @pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf])
-def test_bad_sigma(camera, sigma):
+def test_bad_sigma_is_refused(camera, sigma):
     with pytest.raises(ValueError, match="sigma_inverse_depth must be 0 or more"):
         rp.measurement_noise(np.ones((480, 640)), camera, sigma)

@@ -146,7 +146,7 @@ def test_rays_between_pixels() -> None:
     assert rays[2] == pytest.approx([80.0 / 130.0, -60.0 / 130.0, 1.0])
 
 
-def test_bad_arguments() -> None:
+def test_bad_arguments_are_refused() -> None:
     found = segment(np.full(CAMERA.shape, 1.0), CAMERA)
     with pytest.raises(ValueError, match="tolerance must not be negative"):
         plane_polygons(found, tolerance=-1.0)

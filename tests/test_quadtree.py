@@ -149,7 +149,7 @@ def test_nothing_valid_is_no_error(camera):
         ({"max_error": 0.0}, "max_error must be a positive length"),
     ],
 )
-def test_bad_arguments(options, message, camera, frame):
+def test_bad_arguments_are_refused(options, message, camera, frame):
     with pytest.raises(ValueError, match=message):
         rp.segment_quadtree(frame, camera, **options)
 

@@ -177,7 +177,7 @@ def test_open3d_is_asked_for_by_name(monkeypatch):
         segmentation_export.to_open3d([])
 
 
-def test_ros_messages(depth):
+def test_ros_messages_survive_serialisation(depth):
     pytest.importorskip("shapely")
     pytest.importorskip("rosbags")
     from rgbd_planes import plane_polygons
@@ -209,7 +209,7 @@ def test_ros_messages(depth):
     assert np.array_equal(read, found.labels)
 
 
-def test_rerun(depth, tmp_path, monkeypatch):
+def test_rerun_recording_holds_every_frame(depth, tmp_path, monkeypatch):
     pytest.importorskip("rerun")
     pytest.importorskip("shapely")
     rendering = scenes.room().render(CAMERA)

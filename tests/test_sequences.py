@@ -74,7 +74,7 @@ def same(sequence, frames, camera, names=None, times=None):
 
 
 @pytest.mark.parametrize("number", "123")
-def test_tum(tmp_path, frames, number):
+def test_tum_frames_come_with_camera_and_times(tmp_path, frames, number):
     root = tmp_path / f"rgbd_dataset_freiburg{number}_xyz"
     write_tum(root, frames)
     camera = getattr(presets, f"tum_freiburg{number}")()
@@ -136,7 +136,7 @@ def test_tum_says_what_is_wrong(tmp_path, frames):
         rp.open_sequence(root)
 
 
-def test_icl_nuim(tmp_path, frames):
+def test_icl_nuim_frames_come_in_the_order_of_their_numbers(tmp_path, frames):
     (tmp_path / "depth").mkdir()
     (tmp_path / "livingRoom0.gt.freiburg").touch()
     for number, frame in zip((9, 10, 100), frames, strict=True):
@@ -145,7 +145,7 @@ def test_icl_nuim(tmp_path, frames):
     same(rp.open_sequence(tmp_path), frames, presets.icl_nuim(), names)
 
 
-def test_seven_scenes(tmp_path, frames):
+def test_seven_scenes_frames_come_with_their_camera(tmp_path, frames):
     for i, frame in enumerate(frames):
         images.write_png(tmp_path / f"frame-{i:06d}.depth.png", frame)
         (tmp_path / f"frame-{i:06d}.pose.txt").touch()
@@ -192,7 +192,7 @@ def test_scannet_as_exported_by_its_cpp_tool(tmp_path, frames):
 
 
 @pytest.mark.parametrize("compression", [0, 1])
-def test_scannet_sens(tmp_path, frames, compression):
+def test_scannet_sens_frames_come_with_camera_and_times(tmp_path, frames, compression):
     path = tmp_path / "scene0000_00.sens"
     write_sens(path, frames, compression=compression)
     times = [math.nan, 0.033, 0.066]  # a stamp of zero is none
@@ -305,7 +305,7 @@ def test_a_pipe_is_no_recording(tmp_path, suffix):
         )
 
 
-def test_folder(tmp_path, frames):
+def test_folder_of_images_needs_a_camera(tmp_path, frames):
     for place in (tmp_path / "flat", tmp_path / "nested" / "depth"):
         place.mkdir(parents=True)
         for name, frame in zip(("f9.png", "f10.npy", "f100.npy"), frames, strict=True):
@@ -364,7 +364,7 @@ RECTIFIED = rp.Camera(8, 6, 7.1, 7.6, 3.5, 2.5, depth_scale=1000.0)
 
 
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2", "mcap"])
-def test_rosbag(tmp_path, frames, name):
+def test_rosbag_frames_come_with_camera_info_and_stamps(tmp_path, frames, name):
     pytest.importorskip("rosbags")
     path = tmp_path / name
     store, _ = type_store(path)

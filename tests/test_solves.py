@@ -148,7 +148,7 @@ def test_no_matrix_no_vector():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_diagonal(seed):
+def test_eigenpair_of_a_diagonal_matrix_is_its_smallest_entry(seed):
     diagonal = np.random.default_rng(seed).permutation([1.0, 5.0, 9.0])
     value, *vector = smallest_eigenpair(np.diag(diagonal))
     assert value == pytest.approx(1.0)

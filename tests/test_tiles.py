@@ -298,13 +298,13 @@ def test_inputs_of_any_kind_are_the_same_frame(rng):
         ({"num_threads": 0}, ValueError, "num_threads must be at least 1"),
     ],
 )
-def test_bad_arguments(options, error, message):
+def test_bad_arguments_are_refused(options, error, message):
     camera = make_camera()
     with pytest.raises(error, match=message):
         rp.fit_tiles(np.ones(camera.shape), camera, **options)
 
 
-def test_bad_frames():
+def test_bad_frames_are_refused():
     camera = make_camera()
     with pytest.raises(TypeError, match="expected a Camera, got dict"):
         rp.fit_tiles(np.ones(camera.shape), {})

@@ -177,7 +177,7 @@ def test_tail_of_a_ratio_of_variances(spread, rng):
         )
 
 
-def test_ends_of_the_tails():
+def test_tails_end_at_one_and_zero_and_keep_nan():
     """No residual, one that is beyond all bounds, and none that is a number."""
     work = np.empty((WORK, 4))
     for deviates in (chi_square.deviates, partial(variance_ratio.deviates, 0.01)):
@@ -205,7 +205,7 @@ def test_noise_that_differs_from_place_to_place(rng):
 
 
 @pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), rp.noise.time_of_flight(0.0005, 0.001)])
-def test_lateral_error(noise, rng):
+def test_lateral_error_is_in_p_values_and_covariances(noise, rng):
     """Errors of half a pixel across the ray, on a steep plane: uniform p-values, and covariances that hold."""
     tile, runs = 16, 3000
     camera = monte_carlo.tile_camera(tile, replace(noise, lateral=0.5))
@@ -609,7 +609,7 @@ def test_leading_shapes_that_do_not_broadcast():
             call()
 
 
-def test_models():
+def test_models_have_their_published_sigma_and_show_it():
     noise = rp.noise
     assert repr(noise.kinect_v1()) == "<NoiseModel: σ 0.36 mm at 0.5 m, 1.4 mm at 1 m, 5.7 mm at 2 m>"
     assert "34 mm at 0.5 m, 140 mm at 1 m, 540 mm at 2 m" in repr(noise.axial(quadratic=0.135))
@@ -716,7 +716,7 @@ def test_model_goes_with_the_camera(model, tmp_path, rng):
         (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4).p_value, ValueError, "noise model for uncert"),
     ],
 )  # fmt: skip
-def test_bad_arguments(make, error, message):
+def test_bad_arguments_are_refused(make, error, message):
     with pytest.raises(error, match=message):
         make()
 

@@ -88,13 +88,13 @@ def test_no_windows_no_planes():
         (np.array([[0, 0, 2**63, 2**63]], np.uint64), ValueError, r"9223372036854775808\] .* as window 0"),
     ],
 )
-def test_bad_windows(windows, error, message):
+def test_bad_windows_are_refused(windows, error, message):
     camera = make_camera()
     with pytest.raises(error, match=message):
         rp.fit_windows(np.ones(camera.shape), camera, windows)
 
 
-def test_bad_arguments():
+def test_bad_arguments_are_refused():
     camera = make_camera()
     with pytest.raises(ValueError, match="integral, naive, got 'direct'"):
         rp.fit_windows(np.ones(camera.shape), camera, [], implementation="direct")
