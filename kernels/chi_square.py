@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .normal import LN_2, OF_EXPONENT, WHOLE, WHOLE_BITS
+from .normal_distribution import LN_2, OF_EXPONENT, WHOLE, WHOLE_BITS
 
 # C as powers of η, one a row, and of s = 1/(a + 1/2), for η in this range: made by ``python -m bench.chi_square``.
 ETA_LEAST, ETA_MOST = -8.9, 9.9
@@ -50,12 +50,12 @@ def split(x, exponent, count):
 def deviates(work, count):
     """Normal deviates that are exceeded as often as ``work[0]`` by chi-square over its degrees of freedom.
 
-    Where their `normal.tails` are above 1e-12, these have a relative error below 2e-5 for 5 degrees of freedom or more,
-    2e-4 for 2 and 2e-3 for 1.
+    Where their `normal_distribution.tails` are above 1e-12, these have a relative error below 2e-5 for 5 degrees of
+    freedom or more, 2e-4 for 2 and 2e-3 for 1.
 
     Parameters
     ----------
-    work : (normal.WORK, N) float64
+    work : (normal_distribution.WORK, N) float64
         Its second row is 1/√(degrees of freedom), of at least `LEAST_FREEDOM`.
     count : int
         Number of values.

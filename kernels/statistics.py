@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from . import chi_square, normal, variance_ratio
+from . import chi_square, normal_distribution, variance_ratio
 from ._jit import kernel
 
 # Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
@@ -79,7 +79,7 @@ def assess(
     """
     # Made first: what is released on the way keeps the compiler from seeing the room's shape.
     room = np.empty((ROWS, BLOCK))
-    tails = room[RATIO : RATIO + normal.WORK]
+    tails = room[RATIO : RATIO + normal_distribution.WORK]
     tiles = status.size
     all_moments, all_reference = moments.reshape(10, tiles), reference.reshape(3, tiles)
     all_planes, all_errors, all_counts = planes.ravel(), rmse_metric.reshape(1, tiles), counts.ravel()
@@ -123,7 +123,7 @@ def assess(
                 variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, BLOCK)
             else:
                 chi_square.deviates(tails, BLOCK)
-            normal.tails(tails, BLOCK)
+            normal_distribution.tails(tails, BLOCK)
             ray_scatter(in_range_space, room)
             covariances(room)
             store(room, all_results, first, last)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .normal import WHOLE, WHOLE_BITS
+from .normal_distribution import WHOLE, WHOLE_BITS
 
 # The bits of a double, from the exponent on, as a number: a third of it, and this, is nearly that of the cube root.
 OF_ROOT = 1023.0 * 2.0**20 * (2.0 / 3.0) - 37000.0
@@ -43,7 +43,7 @@ def deviates(inverse_freedom, work, count):
     ----------
     inverse_freedom : float
         One over ν, where the variance of the noise is distributed as (ν - 2) / χ²(ν).
-    work : (normal.WORK, N) float64
+    work : (normal_distribution.WORK, N) float64
         Its second row is 1/√(degrees of freedom), of at least 1.
     count : int
         Number of values.

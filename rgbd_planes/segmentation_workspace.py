@@ -66,6 +66,7 @@ class Workspaces(threading.local):
     work: Workspace | None = None
 
     def of(self, camera: Camera) -> Workspace:
+        """This thread's, which the next segmentation of the thread writes into again."""
         if self.work is None or self.work.shape != camera.shape:
             self.work = Workspace(camera)
         return self.work

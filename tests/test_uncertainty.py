@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 import rgbd_planes as rp
 from rgbd_planes import fit_statistics, residual_statistics
 from rgbd_planes.kernels import chi_square, variance_ratio
-from rgbd_planes.kernels.normal import WORK
-from rgbd_planes.kernels.normal import tails as normal_tails
+from rgbd_planes.kernels.normal_distribution import WORK
+from rgbd_planes.kernels.normal_distribution import tails as normal_tails
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5, floor_length=20.0)

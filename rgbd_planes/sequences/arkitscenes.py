@@ -28,6 +28,11 @@ def arkitscenes(path: str | os.PathLike[str], camera: Camera | None = None) -> F
     -------
     FrameSequence
         Seconds on the phone's clock.
+
+    Raises
+    ------
+    NotADirectoryError, OSError, ValueError
+        It is no such folder, or a frame has no calibration, or a damaged one.
     """
     root = existing_folder(path)
     files = some(numbered((root / "lowres_depth").glob("*.png")), "lowres_depth/*.png", root)

@@ -22,6 +22,12 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     Returns
     -------
     FrameSequence
+        With the times of ``depth.txt``, if there is one.
+
+    Raises
+    ------
+    NotADirectoryError, OSError, TypeError, ValueError
+        It is no folder with depth images, has no camera, or its ``camera.json`` or ``depth.txt`` is damaged.
     """
     root = existing_folder(path)
     if camera is None:

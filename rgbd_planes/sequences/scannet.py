@@ -41,6 +41,11 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
     -------
     FrameSequence
         Without times: the exporters leave them out; `scannet_sens` has them.
+
+    Raises
+    ------
+    NotADirectoryError, OSError, ValueError
+        It is no such folder, or the file with its camera is missing or damaged.
     """
     root = existing_folder(path)
     files = [file for file in root.glob("frame-*.depth.*") if file.suffix in (".pgm", ".png")]
@@ -65,6 +70,11 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     -------
     FrameSequence
         Seconds on the sensor's clock; a frame that was not stamped has NaN.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        It is no such file, of another version or compression, or damaged.
     """
     file = existing_file(path).absolute()
     with file.open("rb") as stream:

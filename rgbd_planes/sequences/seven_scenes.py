@@ -21,6 +21,11 @@ def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     -------
     FrameSequence
         Without times: the data set numbers its frames.
+
+    Raises
+    ------
+    NotADirectoryError, ValueError
+        It is no such folder.
     """
     root = existing_folder(path)
     files = some(numbered(root.glob("frame-*.depth.png")), "frame-*.depth.png", root)

@@ -27,6 +27,11 @@ def tum(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     -------
     FrameSequence
         Seconds since 1970.
+
+    Raises
+    ------
+    NotADirectoryError, FileNotFoundError, ValueError
+        It is no such folder, its ``depth.txt`` is damaged, or its name does not tell the camera.
     """
     root = existing_folder(path)
     if camera is None:
@@ -56,6 +61,11 @@ def icl_nuim(path: str | os.PathLike[str], camera: Camera | None = None) -> Fram
     -------
     FrameSequence
         Without times: the data set numbers its frames.
+
+    Raises
+    ------
+    NotADirectoryError, ValueError
+        It is no such folder.
     """
     root = existing_folder(path)
     files = some(numbered((root / "depth").glob("*.png")), "depth/*.png", root)
