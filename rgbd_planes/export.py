@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera
+from rgbd_planes.checks import check_camera, plain_array
 from rgbd_planes.colours import normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
@@ -148,8 +148,10 @@ def write_ply(
 
     Raises
     ------
+    TypeError
+        Masked arrays.
     ValueError
-        Arrays of other shapes, or a face of a point that there is not.
+        Arrays of other shapes, colours outside 0..1, or a face of a point that there is not.
     """
     xyz = _triples("points", points)
     written = np.isfinite(xyz).all(axis=1) if faces is None else np.ones(len(xyz), bool)
@@ -158,8 +160,11 @@ def write_ply(
         n = _triples("normals", normals, len(xyz))
         columns += [("n" + "xyz"[i], "<f4", n[written, i]) for i in range(3)]
     if colours is not None:
-        rgb = np.clip(np.rint(255.0 * _triples("colours", colours, len(xyz))), 0, 255)
-        columns += [(("red", "green", "blue")[i], "u1", rgb[written, i]) for i in range(3)]
+        shares = _triples("colours", colours, len(xyz))[written]
+        rgb = np.rint(255.0 * shares)
+        if not ((rgb >= 0) & (rgb <= 255)).all():  # of 0 to 255 nearly all would be white
+            raise ValueError(f"colours must be RGB in 0..1, got {shares.min():g} to {shares.max():g}")
+        columns += [(("red", "green", "blue")[i], "u1", rgb[:, i]) for i in range(3)]
     vertices = np.empty(np.count_nonzero(written), [(name, dtype) for name, dtype, _ in columns])
     for name, _, values in columns:
         vertices[name] = values
@@ -188,7 +193,7 @@ def write_ply(
 
 def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
     """(N, 3) float64 of (..., 3) numbers: so many, if that is known."""
-    array = np.asarray(values, np.float64)
+    array = plain_array(name, values).astype(np.float64, copy=False)
     if array.shape[-1:] != (3,) or count not in (None, array.size // 3):
         expected = "(..., 3)" if count is None else f"(..., 3), {count} in all, as many as points"
         raise ValueError(f"expected {name} of shape {expected}, got {array.shape}")

@@ -20,6 +20,7 @@ from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
 from rgbd_planes.segmentation_result import Segmentation
+from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     import open3d
@@ -34,14 +35,16 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
     ----------
     segmentation : Segmentation
     polygons : sequence of PlanePolygon, optional
-        Of `plane_polygons`; adds each plane's area, outline, hull and rectangle.
+        All that `plane_polygons` gave, in any order; adds each plane's area, outline, hull and rectangle.
 
     Returns
     -------
     dict
-        camera (`Camera.to_dict`), sigma, and planes: of each its label, plane [nx, ny, nz, d], covariance of
-        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres.
+        camera (`Camera.to_dict`), sigma, and planes, by label: of each its label, plane [nx, ny, nz, d], covariance
+        of these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres.
     """
+    _check(segmentation)
+    outlines = None if polygons is None else _by_label(segmentation, polygons)
     columns = zip(
         segmentation.planes.tolist(),
         segmentation.plane_covariance.tolist(),
@@ -61,8 +64,9 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
         }
         for label, (plane, covariance, size, rmse, rmse_metric) in enumerate(columns, start=1)
     ]
-    for plane, polygon in zip(planes, polygons or (), strict=polygons is not None):
-        plane.update(polygon.to_dict())
+    if outlines is not None:
+        for plane, polygon in zip(planes, outlines, strict=True):
+            plane.update(polygon.to_dict())
     return {"camera": segmentation.camera.to_dict(), "sigma": segmentation.sigma, "planes": planes}
 
 
@@ -94,6 +98,7 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
     segmentation : Segmentation
         Of at most 65535 planes.
     """
+    _check(segmentation)
     if len(segmentation) > 65535:
         raise ValueError(
             f"expected at most 65535 planes, which 16 bits can tell apart, got {len(segmentation)}"
@@ -113,6 +118,7 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
     depth : (H, W) array_like
         The frame that was segmented.
     """
+    _check(segmentation)
     measured = segmentation.camera.points(depth).reshape(-1, 3)
     labels = segmentation.labels.ravel()
     seen = np.isfinite(measured).all(axis=1)
@@ -213,9 +219,29 @@ def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: float =
     }
 
 
+def _check(segmentation: Segmentation) -> None:
+    if not isinstance(segmentation, Segmentation):
+        raise TypeError(f"expected a Segmentation, got {type(segmentation).__name__}")
+
+
+def _by_label(segmentation: Segmentation, polygons: Sequence[PlanePolygon]) -> list[PlanePolygon]:
+    """The polygons of a segmentation in the order of its planes."""
+    ordered = sorted(polygons, key=lambda polygon: polygon.label)
+    planes = np.array([polygon.plane for polygon in ordered]).reshape(-1, 4)
+    if not np.array_equal(planes, segmentation.planes):
+        others = " of other planes" if len(planes) == len(segmentation) else ""
+        raise ValueError(
+            f"expected the polygon of each of the {counted(len(segmentation), 'plane')} of this segmentation, "
+            f"got {counted(len(planes), 'polygon')}{others}"
+        )
+    return ordered
+
+
 def _mesh(polygons: Sequence[PlanePolygon]) -> tuple[Floats, Floats, Floats]:
     """Three points for each triangle of the outlines, with their normals and colours."""
-    colours = label_colours(len(polygons))
+    # The colours of their labels, as points have them, also where only some of the planes are here.
+    labels = np.array([polygon.label for polygon in polygons], dtype=np.intp)
+    colours = label_colours(int(labels.max(initial=0)))[labels - 1]
     triangles = [polygon.triangles() for polygon in polygons]
     corners = [3 * len(own) for own in triangles]
     points = np.concatenate([*triangles, np.empty((0, 3, 3))]).reshape(-1, 3)

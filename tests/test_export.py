@@ -112,6 +112,18 @@ def test_ply_holds_the_polygons(tiles, depth, tmp_path):
     assert not (tmp_path / "no.ply").exists()
 
 
+def test_colours_of_points_are_shares(tmp_path):
+    points = np.zeros((2, 3))
+    export.write_ply(tmp_path / "points.ply", points, colours=[[0, 0.5, 1], [1, 0, 0]])
+    assert (tmp_path / "points.ply").read_bytes()[-3:] == bytes([255, 0, 0])
+    for colours in (np.full((2, 3), 128, np.uint8), np.full((2, 3), np.nan), -points - 0.1):
+        with pytest.raises(ValueError, match=r"colours must be RGB in 0\.\.1, got"):
+            export.write_ply(tmp_path / "no.ply", points, colours=colours)
+    with pytest.raises(TypeError, match="got a masked array"):
+        export.write_ply(tmp_path / "no.ply", np.ma.masked_equal(points, 0))
+    assert not (tmp_path / "no.ply").exists()
+
+
 def test_open3d_gets_the_same_mesh_and_points(tiles, depth, tmp_path):
     open3d = pytest.importorskip("open3d")
     mesh = export.to_open3d(tiles)

@@ -13,7 +13,17 @@ from PIL import Image
 from recordings import columns_of
 from ros_messages import round_trip
 
-from rgbd_planes import Camera, cli, images, recording, scenes, segment, segment_sequence, segmentation_export
+from rgbd_planes import (
+    Camera,
+    cli,
+    fit_tiles,
+    images,
+    recording,
+    scenes,
+    segment,
+    segment_sequence,
+    segmentation_export,
+)
 from rgbd_planes.plotting_segments import label_colours
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
 from rgbd_planes.segmentation_result import Reason
@@ -77,6 +87,45 @@ def test_mesh_lies_on_the_planes(tmp_path, depth):
     assert len(faces) == len(vertices) // 3 * (1 + 3 * 4)
     write_polygons_ply(tmp_path / "none.ply", [])
     assert len(read_ply(tmp_path / "none.ply")[0]) == 0
+
+
+def test_some_of_the_polygons_have_the_colours_of_their_labels(tmp_path, depth):
+    pytest.importorskip("shapely")
+    from rgbd_planes import plane_polygons
+
+    third = plane_polygons(segment(depth, CAMERA))[2]
+    write_polygons_ply(tmp_path / "mesh.ply", [third])
+    vertices, _ = read_ply(tmp_path / "mesh.ply")
+    (colour,) = np.unique(vertices[["red", "green", "blue"]]).tolist()
+    assert colour == pytest.approx(255 * label_colours(3)[2], abs=0.5)
+
+
+def test_polygons_go_with_their_planes_in_any_order(depth):
+    pytest.importorskip("shapely")
+    from rgbd_planes import plane_polygons
+
+    found = segment(depth, CAMERA)
+    polygons = plane_polygons(found)
+    by_area = sorted(polygons, key=lambda polygon: polygon.area)
+    assert by_area != polygons
+    assert segmentation_export.to_dict(found, by_area) == segmentation_export.to_dict(found, polygons)
+    with pytest.raises(ValueError, match=rf"polygon of each of the {len(found)} planes .* got 2 polygons"):
+        segmentation_export.to_dict(found, polygons[:2])
+    moved = replace(found, planes=found.planes + 1e-3)
+    with pytest.raises(ValueError, match=rf"got {len(found)} polygons of other planes"):
+        segmentation_export.to_dict(moved, polygons)
+
+
+def test_what_is_no_segmentation(tmp_path, depth):
+    tiles = fit_tiles(depth, CAMERA)
+    message = "expected a Segmentation, got TilePlanes"
+    with pytest.raises(TypeError, match=message):
+        segmentation_export.write_json(tmp_path / "planes.json", tiles)
+    with pytest.raises(TypeError, match=message):
+        segmentation_export.write_labels(tmp_path / "labels.png", tiles)
+    with pytest.raises(TypeError, match=message):
+        write_points_ply(tmp_path / "points.ply", tiles, depth)
+    assert not any(tmp_path.iterdir())
 
 
 def test_command_writes_everything(folder, capsys, depth):
