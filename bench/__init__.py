@@ -1,1 +1,11 @@
-"""The paper's claims, measured: ``python -m bench --out DIR`` writes the report, ``pytest bench`` times."""
+"""What the documentation claims, measured. Each is run as a module, in a clone of the repository:
+
+- ``python -m bench --out DIR``: the paper's claims, as a report; ``bench.readme`` puts its table into the README
+- ``python -m bench.measured``: docs/measured.md, from what follows here, and the README's other table
+- ``bench.user_tasks``, ``bench.peers``: beside OpenCV, Open3D and PCL
+- ``bench.first_call``, ``bench.batch_throughput``, ``bench.roofline``: where the time goes
+- ``bench.real_sensors``, ``bench.uncertainty``: how right planes and their uncertainties are
+- ``bench.segmentation``: how right, and how fast, the planes of scenes are
+- ``bench.chi_square``: fits the constants of a kernel
+- ``pytest bench``: times of single calls
+"""

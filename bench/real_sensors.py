@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from rgbd_planes.images import read_depth
+from tests.real_data import FOLDER as DATA
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SETS = {
     "abw_segcomp_cal0": "ABW, calibration 0",
     "abw_segcomp_cal1": "ABW, calibration 1",

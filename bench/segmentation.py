@@ -42,8 +42,7 @@ from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, segment, segment_frame
 from rgbd_planes.segmentation_noise import Given
 from rgbd_planes.segmentation_result import Segmentation
-
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+from tests.real_data import FOLDER as DATA
 
 LABELLED = {
     "ABW": ("abw_segcomp_cal0", "abw_segcomp_cal1"),
@@ -52,9 +51,8 @@ LABELLED = {
     "mOSD, the tables alone": ("mosd_tabletop_a",),
 }
 
-TABLES = (
-    10  # mOSD's labels from here on are objects of several faces, not planes: the faces count as noise there
-)
+# mOSD's labels from here on are objects of several faces, not planes: the faces count as noise there.
+TABLES = 10
 
 FOLDS = 4
 

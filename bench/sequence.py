@@ -1,14 +1,13 @@
 """The frames that are segmented: a real sequence beside the checkout, or rendered ones."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes import Camera, scenes
+from tests.real_data import FOLDER as REAL_DATA
 
-REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEQUENCE = "kinect1_7scenes_seq"
 KINECTS = (SEQUENCE, "primesense_open3d_rgbd", "tum_fr2_distorted")
 """Real frames of Kinect v1 class sensors: structured light, disparity in eighths of a pixel."""

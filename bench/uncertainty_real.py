@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from rgbd_planes.depth import as_depth_frame
+from tests.real_data import FOLDER as DATA
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
 
 

@@ -7,11 +7,11 @@ import pickle
 import re
 import threading
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import real_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,10 +19,10 @@ from rgbd_planes import noise, presets
 from rgbd_planes.camera import Camera
 from rgbd_planes.distortion import TOLERANCE, distort
 
-REAL = sorted((Path(__file__).parents[2] / "shared" / "data").glob("*/camera.json"))
+REAL = [root / "camera.json" for root in real_data.sets()]
 real_cameras = pytest.mark.parametrize(
     "path",
-    REAL or [pytest.param(None, marks=pytest.mark.skip(reason="no ../shared/data beside the checkout"))],
+    REAL or [pytest.param(None, marks=pytest.mark.skip(reason=real_data.REASON))],
     ids=lambda path: path.parent.name if path else "none",
 )
 PRESETS = [v for k, v in vars(presets).items() if callable(v) and v.__module__ == presets.__name__]
