@@ -141,14 +141,14 @@ class LabelComparison:
         for i in np.flatnonzero(inside.sum(axis=1) >= 2):
             parts = np.flatnonzero(inside[i])
             total = shared[i, parts].sum()
-            if total >= tolerance * self.truth_sizes[i]:
+            if total / self.truth_sizes[i] >= tolerance:
                 share = 0.5 * (total / self.predicted_sizes[parts].sum() + total / self.truth_sizes[i])
                 instances.append((share, 1, np.array([i]), parts))
         inside = of_truth >= tolerance  # true region i lies in predicted region j
         for j in np.flatnonzero(inside.sum(axis=0) >= 2):
             parts = np.flatnonzero(inside[:, j])
             total = shared[parts, j].sum()
-            if total >= tolerance * self.predicted_sizes[j]:
+            if total / self.predicted_sizes[j] >= tolerance:
                 share = 0.5 * (total / self.truth_sizes[parts].sum() + total / self.predicted_sizes[j])
                 instances.append((share, 2, parts, np.array([j])))
 

@@ -45,6 +45,13 @@ def test_hoover_tolerance_is_inclusive_on_both_sides() -> None:
     assert counts(row((1, 13), (0, 7)), truth, 0.8)[0] == 0
 
 
+def test_hoover_tolerance_is_inclusive_where_its_product_is_rounded_up() -> None:
+    # 55 pixels of 100, in two parts; 0.55 * 100 is a little more than 55 in floating point.
+    cut, whole = row((1, 30), (2, 25), (0, 45)), row((1, 100))
+    assert counts(cut, whole, 0.55) == (0, 1, 0, 0, 0)
+    assert counts(whole, cut, 0.55) == (0, 0, 1, 0, 0)
+
+
 def test_hoover_chooses_the_better_of_two_readings() -> None:
     # 8 of 10 pixels in one part (mean share 0.9), all 10 in two parts (mean share 1): over-segmented.
     truth = row((1, 10))
