@@ -18,18 +18,21 @@ def calmer(other, place, smallest, best):
 
 @kernel()
 def choose_windows(
-    raw, lowest, highest, tan_x, tan_y, reach, ratio, normals, variance, variation, row_start, row_stop,
-    chosen_normals, chosen_variation,
+    raw, lowest, highest, rounding, is_disparity, tan_x, tan_y, reach, ratio, normals, variance, variation,
+    row_start, row_stop, chosen_normals, chosen_variation,
 ):  # fmt: skip
     """Give each valid pixel its window, or one of the eight that are moved by ``reach`` but still hold it.
 
     A moved window is taken, the one with the smallest residual variance, if its own window's is more than
     ``ratio`` times as large: an edge runs through it. The same idea as Kuwahara's filter of means (1976).
+    Not so where rounding to raw values makes as much: the moved windows may lie on terraces, which have none.
     At the border windows are moved less. A plane that the pixel's ray does not meet is none. Missing pixels
     get NaN.
 
     Parameters
     ----------
+    rounding : float64
+        Variance of inverse depth by rounding to raw values, times their 4th power where they are depths.
     tan_x, tan_y : (H, W) float64
     normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
         Of `dense.separable` or `dense.distorted`.
@@ -44,8 +47,10 @@ def choose_windows(
     for row in range(row_start, row_stop):
         for column in range(width):
             own = variance[row, column]
+            square = np.float64(raw[row, column]) ** 2
+            rounded = rounding if is_disparity else rounding / (square * square)
             # Not a number, where the pixel's own window has no plane, is larger than everything.
-            smallest[column] = own / ratio if own == own else math.inf
+            smallest[column] = math.inf if own != own else own / ratio if own > ratio * rounded else 0.0
             best[column] = row * width + column
         for y in range(-reach, reach + 1, reach):
             other_row = min(max(row + y, 0), height - 1)

@@ -29,6 +29,9 @@ _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float3
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
 
+_GRAIN = 1e-5  # metres: steps are multiples of it, and it is finer than any sensor
+_FEW_VALUES = 50  # of which nothing can be said: a scene may have been made of whole numbers
+
 
 class DepthFrame(NamedTuple):
     """A depth frame as the kernels read it.
@@ -223,6 +226,20 @@ def some_of(raw: NDArray[Any]) -> NDArray[Any]:
     while math.gcd(step, raw.shape[1]) > 1:
         step += 1
     return raw.reshape(-1)[::step]
+
+
+def step_of(frame: DepthFrame) -> float:
+    """Between neighbouring raw values: of integers, and of metres that integers were made into; 0 if there is none."""
+    if frame.step > 0.0 or frame.is_disparity:
+        return frame.step
+    sample = some_of(frame.raw)
+    grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / _GRAIN
+    whole = np.rint(grains)
+    # What single precision does to metres is 1e-7 of them.
+    if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * grains, 0.3)).any():
+        return 0.0
+    values = np.unique(whole)
+    return _GRAIN * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
 
 
 def warn_caller(message: str) -> None:

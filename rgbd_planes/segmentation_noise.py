@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.checks import check_noise
-from rgbd_planes.depth import DepthFrame, some_of
+from rgbd_planes.depth import DepthFrame, step_of
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
 from rgbd_planes.residual_statistics import ResidualStatistics
@@ -20,8 +20,6 @@ FLATNESS = 4e-4
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
-_GRAIN = 1e-5  # metres: steps are multiples of it, and it is finer than any sensor
-_FEW_VALUES = 50  # of which nothing can be said: a scene may have been made of whole numbers
 _UNKNOWN = np.empty(0)
 _SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth of a surface: where the table has entries
 
@@ -98,18 +96,4 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
 def _rounding(frame: DepthFrame, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(_step_of(frame) * step / 12.0**0.5)
-
-
-def _step_of(frame: DepthFrame) -> float:
-    """Between neighbouring raw values: of integers, and of metres that integers were made into; 0 if there is none."""
-    if frame.step > 0.0 or frame.is_disparity:
-        return frame.step
-    sample = some_of(frame.raw)
-    grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / _GRAIN
-    whole = np.rint(grains)
-    # What single precision does to metres is 1e-7 of them.
-    if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * grains, 0.3)).any():
-        return 0.0
-    values = np.unique(whole)
-    return _GRAIN * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
+    return np.asarray(step_of(frame) * step / 12.0**0.5)

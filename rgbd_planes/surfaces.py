@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, check_share, check_whole
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.depth import as_depth_frame, step_of
 from rgbd_planes.kernels import dense, window_choice
 from rgbd_planes.kernels.sliding import BAND
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
@@ -64,10 +64,10 @@ def normals(
     -----
     A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
     beside it by more than noise explains: by the factor that the ratio of two such variances exceeds once
-    in a thousand times for independent normal noise. There is no threshold to set. It takes about four
-    times as long. A surface that bends by more than its noise within a window is taken for an edge as well: its
-    normals are then those of half a window beside, with a window of 15 off by up to 10° at the rim of a ball of
-    0.2 m radius at 1 m.
+    in a thousand times for independent normal noise. It does not where rounding to the frame's raw values
+    makes as large a variance. There is no threshold to set. It takes about four times as long. A surface that
+    bends by more than its noise within a window is taken for an edge as well: its normals are then those of
+    half a window beside, with a window of 15 off by up to 10° at the rim of a ball of 0.2 m radius at 1 m.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 
@@ -148,11 +148,12 @@ def _surfaces(
         if not avoid_edges:
             return made, variation
         chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
+        rounding = (step_of(frame) * frame.scale) ** 2 / 12.0
 
         def choose(start: int, stop: int) -> None:
             window_choice.choose_windows(
-                frame.raw, frame.lowest, frame.highest, camera.tan_x, camera.tan_y, window // 2, _ratio(window),
-                arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
+                frame.raw, frame.lowest, frame.highest, rounding, frame.is_disparity, camera.tan_x, camera.tan_y,
+                window // 2, _ratio(window), arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
             )  # fmt: skip
 
         run_in_ranges(choose, height, threads)

@@ -351,6 +351,21 @@ def test_avoiding_edges_helps_at_edges_and_leaves_planes_alone():
     assert np.median(clear[~near_edge]) < 1.05 * np.median(plain[~near_edge])
 
 
+@pytest.mark.parametrize(("window", "distance"), [(7, 3.0), (15, 5.0)])
+@pytest.mark.parametrize("is_disparity", [False, True])
+def test_steps_of_rounding_are_no_edges(window, distance, is_disparity):
+    """On a slope without noise they are terraces, each of which is flatter than the slope is."""
+    unit = {"disparity": (-0.0030711, 3.3309)} if is_disparity else {"depth_scale": 300.0 / distance**2}
+    camera = rp.Camera(160, 120, 290.0, 290.0, 79.5, 59.5, **unit)
+    rendering = scenes.plane((0.3, 0.1, -1.0), distance).render(camera)
+    depth = rendering.measure(noise=0.0)
+    plain, clear = (
+        oracle.angle(rp.normals(depth, camera, window, avoid_edges=choice), rendering.planes[0, :3])
+        for choice in (False, True)
+    )
+    assert np.mean(clear) < 1.01 * np.mean(plain)
+
+
 @pytest.mark.parametrize(
     ("window", "error", "message"),
     [

@@ -16,10 +16,9 @@ from rgbd_planes import (
     fit_tiles,
     scenes,
     segment,
-    segmentation_noise,
     segmentation_workspace,
 )
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.depth import as_depth_frame, step_of
 from rgbd_planes.kernels import segment_blocks, segment_inside
 from rgbd_planes.kernels.segment_noise_estimation import quantile
 from rgbd_planes.kernels.segment_records import Rays
@@ -540,7 +539,7 @@ def test_metres_that_integers_were_made_into_are_rounded(kind, scale):
     camera = replace(CAMERA, depth_scale=scale)
     depth = scenes.room().render(camera).measure(noise=1e-4)
     metres = as_depth_frame((depth / scale).astype(kind), camera)
-    assert segmentation_noise._step_of(metres) == pytest.approx(1.0 / scale, rel=1e-9)
+    assert step_of(metres) == pytest.approx(1.0 / scale, rel=1e-9)
     expected, found = segment(depth, camera), segment(metres.raw, camera)
     assert len(found) == len(expected)
     assert np.mean(found.labels != expected.labels) < 1e-3
@@ -551,7 +550,7 @@ def test_metres_that_were_measured_have_no_step():
     flat = np.full(CAMERA.shape, 2.0)
     flat[:, 100:] = 3.5
     for metres in (depth, depth.astype(np.float32), flat, np.zeros(CAMERA.shape)):
-        assert segmentation_noise._step_of(as_depth_frame(metres, CAMERA)) == 0.0
+        assert step_of(as_depth_frame(metres, CAMERA)) == 0.0
 
 
 def test_planes_of_sparse_pixels():
