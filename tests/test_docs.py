@@ -87,8 +87,9 @@ def printed(page, number, files, monkeypatch):
     monkeypatch.chdir(files)
     out, namespace = io.StringIO(), {}
     with contextlib.redirect_stdout(out):
-        for _, code in blocks(ROOT / "docs" / page)[:number]:
-            exec(code, namespace)
+        for language, code in blocks(ROOT / "docs" / page)[:number]:
+            if language == "python":
+                exec(code, namespace)
     return out.getvalue()
 
 
@@ -125,6 +126,16 @@ def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
     )
     assert pca > 2 * ours
     assert explicit > 2 * ours
+
+
+def test_what_the_page_on_normals_says_comes_out(files, monkeypatch):
+    text = printed("howto/normals.md", 3, files, monkeypatch)
+    rows = re.findall(r"(\d+) (True|False) +half within ([\d.]+) degrees, 90 % within ([\d.]+)", text)
+    half = {(int(window), avoids): float(degrees) for window, avoids, degrees, _ in rows}
+    most = {(int(window), avoids): float(degrees) for window, avoids, _, degrees in rows}
+    assert half[15, "False"] < 0.4 * half[7, "False"]
+    assert most[15, "False"] > most[7, "False"]
+    assert most[15, "True"] < 0.4 * most[7, "True"] < 0.4 * most[7, "False"]
 
 
 def test_every_status_reason_method_and_column_is_explained():
