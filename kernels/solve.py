@@ -254,8 +254,8 @@ def fit_moments(
     for first in range(start, stop, TILES):
         last = min(first + TILES, stop)
         count = last - first
-        copy(moments, first, last, block_moments)
-        copy(reference, first, last, block_reference)
+        copy_columns(moments, first, last, block_moments)
+        copy_columns(reference, first, last, block_reference)
         if standard is None:
             range_planes(implicit, block_moments, block_reference, total, needed[first:last], count, work)
         else:
@@ -269,7 +269,7 @@ def fit_moments(
 
 
 @kernel(inline=True)
-def copy(values, first, last, where):
+def copy_columns(values, first, last, where):
     """Copy columns ``first`` to ``last`` of all rows to the first columns."""
     for row in range(len(values)):
         # In one dimension, whose stride the compiler knows.
@@ -279,8 +279,8 @@ def copy(values, first, last, where):
 
 
 @kernel(inline=True)
-def copy_back(where, first, last, values):
-    """The reverse of `copy`, to rows that follow each other in one dimension."""
+def copy_columns_back(where, first, last, values):
+    """The reverse of `copy_columns`, to rows that follow each other in one dimension."""
     columns = len(values) // len(where)
     for row in range(len(where)):
         source, target = where[row], values[row * columns + first : row * columns + last]
