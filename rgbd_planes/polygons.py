@@ -42,7 +42,7 @@ class PlanePolygon:
     image : shapely MultiPolygon
         The outline, holes included, in pixels (x, y); pixel centres are at integers, edges half-way between.
     metric : shapely MultiPolygon
-        The same in the plane's coordinates, metres.
+        The same in the plane's coordinates, metres. No corner is more than twice as far away as the farthest pixel.
     """
 
     label: int
@@ -179,10 +179,15 @@ def _polygon(
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(first, normal)])
 
-    image = _outline(segmentation.labels[box] == label, box[1].start, box[0].start, tolerance, min_part)
-    return PlanePolygon(
-        label, plane, origin, axes, image, _in_plane(image, segmentation, label, origin, axes)
-    )
+    camera, alpha = segmentation.camera, segmentation.alpha[label - 1]
+    mask = segmentation.labels[box] == label
+    image = _outline(mask, box[1].start, box[0].start, tolerance, min_part)
+    # Half a pixel beyond the farthest pixel of a plane seen along its surface, rays hardly meet it, or not at all. If
+    # that pixel is one or more from the horizon, they do at no more than twice its depth.
+    q = (alpha[0] * camera.tan_x[box] + alpha[1] * camera.tan_y[box] + alpha[2])[mask]
+    farthest = max(0.5 * float(q.min()), 1e-3 * float(np.linalg.norm(alpha)))
+    metric = _in_plane(image, camera, alpha, farthest, origin, axes)
+    return PlanePolygon(label, plane, origin, axes, image, metric)
 
 
 def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min_part: float) -> MultiPolygon:
@@ -223,18 +228,14 @@ def _multi(geometry: Geometry, otherwise: MultiPolygon) -> MultiPolygon:
 
 
 def _in_plane(
-    image: MultiPolygon, segmentation: Segmentation, label: int, origin: Floats, axes: Floats
+    image: MultiPolygon, camera: Camera, alpha: Floats, farthest: float, origin: Floats, axes: Floats
 ) -> MultiPolygon:
-    """The outline in the plane's coordinates: where the rays through its corners meet the plane."""
+    """The outline in the plane's coordinates: where the rays through its corners meet it, 1/Z no less than farthest."""
     import shapely
 
-    alpha = segmentation.alpha[label - 1]
-    # Beyond the horizon a ray does not meet the plane; an outline half a pixel too large may reach there.
-    horizon = 1e-3 * float(np.linalg.norm(alpha))
-
     def meet(pixels: Floats) -> Floats:
-        rays = rays_through(segmentation.camera, pixels)
-        points = rays / np.maximum(rays @ alpha, horizon)[:, None]
+        rays = rays_through(camera, pixels)
+        points = rays / np.maximum(rays @ alpha, farthest)[:, None]
         return np.asarray((points - origin) @ axes.T)
 
     metric = shapely.transform(image, meet)

@@ -101,6 +101,18 @@ def test_rectangle_of_a_hull_with_corners_nearly_on_a_line() -> None:
     assert own.rectangle.buffer(1e-9).contains(metric)
 
 
+def test_a_floor_that_nearly_reaches_the_horizon_does_not_go_on_far_beyond_its_pixels() -> None:
+    camera = Camera(width=80, height=60, fx=65.5, fy=65.5, cx=39.5, cy=29.5)
+    near, far = [(-30, 0.1, 0.5), (30, 0.1, 0.5)], [(30, 0.1, 8.0), (-30, 0.1, 8.0)]
+    floor = scenes.polygon("floor", [*near, *far])
+    wall = scenes.polygon("wall", [*far, (-30, -30, 8.0), (30, -30, 8.0)])
+    found = segment(scenes.Scene((floor, wall), np.eye(4)).render(camera).depth, camera)
+    own = plane_polygons(found)[int(np.argmin(found.planes[:, 1]))]
+    fitted = found.fitted_depth()[found.labels == own.label]
+    assert fitted.max() > 10.0
+    assert own.corners(own.hull)[:, 2].max() <= 2.001 * fitted.max()
+
+
 def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
     depth = scenes.plane((0.0, 0.0, -1.0), 1.0).render(CAMERA).depth
     found = segment(depth, CAMERA)
