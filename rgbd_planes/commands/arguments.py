@@ -24,7 +24,9 @@ class CommandError(Exception):
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a fit of tiles."""
-    parser.add_argument("--tile", type=tile_size, default=16, metavar="N or HxW", help="tile size (16)")
+    parser.add_argument(
+        "--tile", type=tile_size, default=16, metavar="N or HxW", help="size of a tile in pixels (16)"
+    )
     parser.add_argument(
         "--method",
         default="range_explicit",
@@ -32,10 +34,14 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
         help="range_explicit (default), range_implicit, standard_explicit, standard_implicit, standard_pca",
     )
     parser.add_argument(
-        "--max-missing", type=float, default=0.5, metavar="SHARE", help="fit no tile that misses more (0.5)"
+        "--max-missing",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="largest share of a tile's pixels that may be missing (0.5)",
     )
     parser.add_argument(
-        "--max-error", type=float, metavar="METRES", help="call a tile with a larger residual rough"
+        "--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH"
     )
 
 
@@ -45,8 +51,8 @@ def add_noise(parser: argparse.ArgumentParser, what_for: str, *, number_is_model
         "--noise",
         type=noise_model if number_is_model else model_or_number,
         metavar="NAME or SIGMA",
-        help="of the sensor: kinect_v1, kinect_v1_nguyen or the standard deviation of 1/Z in 1/m, instead of the "
-        f"camera's own; {what_for}",
+        help="noise of the sensor, instead of the camera's own: kinect_v1, kinect_v1_nguyen, or the standard deviation "
+        f"of 1/Z in 1/m; {what_for}",
     )
 
 
@@ -110,8 +116,8 @@ def add_frame(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="JSON",
-        help="the camera's file: width, height, fx, fy, cx, cy in pixels, depth_scale in units per metre; "
-        "Camera.save writes it",
+        help="file of the camera, as Camera.save writes it: width, height, fx, fy, cx, cy in pixels, depth_scale in "
+        "units per metre",
     )
 
 

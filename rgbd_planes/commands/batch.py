@@ -18,22 +18,34 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     read or fitted is reported and skipped, and makes the exit status 1.
     """
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
-    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the table, many files")
-    parser.add_argument("--camera", type=Path, metavar="JSON", help="instead of the sequence's own camera")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder of the table, which is many files"
+    )
+    parser.add_argument(
+        "--camera", type=Path, metavar="JSON", help="camera to use instead of the sequence's own"
+    )
     parser.add_argument(
         "--format",
         metavar="NAME",
-        help="if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, scannet_sens, "
-        "seven_scenes, tum",
+        help="format of the sequence, if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, "
+        "scannet_sens, seven_scenes, tum",
     )
-    parser.add_argument("--topic", help="of a ROS bag, if it has several with depth")
+    parser.add_argument("--topic", help="topic of a ROS bag, if several have depth")
     parser.add_argument(
-        "--segments", action="store_true", help="one row a segment, not a tile; no options of tiles"
+        "--segments",
+        action="store_true",
+        help="one row for each plane of the scene, not for each tile; takes no options of tiles",
     )
     add_fit_options(parser)
-    add_noise(parser, "adds covariances and p-values")
-    parser.add_argument("--threads", type=int, metavar="N", help="one for each core, if not given")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:port")
+    add_noise(
+        parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain"
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (one for each core)")
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of a Dask scheduler, to use its workers: tcp://host:port",
+    )
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import Camera, FitSettings, fit_sequence, open_sequence, sequences

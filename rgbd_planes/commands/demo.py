@@ -20,9 +20,13 @@ def demo(parser: argparse.ArgumentParser) -> Run:
 
     example: rgbd-planes demo --out pictures
     """
-    parser.add_argument("--out", type=Path, default=Path("."), metavar="FOLDER", help="where to write (.)")
-    parser.add_argument("--tile", type=tile_size, default=(16, 16), metavar="N or HxW", help="tile size (16)")
-    parser.add_argument("--seed", type=int, default=1, help="of the noise and the missing pixels (1)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("."), metavar="FOLDER", help="where to write (the current folder)"
+    )
+    parser.add_argument(
+        "--tile", type=tile_size, default=(16, 16), metavar="N or HxW", help="size of a tile in pixels (16)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="seed of the noise and the missing pixels (1)")
 
     def run(arguments: argparse.Namespace) -> None:
         from rgbd_planes import Camera, TileFitter, fit_tiles, scenes

@@ -24,8 +24,11 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     """
     add_frame(parser)
     add_fit_options(parser)
-    add_noise(parser, "adds covariances and p-values")
-    parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
+    add_noise(
+        parser,
+        "calls tiles ROUGH that it does not explain, and goes into the NPZ, for covariances and p-values",
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
     parser.add_argument(
         "--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them"
     )

@@ -12,19 +12,23 @@ def normals(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes normals depth.png --camera camera.json --out normals.npy
     """
     add_frame(parser)
-    parser.add_argument("--window", type=int, default=7, metavar="N", help="odd, 3 to 31 pixels (7)")
     parser.add_argument(
-        "--avoid-edges", action="store_true", help="move windows that an edge runs through off it"
+        "--window", type=int, default=7, metavar="N", help="side of the window in pixels: odd, 3 to 31 (7)"
+    )
+    parser.add_argument(
+        "--avoid-edges",
+        action="store_true",
+        help="use a window beside an edge for pixels whose own window it runs through",
     )
     parser.add_argument(
         "--max-missing",
         type=float,
         default=0.5,
         metavar="SHARE",
-        help="of a window that may be missing (0.5)",
+        help="largest share of a window's pixels that may be missing (0.5)",
     )
-    parser.add_argument("--threads", type=int, metavar="N", help="as many as pay, if not given")
-    parser.add_argument("--out", type=Path, metavar="NPY", help="write them, (H, W, 3) float32")
+    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
+    parser.add_argument("--out", type=Path, metavar="NPY", help="write the normals, (H, W, 3) float32")
     parser.add_argument(
         "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and curvature"
     )

@@ -22,18 +22,18 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes segment depth.png --camera camera.json --out planes.json
     """
     add_frame(parser)
-    add_noise(parser, "from the frame, if nothing says it", number_is_model=False)
-    parser.add_argument("--min-size", type=int, default=60, metavar="N", help="pixels of a plane (60)")
+    add_noise(parser, "without either, it is estimated from the frame", number_is_model=False)
+    parser.add_argument("--min-size", type=int, default=60, metavar="N", help="fewest pixels of a plane (60)")
     parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
-    parser.add_argument(
-        "--polygons", action="store_true", help="with their outlines in the JSON; needs shapely"
-    )
+    parser.add_argument("--polygons", action="store_true", help="add the outlines to the JSON; needs shapely")
     parser.add_argument("--labels", type=Path, metavar="PNG", help="write the labels, 16 bits, 0 for none")
     parser.add_argument(
         "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw the planes over the depth's relief"
     )
     parser.add_argument("--points", type=Path, metavar="PLY", help="write the points, coloured by plane")
-    parser.add_argument("--mesh", type=Path, metavar="PLY", help="write the outlines; needs shapely")
+    parser.add_argument(
+        "--mesh", type=Path, metavar="PLY", help="write the outlines as a mesh; needs shapely"
+    )
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import plane_polygons, segmentation_export
