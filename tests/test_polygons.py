@@ -50,7 +50,9 @@ def test_a_rectangle_is_found_where_it_is() -> None:
 
 def test_coordinates_are_in_the_plane() -> None:
     depth, _ = board(CAMERA)
-    for own in plane_polygons(segment(depth, CAMERA)):
+    found = segment(depth, CAMERA)
+    assert len(found) == 2
+    for own in plane_polygons(found):
         assert own.axes @ own.axes.T == pytest.approx(np.eye(2), abs=1e-12)
         assert own.axes @ own.plane[:3] == pytest.approx([0.0, 0.0], abs=1e-12)
         assert own.axes[0, 0] > 0
@@ -125,6 +127,7 @@ def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
 def test_outline_without_simplification_covers_every_pixel() -> None:
     depth, _ = board(CAMERA)
     found = segment(depth, CAMERA)
+    assert len(found) == 2
     for own in plane_polygons(found, tolerance=0.0, min_part=0.0):
         rows, columns = np.nonzero(found.labels == own.label)
         assert shapely.contains_xy(own.image, columns, rows).all()
@@ -136,6 +139,7 @@ def test_outline_without_simplification_covers_every_pixel() -> None:
 def test_tolerance_saves_corners() -> None:
     depth, _ = board(CAMERA)
     found = segment(depth, CAMERA)
+    assert len(found) == 2
     every, few = (plane_polygons(found, tolerance=tolerance) for tolerance in (0.0, 2.0))
     for one, other in zip(every, few, strict=True):
         assert shapely.get_num_coordinates(other.image) < 0.3 * shapely.get_num_coordinates(one.image)

@@ -640,6 +640,7 @@ def test_plane_covariance_is_that_of_alpha_carried_over(room):
     def plane(alpha):
         return np.append(-alpha, 1.0) / np.linalg.norm(alpha)
 
+    assert len(found) > 10
     for i, alpha in enumerate(found.alpha):
         np.testing.assert_allclose(plane(alpha), found.planes[i], rtol=1e-12, atol=1e-12)
         steps = 1e-6 * np.eye(3)
