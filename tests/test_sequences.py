@@ -335,6 +335,21 @@ def test_a_frame_that_is_a_link_to_nowhere_keeps_its_place(tmp_path, frames):
     np.testing.assert_array_equal(sequence[2].depth, frames[2])
 
 
+def test_hidden_files_are_no_frames(tmp_path, frames):
+    """Such as macOS leaves beside each file on disks of other systems."""
+    for i, frame in enumerate(frames):
+        images.write_png(tmp_path / f"{i}.png", frame)
+    write_arkitscenes(tmp_path / "scan", frames)
+    for file in list(tmp_path.glob("**/*.p*")):
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\x16\7")
+    same(sequences.folder(tmp_path, CAMERA), frames, CAMERA, ["0.png", "1.png", "2.png"])
+    assert len(sequences.arkitscenes(tmp_path / "scan")) == 3
+    (tmp_path / "scan").rename(tmp_path / "icl")
+    (tmp_path / "icl" / "lowres_depth").rename(tmp_path / "icl" / "depth")
+    assert len(sequences.icl_nuim(tmp_path / "icl")) == 3
+    assert len(sequences.scannet(tmp_path / "icl", CAMERA)) == 3
+
+
 def test_open_sequence_says_what_is_wrong(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         rp.open_sequence(tmp_path / "gone")

@@ -57,7 +57,7 @@ class _Calibrations:
     """The .pincam files of a folder by time; equal ones share a `Camera`."""
 
     def __init__(self, folder: Path) -> None:
-        self._files = sorted(folder.glob("*.pincam"), key=_seconds)
+        self._files = sorted(numbered(folder.glob("*.pincam")), key=_seconds)
         some(self._files, "*.pincam files, or a camera", folder)
         self._times = [_seconds(file) for file in self._files]
         self._made: dict[Camera, Camera] = {}

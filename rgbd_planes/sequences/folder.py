@@ -43,5 +43,5 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     place = root / "depth" if (root / "depth").is_dir() else root
     # A link to nowhere stays, so that reading says so, and the frames after it keep their numbers.
     files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and not file.is_dir()]
-    some(files, f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
-    return image_sequence(numbered(files), camera, root)
+    files = some(numbered(files), f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
+    return image_sequence(files, camera, root)

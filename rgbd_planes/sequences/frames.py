@@ -137,9 +137,12 @@ def image_sequence(
 
 
 def numbered(paths: Iterable[Path]) -> list[Path]:
-    """Paths in the order of the numbers in their names: 9.png before 10.png."""
+    """Paths in the order of the numbers in their names, 9.png before 10.png, without hidden ones.
+
+    macOS leaves a ._9.png beside each 9.png on disks of other systems: it is no image.
+    """
     return sorted(
-        paths,
+        (path for path in paths if not path.name.startswith(".")),
         key=lambda path: [
             (1, int(part), part) if part.isdecimal() else (0, 0, part)
             for part in re.split(r"(\d+)", path.name)

@@ -52,7 +52,7 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
     if files:
         return image_sequence(numbered(files), camera or _camera_of_info(root / "_info.txt"), root)
     files = [file for file in (root / "depth").glob("*") if file.suffix in (".pgm", ".png")]
-    files = numbered(some(files, "depth/N.png or frame-NNNNNN.depth.pgm", root))
+    files = some(numbered(files), "depth/N.png or frame-NNNNNN.depth.pgm", root)
     return image_sequence(files, camera or _camera_of_matrix(root, files[0]), root)
 
 
