@@ -283,10 +283,11 @@ def test_names_and_marks_of_other_systems(tmp_path, frames):
     folder = tmp_path / "folder"
     folder.mkdir()
     (folder / "depth.txt").write_text(
-        f"# times\r\n2 {elsewhere}\r\n\r\n1 ../1².png\r\n", encoding="utf-8-sig"
+        f"# times\r\n2 {elsewhere} # there\r\n\r\n1 ../1².png\r\n3 a b#3.png\r\n", encoding="utf-8-sig"
     )
-    same(sequences.folder(folder, CAMERA)[:2], frames[[2, 0]], CAMERA, times=[2.0, 1.0])
-    assert sequences.folder(folder, CAMERA).names == (elsewhere.as_posix(), "../1².png")
+    images.write_png(folder / "a b#3.png", frames[1])
+    same(sequences.folder(folder, CAMERA), frames[[2, 0, 1]], CAMERA, times=[2.0, 1.0, 3.0])
+    assert sequences.folder(folder, CAMERA).names == (elsewhere.as_posix(), "../1².png", "a b#3.png")
     write_arkitscenes(tmp_path / "scan", frames)
     for file in (tmp_path / "scan" / "lowres_wide_intrinsics").iterdir():
         file.write_text(file.read_text(), encoding="utf-8-sig")

@@ -73,14 +73,14 @@ def icl_nuim(path: str | os.PathLike[str], camera: Camera | None = None) -> Fram
 
 
 def read_index(path: Path) -> tuple[list[float], list[Path]]:
-    """Times and files of the lines "seconds file" of an index; # begins a comment."""
+    """Times and files of the lines "seconds file" of an index; a # that begins a word begins a comment."""
     if not path.is_file():
         raise FileNotFoundError(f'{path.parent}: expected {path.name}, lines "seconds file", found none')
     times, files = [], []
     for number, line in enumerate(
         path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1
     ):
-        words = line.partition("#")[0].split(maxsplit=1)
+        words = re.split(r"(?:^|\s)#", line, maxsplit=1)[0].split(maxsplit=1)
         if not words:
             continue
         try:
