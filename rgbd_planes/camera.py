@@ -114,8 +114,8 @@ class Camera:
             angle = math.degrees(math.atan(max(abs(centre), abs(size - 1 - centre)) / abs(focal)))
             if angle > _FARTHEST:
                 warn_caller(
-                    f"{names[0]} = {focal:g} and {names[1]} = {centre:g} take an image with a {names[2]} of {size} "
-                    f"to {angle:.0f} degrees from the optical axis: are they in pixels, and of this image size?"
+                    f"with {names[0]} = {focal:g} and {names[1]} = {centre:g}, an image of {names[2]} {size} reaches "
+                    f"{angle:.0f} degrees from the optical axis: are they in pixels, and of this image size?"
                 )
 
     def _check_depth(self) -> None:

@@ -244,7 +244,7 @@ cameras = st.builds(
 )
 
 
-@pytest.mark.filterwarnings("ignore:f[xy] =:UserWarning")  # of lenses that nobody has
+@pytest.mark.filterwarnings("ignore:with f[xy] =:UserWarning")  # of lenses that nobody has
 @given(camera=cameras)
 @settings(deadline=None)
 def test_json_gives_the_same_camera_back(camera):
@@ -624,11 +624,11 @@ def test_real_frames_give_points_in_their_stated_range(path):
     [
         (
             {"fx": 3.6},
-            "fx = 3.6 and cx = 319.5 take an image with a width of 640 to 89 degrees from the optical",
+            "with fx = 3.6 and cx = 319.5, an image of width 640 reaches 89 degrees from the optical",
         ),
-        ({"fy": -0.9}, "fy = -0.9 and cy = 239.5 take an image with a height of 480 to 90 degrees"),
-        ({"cx": 3195.0}, "cx = 3195 take an image with a width of 640 to 81 degrees"),
-        ({"cy": -1500.0}, "cy = -1500 take an image with a height of 480 to 75 degrees"),
+        ({"fy": -0.9}, "with fy = -0.9 and cy = 239.5, an image of height 480 reaches 90 degrees"),
+        ({"cx": 3195.0}, "cx = 3195, an image of width 640 reaches 81 degrees"),
+        ({"cy": -1500.0}, "cy = -1500, an image of height 480 reaches 75 degrees"),
     ],
 )
 def test_intrinsics_that_no_camera_has_are_doubted(change, words):
