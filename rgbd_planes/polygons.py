@@ -204,15 +204,42 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
         fill_type=contourpy.FillType.OuterOffset,
     )
     least = min_part - 0.5  # its corners, cut off, take half a pixel from an outline
-    polygons = []
+
+    def polygon(rings: list[Floats]) -> Polygon:
+        return shapely.Polygon(rings[0], rings[1:])
+
+    parts = []
     for points, offsets in zip(*generator.filled(0.5, np.inf), strict=True):
-        rings = [shapely.LinearRing(points[i:j]) for i, j in itertools.pairwise(offsets)]
-        outer, *holes = rings
-        holes = [hole for hole in holes if shapely.Polygon(hole).area >= least]
-        polygons.append(shapely.Polygon(outer, holes))
-    kept = [polygon for polygon in polygons if polygon.area >= least]
-    outline = shapely.MultiPolygon(kept or [max(polygons, key=lambda polygon: polygon.area)])
+        outer, *holes = (points[i:j] for i, j in itertools.pairwise(offsets))
+        parts.append([outer, *(hole for hole in holes if polygon([hole]).area >= least)])
+    areas = np.array([polygon(rings).area for rings in parts])
+    kept = np.flatnonzero(areas >= least) if areas.max() >= least else [areas.argmax()]
+    first = np.array([left - 1, top - 1])
+    outline = shapely.MultiPolygon(
+        [polygon([_with_corners(ring, framed, first) for ring in parts[i]]) for i in kept]
+    )
     return _multi(outline.simplify(tolerance) if tolerance > 0.0 else outline, outline)
+
+
+def _with_corners(ring: Floats, framed: Floats, first: NDArray[np.int_]) -> Floats:
+    """A contour's ring with the right angles that it cuts off, and from one of them on.
+
+    Simplifying keeps the first corner and moves none: without them it would take half a pixel off straight edges.
+    ``first`` is the (x, y) of the first pixel of ``framed``.
+    """
+    sides = np.diff(ring, axis=0)
+    cut = (sides != 0.0).all(axis=1)
+    # Between two straight sides; several cuts in a row are a slanted edge.
+    alone = np.flatnonzero(cut & ~np.roll(cut, 1) & ~np.roll(cut, -1))
+    corners = ring[alone] + 0.5 * sides[alone - 1]
+    # Where two pixels touch at the corner, so would their outlines.
+    x, y = (np.floor(corners).astype(int) - first).T
+    pixels = framed[y, x] + framed[y, x + 1] + framed[y + 1, x] + framed[y + 1, x + 1]
+    alone, corners = alone[pixels != 2.0], corners[pixels != 2.0]
+    if not len(alone):
+        return ring
+    ring, start = np.insert(ring, alone + 1, corners, axis=0), alone[0] + 1
+    return np.concatenate([ring[start:-1], ring[: start + 1]])
 
 
 def _multi(geometry: Geometry, otherwise: MultiPolygon) -> MultiPolygon:

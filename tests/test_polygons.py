@@ -115,6 +115,31 @@ def test_a_floor_that_nearly_reaches_the_horizon_does_not_go_on_far_beyond_its_p
     assert own.corners(own.hull)[:, 2].max() <= 2.001 * fitted.max()
 
 
+@pytest.mark.parametrize("tolerance", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("size", [(120, 160), (12, 12), (30, 10)])
+def test_a_rectangle_of_pixels_is_one(size: tuple[int, int], tolerance: float) -> None:
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    height, width = size
+    found.labels[height:] = found.labels[:, width:] = 0
+    (own,) = plane_polygons(found, tolerance=tolerance)
+    assert own.image.equals(shapely.box(-0.5, -0.5, width - 0.5, height - 0.5))
+    assert own.area == pytest.approx(height * width * (2.0 / 130.0) ** 2)
+    hole = found.labels[3:9, 2:8]
+    hole[:] = 0
+    (own,) = plane_polygons(found, tolerance=tolerance)
+    assert own.image.area == pytest.approx(height * width - 36)
+
+
+def test_rectangles_that_touch_at_a_corner_stay_apart() -> None:
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    found.labels[:] = 0
+    found.labels[20:40, 20:40] = found.labels[40:60, 40:60] = 1
+    for tolerance in (0.0, 1.0):
+        (own,) = plane_polygons(found, tolerance=tolerance)
+        assert own.image.is_valid
+        assert own.image.area == pytest.approx(800.0, abs=1.0 + 10.0 * tolerance)
+
+
 def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
     depth = scenes.plane((0.0, 0.0, -1.0), 1.0).render(CAMERA).depth
     found = segment(depth, CAMERA)
