@@ -73,7 +73,10 @@ def explicit(moments, reference, total, count, solution, residual, lost):
         )
         left = c_ww - a * c_uw - b * c_vw
         left = left if left > 0.0 else 0.0
-        rounding = 0.0 if total is None else ROUNDING * (total + moments[4, i] + moments[7, i]) * trace
+        rounding = 0.0
+        if total is not None:  # a scatter that is nothing but rounding may even be negative
+            rounding = ROUNDING * (total + moments[4, i] + moments[7, i])
+            rounding *= max(trace, rounding)
         residual[i] = left if determinant > COLLINEAR * trace * trace + rounding else math.nan
         lost[i] = 0.0 if total is None else rounding * inverse
 
@@ -160,7 +163,8 @@ def standard_planes(method, moments, reference, total, count, work):
         trace = c_xx + c_yy + c_zz
         rounding = 0.0
         if total is not None:
-            rounding = ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i]) * trace
+            rounding = ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i])
+            rounding *= max(trace, rounding)  # as in `explicit`
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
         nearest[i] = (CENTRE + (0.0 if total is None else rounding / minors)) * mean[2, i]
     if method == STANDARD_IMPLICIT:

@@ -66,6 +66,22 @@ def test_one_line_of_pixels_is_no_plane(method):
     assert (fits.status == usual.status).mean() > 0.98
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("far", [1e8, 1e10, 3e38])
+def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
+    camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
+    depth = rp.scenes.room().render(camera).depth
+    depth[3, 40:60] = far
+    windows = np.array([(row, column, 16, 16) for row in range(8, 104, 8) for column in range(0, 144, 8)])
+    fits, expected = (
+        rp.fit_windows(depth, camera, windows, method, implementation=i) for i in ("integral", "naive")
+    )
+    both = fits.fitted & expected.fitted
+    assert oracle.angle(fits.planes[both, :3], expected.planes[both, :3]).max(initial=0.0) < 1.0
+    assert not np.isnan(fits.planes[fits.fitted]).any()
+    assert method.startswith("standard") or both.sum() > 0.8 * len(windows)
+
+
 def test_no_windows_no_planes():
     camera = make_camera()
     assert rp.fit_windows(np.ones(camera.shape), camera, []).planes.shape == (0, 4)
