@@ -49,6 +49,18 @@ def end_of_run(labels, start):
 
 
 @kernel(inline=True)
+def add_footprint(row, start, stop, footprint):
+    """Add the places of a run's pixels: how many, Σx, Σy, Σx² and Σy²."""
+    n, last = stop - start, stop - 1
+    footprint[0] += n
+    footprint[1] += n * (start + last) // 2
+    footprint[2] += n * row
+    # The sum of squares up to k is k(k + 1)(2k + 1) / 6.
+    footprint[3] += (last * (last + 1) * (2 * last + 1) - (start - 1) * start * (2 * start - 1)) // 6
+    footprint[4] += n * row * row
+
+
+@kernel(inline=True)
 def find_first(points, start, stop, reference):
     """Make the first valid point of a run the reference of its label; whether there is one."""
     for i in range(start, stop):
@@ -96,7 +108,7 @@ def add_run(points, start, stop, reference, sums):
 @kernel()
 def label_moments(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, labels,
-    pixels, moments, reference,
+    footprint, moments, reference,
 ):  # fmt: skip
     """Moments of labels 1 to K.
 
@@ -107,15 +119,15 @@ def label_moments(
         Moments of (X, Y, Z) and not of (tanθx, tanθy, q).
     labels : (H, W) int32
         0 for none.
-    pixels : (K,) int64, written
-        Each label's, the missing ones too.
+    footprint : (K, 5) int64, written
+        Of each label's pixels, the missing ones too: how many, Σx, Σy, Σx² and Σy².
     moments, reference : (K, 10) and (K, 3) float64, written
         The ten sums, and the point that they are about: the label's first, so that little cancels.
     """
     height, width = raw.shape
     points = np.empty((4, width))
     begun = np.zeros(len(moments), np.bool_)
-    pixels[:] = 0
+    footprint[:] = 0
     moments[:] = 0.0
     reference[:] = 0.0
     for row in range(height):
@@ -127,6 +139,6 @@ def label_moments(
             start, stop = stop, end_of_run(labels[row], stop)
             i = labels[row, start] - 1
             if i >= 0:
-                pixels[i] += stop - start
+                add_footprint(row, start, stop, footprint[i])
                 begun[i] = begun[i] or find_first(points, start, stop, reference[i])
                 add_run(points, start, stop, reference[i], moments[i])

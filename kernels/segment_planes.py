@@ -42,15 +42,16 @@ def fit_planes(moments, alpha, rss):
 
 
 @kernel()
-def covariance_of(m, of_slopes, of_mean, covariance):
+def covariance_of(m, of_slope_x, of_slope_y, of_mean, covariance):
     """Write the covariance of α, (3, 3): about the pixels' middle, where (MᵀM)⁻¹ falls into two parts.
 
-    ``of_slopes`` and ``of_mean`` are variances of a pixel, one for each part.
+    ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are variances of a pixel, one for each part.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
     uu, uv, vv = m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v
-    scale = of_slopes / (uu * vv - uv * uv)
-    a, b, c = vv * scale, -uv * scale, uu * scale
+    scale = 1.0 / (uu * vv - uv * uv)
+    a, c = vv * scale * of_slope_x, uu * scale * of_slope_y
+    b = -uv * scale * math.sqrt(of_slope_x * of_slope_y)
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
     covariance[0, 2], covariance[1, 2] = -(a * u + b * v), -(b * u + c * v)
     covariance[2, 2] = of_mean / n + u * (a * u + b * v) + v * (b * u + c * v)
@@ -70,8 +71,8 @@ def describe_planes(moments, alpha, rss, deviation, together, least, planes, cov
     moments, alpha, rss, deviation : (N, 10), (N, 3), (N,), (N,) float64
     together : float
         Pixels that have one error between them.
-    least : (2, N) float64
-        Variances of a pixel that the slopes' and the mean's are not to be below.
+    least : (3, N) float64
+        Variances of a pixel that those of the slopes, along x and y, and of the mean are not to be below.
     planes : (N, 4) float64, written
         nx, ny, nz, d.
     covariance : (N, 3, 3) float64, written
@@ -82,7 +83,10 @@ def describe_planes(moments, alpha, rss, deviation, together, least, planes, cov
         n = moments[i, 0]
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
         variance = together * max(rss[i] / max(n - 3.0, 1.0), deviation[i] ** 2)
-        covariance_of(moments[i], max(variance, least[0, i]), max(variance, least[1, i]), covariance[i])
+        covariance_of(
+            moments[i], max(variance, least[0, i]), max(variance, least[1, i]), max(variance, least[2, i]),
+            covariance[i],
+        )  # fmt: skip
         d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
         for k in range(3):
             planes[i, k] = -alpha[i, k] * d

@@ -18,13 +18,13 @@ BLOCK = 64
 U_0, V_0, W_0 = 10, 11, 12
 N_X, N_Y, N_Z, D, ERROR = 13, 14, 15, 16, 17
 SHARE, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
-OF_COUNT = 22
+OF_COUNT, COLUMNS = 22, 6
 # What is written in the end, of which the covariances' rows are used for other things before.
-P, ALPHA, PLANE, ANGLE, OFFSET = 26, 27, 33, 43, 44
+P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
 RATIO, ROOT = P, P + 1
 POSITION, FOUND = P, P + 1
 LIMIT = P + 2
-ROWS = 45
+ROWS = 47
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
 # What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
@@ -62,10 +62,11 @@ def assess(
     planes, rmse_metric : (R, C, 4) and (R, C) float64
     counts : (R, C) integers
         Which row of ``tables`` belongs to a tile.
-    tables : (K, 4) float64
+    tables : (K, COLUMNS) float64
         By number of pixels. With the covariance C of errors that neighbours share, of variance 1, and the projection P
-        on residuals: tr(PC), tr((PC)²), and the factors of C on the variances of the slopes and of the mean inverse
-        depth. Without any row pixels are independent.
+        on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x, on the covariance of
+        the slopes, on the variance of the slope along y and on that of the mean inverse depth. Without any row pixels
+        are independent.
     noise : (7 or more,) float64
         See LATERAL_X.
     limits : (LIMITS,) float64
@@ -201,27 +202,29 @@ def pixel_variance(in_range_space, noise, count, room):
 
 @kernel(inline=True)
 def by_count(counts, tables, room):
-    """Four numbers of each tile that follow from its number of pixels: see `assess`."""
+    """What follows of each tile from its number of pixels: see `assess`."""
     if tables.shape[0] == 0:
         for i in range(BLOCK):
             freedom = room[0, i] - 3.0
             freedom = freedom if freedom > 0.0 else 0.0
             room[OF_COUNT, i] = freedom
             room[OF_COUNT + 1, i] = freedom
-            room[OF_COUNT + 2, i] = 1.0
-            room[OF_COUNT + 3, i] = 1.0
+            for k in range(2, COLUMNS):
+                room[OF_COUNT + k, i] = 1.0
     else:
-        found = room[FOUND : FOUND + 4].reshape(4 * BLOCK)
+        found = room[FOUND : FOUND + COLUMNS].reshape(COLUMNS * BLOCK)
         for i in range(counts.shape[0]):
             row = tables[np.uintp(counts[i])]
-            a, b, c, d = row[0], row[1], row[2], row[3]
-            found[4 * i] = a
-            found[4 * i + 1] = b
-            found[4 * i + 2] = c
-            found[4 * i + 3] = d
+            a, b, c, d, e, f = row[0], row[1], row[2], row[3], row[4], row[5]
+            found[COLUMNS * i] = a
+            found[COLUMNS * i + 1] = b
+            found[COLUMNS * i + 2] = c
+            found[COLUMNS * i + 3] = d
+            found[COLUMNS * i + 4] = e
+            found[COLUMNS * i + 5] = f
         for i in range(BLOCK):
-            for k in range(4):
-                room[OF_COUNT + k, i] = found[4 * i + k]
+            for k in range(COLUMNS):
+                room[OF_COUNT + k, i] = found[COLUMNS * i + k]
 
 
 @kernel(inline=True)
@@ -297,13 +300,13 @@ def covariances(room):
         x, y, z, d = room[N_X, i], room[N_Y, i], room[N_Z, i], room[D, i]
         nothing = 0.0 * d  # NaN where there is no plane
         shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
-        scale = (shared * room[OF_COUNT + 2, i] + independent) / (c_uu * c_vv - c_uv * c_uv)
-        aa = scale * c_vv
-        ab = -scale * c_uv
-        bb = scale * c_uu
+        inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
+        aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
+        ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
+        bb = (shared * room[OF_COUNT + 4, i] + independent) * inverse * c_uu
         ac = -(aa * mean_u + ab * mean_v)
         bc = -(ab * mean_u + bb * mean_v)
-        cc = (shared * room[OF_COUNT + 3, i] + independent) * room[SHARE, i] - (ac * mean_u + bc * mean_v)
+        cc = (shared * room[OF_COUNT + 5, i] + independent) * room[SHARE, i] - (ac * mean_u + bc * mean_v)
         room[ALPHA, i] = aa
         room[ALPHA + 1, i] = ab
         room[ALPHA + 2, i] = ac

@@ -4,7 +4,7 @@ import functools
 import math
 import operator
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -54,7 +54,7 @@ class FitStatistics:
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
         self.rows = np.empty((*frames, statistics.RESULTS, *cells))
         """What `kernels.statistics.assess` writes: also whenever the fit's arrays are written into."""
-        assess = Assessment(fits.camera, fits.method, 0.0, fits._whole)
+        assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes)
         arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
         for frame in np.ndindex(frames):
             assess.of({name: array[frame] for name, array in arrays.items()})(0, math.prod(cells))
@@ -81,34 +81,40 @@ def _settings(noise: NoiseModel, fx: float, fy: float) -> Floats:
     return np.concatenate([lateral, rounding, [inverse_freedom(noise.spread)], noise._variances])
 
 
-def _some_tables(
-    noise: NoiseModel, counts: npt.NDArray[np.integer], whole: npt.NDArray[np.integer] | int
-) -> Floats:
-    made = noise.statistics(counts, whole)
-    return np.stack([made.expected, made.expected**2 / made.freedom, made.tilt, made.offset], axis=1)
+def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.NDArray[Any]) -> Floats:
+    made = noise.statistics(counts, sizes)
+    # The covariance of slopes has the geometric mean of their variances' factors: a square's is that of both.
+    cross = np.sqrt(made.tilt_x * made.tilt_y)
+    half_variance = made.expected**2 / made.freedom
+    return np.stack([made.expected, half_variance, made.tilt_x, cross, made.tilt_y, made.offset], axis=1)
 
 
 @functools.lru_cache(maxsize=32)
-def _all_tables(noise: NoiseModel, whole: int) -> Floats:
-    """For every number of valid pixels among ``whole``."""
-    return _some_tables(noise, np.arange(whole + 1), whole)
+def _all_tables(noise: NoiseModel, height: int, width: int) -> Floats:
+    """For every number of valid pixels of a tile."""
+    return _some_tables(noise, np.arange(height * width + 1), np.array([height, width]))
 
 
 def _tables_of(
-    noise: NoiseModel, whole: npt.NDArray[np.int64]
+    noise: NoiseModel, sizes: npt.NDArray[Any]
 ) -> tuple[Floats | None, npt.NDArray[np.int32] | None]:
     """A row for every number of valid pixels, and each tile's first row, if not all have one.
 
     None where tiles are of many sizes, large, or few: then each is worked out alone.
     """
-    sizes = whole[:1] if (whole == whole[:1]).all() else np.unique(whole)
-    if not 0 < len(sizes) <= _MOST_SIZES or sizes[-1] > min(_MOST_COUNTS, _MOST_FOR_EACH * len(whole)):
+    if not len(sizes) or sizes.dtype.kind == "f":
         return None, None
-    tables = [_all_tables(noise, int(size)) for size in sizes]
-    if len(sizes) == 1:
+    different, which = sizes[:1], None
+    if (sizes != different).any():
+        different, which = np.unique(sizes, axis=0, return_inverse=True)
+    whole = different.prod(axis=1)
+    if len(different) > _MOST_SIZES or whole.max() > min(_MOST_COUNTS, _MOST_FOR_EACH * len(sizes)):
+        return None, None
+    tables = [_all_tables(noise, int(height), int(width)) for height, width in different]
+    if which is None:
         return tables[0], None
-    first = np.cumsum(sizes + 1) - sizes - 1
-    return np.concatenate(tables), first[np.searchsorted(sizes, whole)].astype(np.int32)
+    first = np.cumsum(whole + 1) - whole - 1
+    return np.concatenate(tables), first[which.ravel()].astype(np.int32)
 
 
 # What `_made_limits` makes for the default level, so that most need no SciPy, which takes 0.3 s to load.
@@ -165,12 +171,13 @@ class Assessment:
     method : str
     significance : float or None
         As in `TileFitter`.
-    whole : (N,) int64
-        Pixels of each tile of a frame, row by row, valid ones and missing ones.
+    sizes : (N, 2) int64 or float64
+        Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, those
+        of one of as many pixels and of these proportions.
     """
 
     def __init__(
-        self, camera: Camera, method: str, significance: float | None, whole: npt.NDArray[np.int64]
+        self, camera: Camera, method: str, significance: float | None, sizes: npt.NDArray[Any]
     ) -> None:
         check_significance(significance, camera)
         self._noise = camera.noise
@@ -178,11 +185,11 @@ class Assessment:
             return
         level = DEFAULT_SIGNIFICANCE if significance is None else significance
         self._limits = _limits(level, camera.noise.spread)
-        self._whole = whole
-        self._tables: Floats | None = np.empty((0, 4))
+        self._sizes = sizes
+        self._tables: Floats | None = np.empty((0, statistics.COLUMNS))
         self._first: npt.NDArray[np.int32] | None = None
         if not camera.noise.is_independent:
-            self._tables, self._first = _tables_of(camera.noise, whole)
+            self._tables, self._first = _tables_of(camera.noise, sizes)
         self._of_noise = _settings(camera.noise, camera.fx, camera.fy)
         self._in_range_space = method.startswith("range")
 
@@ -207,7 +214,7 @@ class Assessment:
             index, tables = counts, self._tables
             if tables is None:
                 some = counts.ravel()[start:stop]  # there may be nothing yet in other parts
-                tables = _some_tables(noise, some, self._whole[start:stop])
+                tables = _some_tables(noise, some, self._sizes[start:stop])
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first.reshape(counts.shape)

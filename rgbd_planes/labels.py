@@ -16,6 +16,7 @@ from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
 from rgbd_planes.plane_fits import PlacedFits, allocate
+from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.wording import counted
 
 
@@ -32,13 +33,14 @@ class LabelPlanes(PlacedFits):
     """
 
     labels: npt.NDArray[np.int32]
+    _pixels: npt.NDArray[np.int64]
+
+    @property
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        return self._pixels
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return self.labels[rows[:, None], columns].astype(np.int64) - 1
-
-    @property
-    def _whole(self) -> npt.NDArray[np.int64]:
-        return np.bincount(self.labels.ravel(), minlength=len(self.status) + 1)[1:]
 
     @property
     def _title(self) -> str:
@@ -92,16 +94,17 @@ def fit_labels(
 
     count = int(numbers.max())
     arrays = allocate((), (count,))
-    pixels, moments, reference = np.empty(count, np.int64), np.empty((count, 10)), np.empty((count, 3))
+    footprint = np.empty((count, 5), np.int64)
+    moments, reference = np.empty((count, 10)), np.empty((count, 3))
     with announced(("labels", method, frame.raw.dtype)):
         label_moments(
             frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
-            method.startswith("standard"), numbers, pixels, moments, reference,
+            method.startswith("standard"), numbers, footprint, moments, reference,
         )  # fmt: skip
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
-        solve_planes(method, arrays, valid_needed(pixels, max_missing), error, 0, count)
-        Assessment(camera, method, significance, pixels).of(arrays)(0, count)
-    return LabelPlanes(camera=camera, method=method, labels=numbers, **arrays)
+        solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
+        Assessment(camera, method, significance, like_rectangles(footprint)).of(arrays)(0, count)
+    return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=footprint, **arrays)
 
 
 def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:

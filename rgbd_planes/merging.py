@@ -12,6 +12,7 @@ from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
 from rgbd_planes.plane_fits import PlaneFits, allocate
+from rgbd_planes.residual_statistics import like_rectangles
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,7 +31,7 @@ class MergedPlanes(PlaneFits):
     _pixels: npt.NDArray[np.int64]
 
     @property
-    def _whole(self) -> npt.NDArray[np.int64]:
+    def _footprint(self) -> npt.NDArray[np.int64]:
         return self._pixels
 
 
@@ -88,10 +89,12 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         moments[:, None], reference[:, None], flat, arrays["_moments"][:, None], arrays["_reference"][:, None]
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
-    pixels = np.bincount(flat, fits._whole, count + 1)[1:].astype(np.int64)
-    Assessment(fits.camera, fits.method, significance, pixels).of(arrays)(0, count)
+    sums = [np.bincount(flat, column, count + 1)[1:] for column in fits._footprint.T]
+    footprint = np.stack(sums, axis=1).astype(np.int64)
+    assessment = Assessment(fits.camera, fits.method, significance, like_rectangles(footprint))
+    assessment.of(arrays)(0, count)
     return MergedPlanes(
-        camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), _pixels=pixels, **arrays
+        camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), _pixels=footprint, **arrays
     )
 
 

@@ -185,8 +185,8 @@ def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Float
 
 def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Floats:
     """Expected variance of slopes about those of the window that the tiles are part of."""
-    shared = (sizes / window) ** 4 * float(_alone(part).statistics(window**2).tilt)
-    return np.asarray(_alone(part).statistics(sizes**2).tilt - shared)
+    shared = (sizes / window) ** 4 * float(_alone(part).statistics(window**2).tilt_x)
+    return np.asarray(_alone(part).statistics(sizes**2).tilt_x - shared)
 
 
 def _fit_reach(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:

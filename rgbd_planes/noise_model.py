@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import check_noise, for_each, number, numbers
-from rgbd_planes.residual_statistics import ResidualStatistics, square_statistics
+from rgbd_planes.residual_statistics import Components, ResidualStatistics, correlated_statistics
 from rgbd_planes.wording import two_digits
 
 Floats = NDArray[np.float64]
@@ -178,38 +178,35 @@ class NoiseModel:
         """
         return np.asarray(1.0 / self.statistics(count).offset)
 
-    def statistics(self, count: ArrayLike, whole: ArrayLike | None = None) -> ResidualStatistics:
+    def statistics(self, count: ArrayLike, size: ArrayLike | None = None) -> ResidualStatistics:
         """What this noise does to a plane fitted to so many neighbouring pixels.
 
         Parameters
         ----------
         count : array_like of int
-            Numbers of valid pixels. Correlated noise is worked out for full squares of as many pixels.
-        whole : array_like of int, optional
-            Numbers of pixels among which these lie, valid ones and missing ones. Where some are missing, they may be
-            so in one piece, or here and there in a square of this size: of the two what makes errors larger counts.
+            Numbers of valid pixels.
+        size : (..., 2) array_like, optional
+            Height and width of the rectangles among whose pixels these lie. Where some are missing, they may be so in
+            one piece, which leaves a rectangle of these proportions, or here and there: of the two what makes errors
+            larger counts. Without it the pixels are full squares.
         """
-        if whole is not None and not self.is_independent:
-            n, most = np.broadcast_arrays(np.asarray(count, np.float64), np.asarray(whole, np.float64))
-            return self.statistics(n).or_larger(self.statistics(most).of_some(n, most))
         n = np.asarray(count, np.float64)
         if self.is_independent:
             freedom = np.maximum(n - 3.0, 0.0)
             one = np.ones(n.shape)
-            return ResidualStatistics(freedom, np.maximum(freedom, 1e-3), one, one)
-        side = np.sqrt(np.maximum(n, 4.0))
-        largest = int(2 ** np.ceil(np.log2(max(float(side.max(initial=4.0)), 8.0))))
-        sides, *curves = square_statistics(self._components, largest)
-        expected, log_freedom, tilt, offset = (
-            np.interp(np.log(side), np.log(sides), curve) for curve in curves
-        )
-        more = n > 3.0
-        return ResidualStatistics(
-            np.where(more, n * expected, 0.0), np.where(more, np.exp(log_freedom), 1e-3), tilt, offset
-        )
+            return ResidualStatistics(freedom, np.maximum(freedom, 1e-3), one, one, one)
+        if size is None:
+            return correlated_statistics(self._components, n, np.ones(n.shape))
+        n, height, width = np.broadcast_arrays(n, *np.moveaxis(np.asarray(size, np.float64), -1, 0))
+        whole, proportions = height * width, width / height
+        in_one_piece = correlated_statistics(self._components, n, proportions)
+        if not (n < whole - 0.5).any():
+            return in_one_piece
+        full = correlated_statistics(self._components, whole, proportions)
+        return in_one_piece.or_larger(full.of_some(n, whole))
 
     @property
-    def _components(self) -> tuple[tuple[float, float], ...]:
+    def _components(self) -> Components:
         """(variance, length) of each part of the error in units of σq²; length 0 is independent."""
         white = max(1.0 - sum(share for share, _ in self.correlation), 0.0)
         parts = ((white, 0.0), *self.correlation, (self.floor**2, self.floor_length))

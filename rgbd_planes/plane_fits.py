@@ -13,6 +13,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import statistics
+from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.wording import two_digits
 
 if TYPE_CHECKING:
@@ -141,8 +142,13 @@ class PlaneFits:
         return min(self._moments.ndim - 1, 2)
 
     @property
-    def _whole(self) -> npt.NDArray[np.int64]:
-        """(N,) int64: pixels of each of one frame's parts, valid ones and missing ones."""
+    def _sizes(self) -> npt.NDArray[Any]:
+        """(N, 2): of each of one frame's parts, what `fit_statistics.Assessment` takes."""
+        return like_rectangles(self._footprint)
+
+    @property
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        """(N, 5): of each of one frame's parts, what `residual_statistics.like_rectangles` takes."""
         raise NotImplementedError
 
     @property

@@ -2,17 +2,38 @@
 
 import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Components = tuple[tuple[float, float], ...]
+
+_PER_DOUBLING = (
+    2  # proportions of rectangles that are worked out: 1, √2, 2, ...; between them is interpolated
+)
+
+
+def like_rectangles(footprint: NDArray[Any]) -> Floats:
+    """(N, 2) float64: height and width of rectangles of as many pixels, and of as much scatter along x over along y.
+
+    ``footprint`` is (N, 5), of each part's pixels: how many, Σx, Σy, Σx² and Σy².
+    """
+    n, x, y, xx, yy = footprint.T.astype(np.float64)
+    number = np.maximum(n, 1.0)
+    # Of n pixels in a row the variance is (n² - 1) / 12.
+    across, down = (
+        12.0 * (square / number - (sum_ / number) ** 2) + 1.0 for sum_, square in ((x, xx), (y, yy))
+    )
+    proportions = np.sqrt(np.maximum(across, 1.0) / np.maximum(down, 1.0))
+    height = np.sqrt(number / proportions)
+    return np.stack([height, height * proportions], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualStatistics:
-    """What noise does to plane fits, by number of pixels; for independent pixels N - 3, N - 3, 1 and 1.
+    """What noise does to plane fits, by number of pixels; for independent pixels N - 3, N - 3, and 1.
 
     Attributes
     ----------
@@ -21,14 +42,15 @@ class ResidualStatistics:
     freedom : float64
         The sum of squared residuals is distributed as expected · χ²(freedom) / freedom, by its first two
         moments (Satterthwaite 1946), where the noise has no spread.
-    tilt, offset : float64
-        Factors on the variances of the slopes and of the mean inverse depth, over those of independent
-        pixels.
+    tilt_x, tilt_y, offset : float64
+        Factors on the variances of the slopes along x and along y, and of the mean inverse depth, over those of
+        independent pixels.
     """
 
     expected: Floats
     freedom: Floats
-    tilt: Floats
+    tilt_x: Floats
+    tilt_y: Floats
     offset: Floats
 
     def with_independent(
@@ -61,8 +83,8 @@ class ResidualStatistics:
         expected = share * self.expected
         freedom = np.where(more, expected**2 / np.where(more, half, 1.0), 1e-3)
         pairs = count / np.maximum(whole, 1.0)
-        tilt, offset = (alone + pairs * (factor - alone) for factor in (self.tilt, self.offset))
-        return ResidualStatistics(expected, freedom, tilt, offset)
+        factors = (alone + pairs * (factor - alone) for factor in (self.tilt_x, self.tilt_y, self.offset))
+        return ResidualStatistics(expected, freedom, *factors)
 
     def or_larger(self, other: "ResidualStatistics") -> "ResidualStatistics":
         """Of each of two, the one that says that errors are larger."""
@@ -70,7 +92,8 @@ class ResidualStatistics:
         return ResidualStatistics(
             np.where(rougher, other.expected, self.expected),
             np.where(rougher, other.freedom, self.freedom),
-            np.maximum(self.tilt, other.tilt),
+            np.maximum(self.tilt_x, other.tilt_x),
+            np.maximum(self.tilt_y, other.tilt_y),
             np.maximum(self.offset, other.offset),
         )
 
@@ -99,41 +122,102 @@ def deviate_of(ratio: Floats, freedom: float | Floats, spread: float) -> Floats:
     return np.asarray(((1.0 - w) * root - (1.0 - v)) / np.sqrt(w * root * root + v))
 
 
-@functools.lru_cache(maxsize=64)
-def square_statistics(
-    components: tuple[tuple[float, float], ...], largest: int
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Sides of squares, and the four statistics for each: expected per pixel, log freedom, tilt, offset.
+def correlated_statistics(components: Components, count: Floats, proportions: Floats) -> ResidualStatistics:
+    """The statistics of full rectangles of so many pixels, whose width over height is as given.
 
-    The covariance of the pixels is C = Σ w T⊗T with T the Toeplitz matrix of exp(-h²/(2 length²)). The fit
-    removes the constant and the two slopes, H = Σ φφᵀ with φ = p0⊗p0, p1⊗p0, p0⊗p1 for the unit constant p0
-    and the unit slope p1. So tr((I - H)C) and tr(((I - H)C)²) are products of one-dimensional sums.
+    ``components`` are (variance, length) of each part of the error, of length 0 what is independent.
     """
-    sides = np.unique(np.round(np.geomspace(2, largest, 8 * int(np.log2(largest)))).astype(int))
-    rows = []
-    for n in sides:
-        lags = np.arange(n)
-        weights = np.where(lags == 0, n, 2.0 * (n - lags))  # how often a lag occurs in a T
-        p0 = np.full(n, n**-0.5)
-        p1 = lags - 0.5 * (n - 1)
-        p1 = p1 / np.linalg.norm(p1)
-        shares, correlations, smooth0, smooth1 = [], [], [], []
-        for share, length in components:
-            rho = np.exp(-0.5 * (lags / length) ** 2) if length else (lags == 0).astype(float)
-            both_sides = np.concatenate([rho[:0:-1], rho])
-            shares.append(share)
-            correlations.append(rho)
-            smooth0.append(np.convolve(both_sides, p0, "valid") if n > 1 else p0)
-            smooth1.append(np.convolve(both_sides, p1, "valid") if n > 1 else p1)
-        w = np.array(shares)
-        rho, t0, t1 = np.array(correlations), np.array(smooth0), np.array(smooth1)
-        t00, t11 = t0 @ p0, t1 @ p1
-        offset, tilt = w @ t00**2, w @ (t11 * t00)
-        expected = n * n * w.sum() - offset - 2.0 * tilt
-        s00, s11 = t0 @ t0.T, t1 @ t1.T
-        squares = ((rho * weights) @ rho.T) ** 2 - 2.0 * (s00**2 + 2.0 * s00 * s11)
-        half_variance = w @ squares @ w + offset**2 + 2.0 * tilt**2
+    pixels = np.maximum(count.ravel(), 4.0)
+    # A rectangle is two pixels wide at least.
+    long = np.minimum(np.maximum(proportions, 1.0 / proportions).ravel(), 0.25 * pixels)
+    step = _PER_DOUBLING * np.log2(long)
+    below = np.floor(step + 1e-9)
+    beyond = np.maximum(step - below, 0.0)
+    root = 0.5 * np.log(pixels)
+    made = np.zeros((len(pixels), 5))
+    for node in np.unique(np.concatenate([below, below[beyond > 0.0] + 1.0])).tolist():
+        weight = np.where(below == node, 1.0 - beyond, np.where(below == node - 1.0, beyond, 0.0))
+        used = np.flatnonzero(weight)
+        at = root[used]
+        most = max(int(np.ceil(at.max() / np.log(2.0) - 1e-9)), 3)
+        roots, curves = _rectangles(components, int(node), 2**most)
+        i = np.clip(np.searchsorted(roots, at) - 1, 0, len(roots) - 2)
+        share = np.clip((at - roots[i]) / (roots[i + 1] - roots[i]), 0.0, 1.0)[:, None]
+        made[used] += weight[used, None] * (curves[i] * (1.0 - share) + curves[i + 1] * share)
+    expected, log_freedom, along, across, offset = made.T.reshape(5, *count.shape)
+    more = count > 3.0
+    wide = proportions >= 1.0
+    return ResidualStatistics(
+        np.where(more, count * expected, 0.0),
+        np.where(more, np.exp(log_freedom), 1e-3),
+        np.where(wide, along, across),
+        np.where(wide, across, along),
+        offset,
+    )
+
+
+class _Side(NamedTuple):
+    """Along one side of a rectangle, the Toeplitz matrices T of exp(-h²/(2 length²)), one for each component.
+
+    With the unit constant p0 and the unit slope p1: T itself by lag, T·p0, T·p1, p0ᵀTp0, p1ᵀTp1; and how often a
+    lag occurs in T.
+    """
+
+    by_lag: Floats
+    on_constant: Floats
+    on_slope: Floats
+    constant: Floats
+    slope: Floats
+    often: NDArray[np.int64]
+
+
+def _along(components: Components, n: int) -> _Side:
+    lags = np.arange(n)
+    p0 = np.full(n, n**-0.5)
+    p1 = lags - 0.5 * (n - 1)
+    p1 = p1 / np.linalg.norm(p1)
+    by_lag = np.array(
+        [
+            np.exp(-0.5 * (lags / length) ** 2) if length else (lags == 0).astype(float)
+            for _, length in components
+        ]
+    )
+    rows = [np.concatenate([rho[:0:-1], rho]) for rho in by_lag]
+    t0, t1 = (np.array([np.convolve(row, p, "valid") for row in rows]) for p in (p0, p1))
+    return _Side(by_lag, t0, t1, t0 @ p0, t1 @ p1, np.where(lags == 0, n, 2 * (n - lags)))
+
+
+@functools.lru_cache(maxsize=128)
+def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats, Floats]:
+    """Statistics of rectangles whose sides are as 1 to 2^(step / `_PER_DOUBLING`), by the root of their area.
+
+    (S,) the logarithms of the roots, up to that of ``largest`` about, and (S, 5): expected per pixel, log freedom, the
+    tilts along the long side and along the short one, offset.
+
+    The covariance of the pixels is C = Σ w T⊗T', of the T of each side. The fit removes the constant and the two
+    slopes, H = Σ φφᵀ with φ = p0⊗p0, p1⊗p0, p0⊗p1. So tr((I - H)C) and tr(((I - H)C)²) are products of
+    one-dimensional sums.
+    """
+    long = 2.0 ** (step / _PER_DOUBLING)
+    most = max(np.ceil(largest / np.sqrt(long)), 3.0)
+    sides = np.unique(np.round(np.geomspace(2, most, int(8 * np.ceil(np.log2(most))))).astype(int))
+    w = np.array([share for share, _ in components])
+    roots, rows = [], []
+    for m in sides:
+        n = round(m * long)
+        b = _along(components, m)
+        a = b if n == m else _along(components, n)
+        offset, along, across = (
+            w @ (a.constant * b.constant),
+            w @ (a.slope * b.constant),
+            w @ (a.constant * b.slope),
+        )
+        expected = n * m * w.sum() - offset - along - across
+        a_00, a_11, b_00, b_11 = (t @ t.T for t in (a.on_constant, a.on_slope, b.on_constant, b.on_slope))
+        of_all = (a.by_lag * a.often) @ a.by_lag.T * ((b.by_lag * b.often) @ b.by_lag.T)
+        squares = of_all - 2.0 * (a_00 * b_00 + a_11 * b_00 + a_00 * b_11)
+        half_variance = w @ squares @ w + offset**2 + along**2 + across**2
         freedom = expected**2 / half_variance
-        rows.append((expected / n**2, np.log(max(freedom, 1e-3)), tilt, offset))
-    expected_per_pixel, log_freedom, tilts, offsets = np.array(rows).T
-    return sides.astype(np.float64), expected_per_pixel, log_freedom, tilts, offsets
+        roots.append(0.5 * np.log(n * m))
+        rows.append((expected / (n * m), np.log(max(freedom, 1e-3)), along, across, offset))
+    return np.array(roots), np.array(rows)

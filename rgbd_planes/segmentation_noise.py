@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_noise
 from rgbd_planes.depth import DepthFrame, step_of
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
-from rgbd_planes.residual_statistics import ResidualStatistics
+from rgbd_planes.residual_statistics import ResidualStatistics, like_rectangles
 
 Floats = NDArray[np.float64]
 
@@ -42,17 +43,20 @@ class Given(NamedTuple):
     sigma: Callable[[Floats], Floats] | None = None
     lateral: float = 0.0
     at_large: bool = False
-    statistics: Callable[[Floats], ResidualStatistics] | None = None
+    statistics: Callable[[Floats, Floats], ResidualStatistics] | None = None
 
-    def of_planes(self, moments: Floats) -> Floats:
-        """(2, N) float64: the least variance of a pixel that makes slopes, and mean inverse depths, so uncertain.
+    def of_planes(self, moments: Floats, camera: Camera) -> Floats:
+        """(3, N) float64: the least variance of a pixel that makes slopes, along x and y, and means so uncertain.
 
         By the moments of the planes' pixels, (N, 10). 0 where nothing is known of shared errors.
         """
         if self.statistics is None or self.sigma is None:
-            return np.zeros((2, len(moments)))
-        made = self.statistics(moments[:, 0])
-        return np.asarray(self.sigma(moments[:, 3] / moments[:, 0]) ** 2 * np.stack([made.tilt, made.offset]))
+            return np.zeros((3, len(moments)))
+        pixels = moments[:, 0]
+        footprint = moments[:, [0, 1, 2, 4, 7]] * [1.0, camera.fx, camera.fy, camera.fx**2, camera.fy**2]
+        made = self.statistics(pixels, like_rectangles(footprint))
+        factors = np.stack([made.tilt_x, made.tilt_y, made.offset])
+        return np.asarray(self.sigma(moments[:, 3] / pixels) ** 2 * factors)
 
 
 def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given) -> Noise:

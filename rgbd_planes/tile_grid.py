@@ -43,28 +43,45 @@ def tile_sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
     return np.minimum(starts + tile, length) - starts
 
 
-@lru_cache(maxsize=16)
-def tile_areas(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """(R * C,) int64: pixels of every tile of a frame of (height, width)."""
-    areas = np.outer(tile_sizes(frame[0], tile[0]), tile_sizes(frame[1], tile[1])).ravel()
-    areas.flags.writeable = False
-    return areas
-
-
 def grid_shape(camera: Camera, tile: tuple[int, int]) -> tuple[int, int]:
     """Number of rows and of columns of a frame's tiles."""
     return len(tile_sizes(camera.height, tile[0])), len(tile_sizes(camera.width, tile[1]))
 
 
-def tile_windows(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """(R * C, 4) int64: row, column, height, width of every tile."""
-    heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
+@lru_cache(maxsize=16)
+def tile_windows(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """(R * C, 4) int64: row, column, height, width of every tile of a frame of (height, width)."""
+    heights, widths = tile_sizes(frame[0], tile[0]), tile_sizes(frame[1], tile[1])
     windows = np.empty((len(heights), len(widths), 4), np.int64)
     windows[..., 0] = (np.arange(len(heights)) * tile[0])[:, None]
     windows[..., 1] = np.arange(len(widths)) * tile[1]
     windows[..., 2] = heights[:, None]
     windows[..., 3] = widths
+    windows.flags.writeable = False
     return windows.reshape(-1, 4)
+
+
+@lru_cache(maxsize=16)
+def tile_footprints(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """(R * C, 5) int64: `footprints` of every tile."""
+    made = footprints(tile_windows(frame, tile))
+    made.flags.writeable = False
+    return made
+
+
+def footprints(windows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """(K, 5) int64: of the pixels of each window, (K, 4): how many, Σx, Σy, Σx² and Σy²."""
+    top, left, height, width = windows.T
+    number = height * width
+
+    def sums(first: npt.NDArray[np.int64], size: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+        """Sum of so many whole numbers from the first on, and of their squares, for each pixel of the other side."""
+        others, more = number // size, size * (size - 1) // 2
+        squares = size * first * first + 2 * first * more + more * (2 * size - 1) // 3
+        return [others * (size * first + more), others * squares]
+
+    (x, xx), (y, yy) = sums(left, width), sums(top, height)
+    return np.stack([number, x, y, xx, yy], axis=1)
 
 
 @lru_cache(maxsize=4)

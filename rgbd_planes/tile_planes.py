@@ -13,7 +13,7 @@ from rgbd_planes.checks import check_choice
 from rgbd_planes.files import readable, write_beside
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
-from rgbd_planes.tile_grid import check_tile, grid_shape, tile_areas, tile_sizes
+from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,8 +47,12 @@ class TilePlanes(PlacedFits):
         return f"Tiles of {self.tile[0]} x {self.tile[1]} pixels"
 
     @property
-    def _whole(self) -> npt.NDArray[np.int64]:
-        return tile_areas(self.camera.shape, self.tile)
+    def _sizes(self) -> npt.NDArray[np.int64]:
+        return tile_windows(self.camera.shape, self.tile)[:, 2:]
+
+    @property
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        return tile_footprints(self.camera.shape, self.tile)
 
     def __getitem__(self, frame: int) -> "TilePlanes":
         """The planes of one frame of a batch, without copying.

@@ -32,7 +32,6 @@ from rgbd_planes.tile_grid import (
     central_rays,
     check_tile,
     relative_rays,
-    tile_areas,
     tile_sizes,
     tile_windows,
 )
@@ -101,10 +100,11 @@ class TileFitter:
 
         sizes = tile_sizes(camera.height, self.tile[0]), tile_sizes(camera.width, self.tile[1])
         self._grid = len(sizes[0]), len(sizes[1])
-        whole = tile_areas(camera.shape, self.tile)
-        self._needed = valid_needed(whole, max_missing)
+        windows = tile_windows(camera.shape, self.tile)
+        all_sizes = windows[:, 2:]
+        self._needed = valid_needed(all_sizes.prod(axis=1), max_missing)
         self._compiled_for = method, implementation, camera.is_separable
-        self._assessment = Assessment(camera, method, significance, whole)
+        self._assessment = Assessment(camera, method, significance, all_sizes)
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
@@ -119,7 +119,7 @@ class TileFitter:
                 self._max_error,
             )  # fmt: skip
         else:
-            self._windows = tile_windows(camera, self.tile)
+            self._windows = windows
             self._window_moments = WindowMoments(camera, method, implementation)
             self._full_windows = np.empty((6, len(self._windows)))
             self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)

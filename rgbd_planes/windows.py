@@ -15,6 +15,7 @@ from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, WindowMoments, solve_planes, valid_needed
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
+from rgbd_planes.tile_grid import footprints
 from rgbd_planes.wording import counted
 
 
@@ -41,8 +42,12 @@ class WindowPlanes(PlacedFits):
         return cells[rows[:, None], columns]
 
     @property
-    def _whole(self) -> npt.NDArray[np.int64]:
-        return self.windows[:, 2] * self.windows[:, 3]
+    def _sizes(self) -> npt.NDArray[np.int64]:
+        return self.windows[:, 2:]
+
+    @property
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        return footprints(self.windows)
 
     @property
     def _title(self) -> str:
@@ -98,9 +103,9 @@ def fit_windows(
     frame = as_depth_frame(depth, camera)
 
     arrays = allocate((), (len(rectangles),))
-    whole = rectangles[:, 2] * rectangles[:, 3]
-    assess = Assessment(camera, method, significance, whole).of(arrays)
-    needed = valid_needed(whole, max_missing)
+    sizes = rectangles[:, 2:]
+    assess = Assessment(camera, method, significance, sizes).of(arrays)
+    needed = valid_needed(sizes.prod(axis=1), max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):
         window_moments = WindowMoments(camera, method, implementation)

@@ -7,7 +7,8 @@ import rgbd_planes as rp
 
 def tile_camera(tile, noise, *, left=0.0, top=0.0, focal=525.0):
     """A camera that sees one tile, its first pixel at column ``left``, row ``top`` of 640x480 ones."""
-    return rp.Camera(tile, tile, focal, focal, 319.5 - left, 239.5 - top, noise=noise)
+    height, width = np.broadcast_to(tile, 2).tolist()
+    return rp.Camera(width, height, focal, focal, 319.5 - left, 239.5 - top, noise=noise)
 
 
 def repeat(camera, times):

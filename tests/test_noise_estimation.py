@@ -69,7 +69,7 @@ def test_finds_the_noise_again(truth, rng):
     made, wanted = model.statistics(sizes), truth.statistics(sizes)
     scale = (model.sigma(0.5) / truth.sigma(0.5)) ** 2
     np.testing.assert_allclose(scale * made.expected, wanted.expected, rtol=0.25)
-    np.testing.assert_allclose(scale * made.tilt[:-1], wanted.tilt[:-1], rtol=0.3)
+    np.testing.assert_allclose(scale * made.tilt_x[:-1], wanted.tilt_x[:-1], rtol=0.3)
     # Frames it has not seen.
     camera = replace(CAMERA, noise=model)
     view = ((0.1, -1.4, 0.0), (0.2, -1.0, 2.6))
