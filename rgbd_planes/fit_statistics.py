@@ -172,8 +172,8 @@ class Assessment:
     significance : float or None
         As in `TileFitter`.
     sizes : (N, 2) int64 or float64
-        Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, those
-        of one of as many pixels and of these proportions.
+        Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, what
+        `residual_statistics.like_rectangles` gives.
     """
 
     def __init__(

@@ -16,19 +16,17 @@ _PER_DOUBLING = (
 
 
 def like_rectangles(footprint: NDArray[Any]) -> Floats:
-    """(N, 2) float64: height and width of rectangles of as many pixels, and of as much scatter along x over along y.
+    """(N, 2) float64: height and width of full rectangles with as much scatter along x and along y.
 
+    Where the pixels lie closer together than in any rectangle, as in a disc, it has as many as they are.
     ``footprint`` is (N, 5), of each part's pixels: how many, Σx, Σy, Σx² and Σy².
     """
     n, x, y, xx, yy = footprint.T.astype(np.float64)
     number = np.maximum(n, 1.0)
     # Of n pixels in a row the variance is (n² - 1) / 12.
-    across, down = (
-        12.0 * (square / number - (sum_ / number) ** 2) + 1.0 for sum_, square in ((x, xx), (y, yy))
-    )
-    proportions = np.sqrt(np.maximum(across, 1.0) / np.maximum(down, 1.0))
-    height = np.sqrt(number / proportions)
-    return np.stack([height, height * proportions], axis=1)
+    squares = [12.0 * (square / number - (sum_ / number) ** 2) + 1.0 for sum_, square in ((y, yy), (x, xx))]
+    sizes = np.sqrt(np.maximum(np.stack(squares, axis=1), 1.0))
+    return np.asarray(sizes * np.sqrt(np.maximum(number / sizes.prod(axis=1), 1.0))[:, None])
 
 
 @dataclass(frozen=True, eq=False)

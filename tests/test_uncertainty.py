@@ -297,6 +297,31 @@ def test_simulated_correlated_noise(tile, rng):
     assert np.mean(monte_carlo.normalised_error(naive, alpha)) > 20.0
 
 
+@pytest.mark.parametrize("shape", ["strip", "diagonal strip", "every third pixel", "ring", "chessboard"])
+def test_simulated_correlated_noise_on_masks(shape, rng):
+    """Of flat ones not many more than the level says are rejected, and covariances are not too small."""
+    noise, runs = rp.noise.NoiseModel(correlation=((0.5, 5.0),)), 600
+    camera = monte_carlo.tile_camera(36, noise)
+    y, x = np.mgrid[:36, :36]
+    mask = {
+        "strip": abs(y - 18) < 4,
+        "diagonal strip": abs(x - y) < 5,
+        "every third pixel": (x + 2 * y) % 3 == 0,
+        "ring": abs(np.hypot(x - 17.5, y - 17.5) - 14.0) < 3.0,
+        "chessboard": (x // 6 + y // 6) % 2 == 0,
+    }[shape]
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    error = correlated_errors(noise, 36, 36, runs, rng)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    fits = [rp.fit_labels(frame, camera, mask) for frame in frames]
+    assert np.mean([fit.p_value[0] < 0.01 for fit in fits]) < 0.045
+    errors = [fit.alpha[0] - alpha for fit in fits]
+    normalised = [
+        e @ np.linalg.solve(fit.alpha_covariance[0], e) for e, fit in zip(errors, fits, strict=True)
+    ]
+    assert 1.4 < np.mean(normalised) < 3.3
+
+
 @pytest.mark.parametrize("missing", ["here and there", "a corner"])
 @pytest.mark.parametrize(
     "noise",
