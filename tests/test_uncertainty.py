@@ -278,6 +278,17 @@ def correlated_errors(model, height, width, runs, rng):
     return error.reshape(runs, height, width) * model.sigma(1.0)
 
 
+def test_correlated_noise_of_a_window_does_not_depend_on_the_others(rng):
+    """The same bits for small windows alone, and together with large ones."""
+    camera = rp.Camera(300, 200, 300.0, 300.0, 149.5, 99.5, noise=CORRELATED)
+    depth = 1.0 / (0.5 + 2.0 * rp.noise.KINECT_V1 * rng.standard_normal(camera.shape))
+    small = np.array([(5, 9, height, width) for height in (14, 23, 31) for width in (18, 27, 39)])
+    alone = rp.fit_windows(depth, camera, small)
+    together = rp.fit_windows(depth, camera, np.concatenate([small, [(0, 0, 200, 300), (0, 0, 200, 200)]]))
+    np.testing.assert_array_equal(together.p_value[: len(small)], alone.p_value)
+    np.testing.assert_array_equal(together.alpha_covariance[: len(small)], alone.alpha_covariance)
+
+
 @pytest.mark.parametrize("tile", [(16, 16), (4, 48), (40, 6), (12, 20)])
 def test_simulated_correlated_noise(tile, rng):
     """Frames with that noise: p-values are nearly uniform, covariances hold, and ignoring it fails."""
