@@ -207,16 +207,8 @@ def _result(
     segment_planes.fit_planes(inside, alpha, rss)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
-        inside,
-        alpha,
-        rss,
-        deviation,
-        noise.together,
-        given.of_planes(inside, camera),
-        planes,
-        covariance,
-        rmse,
-    )
+        inside, alpha, rss, deviation, noise.together, given.of_planes(inside, camera), planes, covariance, rmse,
+    )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]
     segment_labels.settle_strays(

@@ -28,13 +28,7 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import (
-    central_rays,
-    check_tile,
-    relative_rays,
-    tile_sizes,
-    tile_windows,
-)
+from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_windows
 from rgbd_planes.tile_planes import TilePlanes
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
@@ -98,13 +92,12 @@ class TileFitter:
         self._max_error = check_error(max_error)
         self._num_threads = check_num_threads(num_threads)
 
-        sizes = tile_sizes(camera.height, self.tile[0]), tile_sizes(camera.width, self.tile[1])
-        self._grid = len(sizes[0]), len(sizes[1])
+        self._grid = grid_shape(camera, self.tile)
         windows = tile_windows(camera.shape, self.tile)
-        all_sizes = windows[:, 2:]
-        self._needed = valid_needed(all_sizes.prod(axis=1), max_missing)
+        sizes = windows[:, 2:]
+        self._needed = valid_needed(sizes.prod(axis=1), max_missing)
         self._compiled_for = method, implementation, camera.is_separable
-        self._assessment = Assessment(camera, method, significance, all_sizes)
+        self._assessment = Assessment(camera, method, significance, sizes)
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
