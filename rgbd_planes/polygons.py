@@ -6,6 +6,7 @@ Needs shapely: ``pip install rgbd-planes[polygons]``.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.extras import needs
-from rgbd_planes.segmentation_result import Segmentation
+from rgbd_planes.segmentation_result import Reason, Segmentation
 
 if TYPE_CHECKING:
     from shapely import Geometry, MultiPolygon, Polygon
@@ -60,7 +61,7 @@ class PlanePolygon:
 
     @property
     def area(self) -> float:
-        """Square metres, holes left out."""
+        """Square metres, holes left out; missing pixels that the outline takes in count."""
         return float(self.metric.area)
 
     @cached_property
@@ -136,7 +137,8 @@ def plane_polygons(
         How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
         twice as far. 0 keeps every corner.
     min_part : float
-        Parts and holes of fewer pixels are left out, unless nothing else is left of the plane.
+        Parts and holes of fewer pixels are left out, unless nothing else is left of the plane. A missing pixel counts
+        as the plane's if every square of so many pixels that it lies in holds one of the plane's.
 
     Returns
     -------
@@ -181,13 +183,25 @@ def _polygon(
 
     camera, alpha = segmentation.camera, segmentation.alpha[label - 1]
     mask = segmentation.labels[box] == label
-    image = _outline(mask, box[1].start, box[0].start, tolerance, min_part)
+    missing = segmentation.reason[box] == Reason.MISSING
+    whole = mask | (missing & _without_gaps(mask, min_part))
+    image = _outline(whole, box[1].start, box[0].start, tolerance, min_part)
     # Half a pixel beyond the farthest pixel of a plane seen along its surface, rays hardly meet it, or not at all. If
     # that pixel is one or more from the horizon, they do at no more than twice its depth.
     q = (alpha[0] * camera.tan_x[box] + alpha[1] * camera.tan_y[box] + alpha[2])[mask]
     farthest = max(0.5 * float(q.min()), 1e-3 * float(np.linalg.norm(alpha)))
     metric = _in_plane(image, camera, alpha, farthest, origin, axes)
     return PlanePolygon(label, plane, origin, axes, image, metric)
+
+
+def _without_gaps(mask: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+    """The mask, and each pixel that no square of ``least`` pixels contains without containing one of the mask."""
+    from scipy.ndimage import grey_closing
+
+    side = math.ceil(min(math.sqrt(least), max(mask.shape)))
+    if side < 2:
+        return mask
+    return np.asarray(grey_closing(np.pad(mask, side), size=(side, side))[side:-side, side:-side])
 
 
 def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min_part: float) -> MultiPolygon:

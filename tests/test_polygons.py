@@ -11,24 +11,25 @@ from rgbd_planes import Camera, scenes, segment
 shapely = pytest.importorskip("shapely")
 
 from rgbd_planes.polygons import PlanePolygon, plane_polygons, rays_through  # noqa: E402
+from rgbd_planes.segmentation_result import Reason  # noqa: E402
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
 
 
-def board(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """A tilted rectangle of 0.8 x 0.6 m before a far wall: the depth and the corners."""
+def board(camera: Camera) -> tuple[scenes.Rendering, np.ndarray]:
+    """A tilted rectangle of 0.8 x 0.6 m before a far wall, and its corners."""
     u = np.array([0.8 * np.cos(0.5), 0.0, 0.8 * np.sin(0.5)])
     v = np.array([0.0, 0.6, 0.0])
     first = np.array([-0.4, -0.3, 1.3])
     corners = np.array([first, first + u, first + u + v, first + v])
     wall = [(-9, -9, 4.0), (9, -9, 4.0), (9, 9, 4.0), (-9, 9, 4.0)]
     scene = scenes.Scene((scenes.polygon("board", corners), scenes.polygon("wall", wall)), np.eye(4))
-    return scene.render(camera).depth, corners
+    return scene.render(camera), corners
 
 
 def test_a_rectangle_is_found_where_it_is() -> None:
-    depth, corners = board(CAMERA)
-    found = segment(depth, CAMERA)
+    rendering, corners = board(CAMERA)
+    found = segment(rendering.depth, CAMERA)
     polygons = plane_polygons(found)
     assert len(polygons) == len(found) == 2
     own = min(polygons, key=lambda polygon: polygon.area)
@@ -49,8 +50,7 @@ def test_a_rectangle_is_found_where_it_is() -> None:
 
 
 def test_coordinates_are_in_the_plane() -> None:
-    depth, _ = board(CAMERA)
-    found = segment(depth, CAMERA)
+    found = segment(board(CAMERA)[0].depth, CAMERA)
     assert len(found) == 2
     for own in plane_polygons(found):
         assert own.axes @ own.axes.T == pytest.approx(np.eye(2), abs=1e-12)
@@ -149,9 +149,37 @@ def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
     assert len(own.image.geoms[0].interiors) == 1
 
 
+@pytest.mark.parametrize("holes", [0.05, 0.25, 0.4])
+def test_scattered_missing_pixels_take_no_area(holes: float) -> None:
+    camera = replace(CAMERA, depth_scale=1000.0)
+    rendering, _ = board(camera)
+    polygons = plane_polygons(segment(rendering.measure(holes=holes), camera))
+    near, wall = sorted(polygons, key=lambda polygon: polygon.image.area)
+    truth = np.bincount(rendering.labels.ravel())[1:]
+    assert near.image.area == pytest.approx(truth.min(), rel=0.06)
+    assert wall.image.area == pytest.approx(truth.max(), rel=0.02)
+    # The only hole is where the board is.
+    assert [len(part.interiors) for own in (near, wall) for part in own.image.geoms] == [0, 1]
+
+
+def test_only_gaps_that_are_missing_and_narrow_are_the_plane_s() -> None:
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    for left, reason in ((20, Reason.MISSING), (100, Reason.UNCLAIMED)):
+        for gap in (np.s_[:, left : left + 3], np.s_[30:36, left + 10 : left + 13]):
+            found.labels[gap], found.reason[gap] = 0, reason
+    wide = np.s_[50:54, 50:54]
+    found.labels[wide], found.reason[wide] = 0, Reason.MISSING
+    (own,) = plane_polygons(found)
+    assert own.image.equals(
+        shapely.box(-0.5, -0.5, 99.5, 119.5).difference(shapely.box(49.5, 49.5, 53.5, 53.5))
+        | shapely.box(102.5, -0.5, 159.5, 119.5).difference(shapely.box(109.5, 29.5, 112.5, 35.5))
+    )
+    (own,) = plane_polygons(found, min_part=0.0)
+    assert own.image.area == pytest.approx(found.labels.sum())
+
+
 def test_outline_without_simplification_covers_every_pixel() -> None:
-    depth, _ = board(CAMERA)
-    found = segment(depth, CAMERA)
+    found = segment(board(CAMERA)[0].depth, CAMERA)
     assert len(found) == 2
     for own in plane_polygons(found, tolerance=0.0, min_part=0.0):
         rows, columns = np.nonzero(found.labels == own.label)
@@ -162,8 +190,7 @@ def test_outline_without_simplification_covers_every_pixel() -> None:
 
 
 def test_tolerance_saves_corners() -> None:
-    depth, _ = board(CAMERA)
-    found = segment(depth, CAMERA)
+    found = segment(board(CAMERA)[0].depth, CAMERA)
     assert len(found) == 2
     every, few = (plane_polygons(found, tolerance=tolerance) for tolerance in (0.0, 2.0))
     for one, other in zip(every, few, strict=True):
@@ -172,8 +199,7 @@ def test_tolerance_saves_corners() -> None:
 
 
 def test_dictionary_is_json() -> None:
-    depth, _ = board(CAMERA)
-    own = plane_polygons(segment(depth, CAMERA))[0]
+    own = plane_polygons(segment(board(CAMERA)[0].depth, CAMERA))[0]
     read = json.loads(json.dumps(own.to_dict()))
     assert read["label"] == 1
     assert np.array(read["rectangle"]).shape == (4, 3)
