@@ -1,10 +1,11 @@
 """What the sensor's noise says of fitted planes: covariances, p-values, and which tiles are too rough."""
 
+import copy
 import functools
 import math
 import operator
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +62,12 @@ class FitStatistics:
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
+
+    def frame(self, index: int) -> Self:
+        """Return those of one frame of a batch, of the same memory."""
+        one = copy.copy(self)
+        one.rows, one._by_row = self.rows[index], self._by_row[:, index]
+        return one
 
     def row(self, first: int) -> Floats:
         """Return one value a tile: S."""

@@ -1,9 +1,12 @@
 """The planes of a frame's tiles: what a fit of a grid returns."""
 
+from __future__ import annotations
+
+import functools
 import json
 import os
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +17,9 @@ from rgbd_planes.files import readable, write_beside
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
+
+if TYPE_CHECKING:
+    from rgbd_planes.fit_statistics import FitStatistics
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +60,7 @@ class TilePlanes(PlacedFits):
     def _footprint(self) -> npt.NDArray[np.int64]:
         return tile_footprints(self.camera.shape, self.tile)
 
-    def __getitem__(self, frame: int) -> "TilePlanes":
+    def __getitem__(self, frame: int) -> TilePlanes:
         """The planes of one frame of a batch, without copying.
 
         Raises
@@ -66,10 +72,25 @@ class TilePlanes(PlacedFits):
             raise TypeError(
                 "only the planes of a batch of frames can be indexed; index an array, such as .planes"
             )
-        return TilePlanes(
+        one = TilePlanes(
             camera=self.camera, method=self.method, tile=self.tile,
             **{name: getattr(self, name)[frame] for name in ARRAYS},
         )  # fmt: skip
+        one.__dict__["_batch"] = self, frame
+        return one
+
+    @functools.cached_property
+    def _statistics(self) -> FitStatistics:
+        """Those of a frame are its batch's: a fit into one is seen in the other."""
+        batch = self.__dict__.get("_batch")
+        return super()._statistics if batch is None else batch[0]._statistics.frame(batch[1])
+
+    @property
+    def _asked_for(self) -> FitStatistics | None:
+        """The statistics that a fit into these planes has to write, too."""
+        batch = self.__dict__.get("_batch")
+        asked = "_statistics" in self.__dict__ or (batch is not None and batch[0]._asked_for is not None)
+        return self._statistics if asked else None
 
     def __len__(self) -> int:
         """Number of frames of a batch.

@@ -254,8 +254,8 @@ class TileFitter:
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
         arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
-        if "_statistics" in out.__dict__:
-            arrays["_statistics"] = out._statistics.rows
+        if out._asked_for is not None:
+            arrays["_statistics"] = out._asked_for.rows
         return arrays
 
     def _result(self, arrays: Arrays) -> TilePlanes:
@@ -263,7 +263,7 @@ class TileFitter:
 
     def _into_result(self, out: TilePlanes) -> Callable[[DepthFrame], Work]:
         """`_into` the arrays of a result; kept with it, since to check and make that takes 5 µs."""
-        statistics = getattr(out, "__dict__", {}).get("_statistics")
+        statistics = getattr(out, "_asked_for", None)
         kept = getattr(out, "_kept", None)
         if kept is None or kept[0] is not self or kept[1] is not statistics:
             kept = self, statistics, self._into(self._arrays((), out))

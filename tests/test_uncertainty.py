@@ -487,6 +487,29 @@ def test_statistics_follow_the_arrays(significance, rng):
                 np.testing.assert_array_equal(getattr(batch[i], name), wanted)
 
 
+@pytest.mark.parametrize("first", ["batch", "frame", "neither"])
+def test_a_frame_of_a_batch_has_the_batch_s_statistics(first, rng):
+    """Whichever of them was asked first, and whichever is then written into."""
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, noise=rp.noise.NoiseModel((0.01,)))
+    fitter = rp.TileFitter(camera, 6)
+    frames = [1.0 + 0.01 * rng.standard_normal(camera.shape) for _ in range(4)]
+    wanted = [fitter.fit(frame).p_value for frame in frames]
+    batch = fitter.fit_batch(frames[:2])
+    frame = batch[1]
+    for asked in {"batch": [batch], "frame": [frame], "neither": []}[first]:
+        assert np.isfinite(asked.p_value).all()
+    fitter.fit(frames[2], out=frame)
+    fitter.fit(frames[3], out=batch[0])
+    np.testing.assert_array_equal(batch.p_value, [wanted[3], wanted[2]])
+    np.testing.assert_array_equal(frame.p_value, wanted[2])
+    np.testing.assert_array_equal(batch[0].p_value, wanted[3])
+    fitter.fit_batch(frames[:2], out=batch)
+    np.testing.assert_array_equal(batch.p_value, wanted[:2])
+    np.testing.assert_array_equal(frame.p_value, wanted[1])
+    fitter.fit(frames[2], out=frame)
+    np.testing.assert_array_equal(frame.p_value, wanted[2])
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_merging_is_fitting_all_pixels(method, rng):
     """Any union of tiles, also over holes: as one window of the same pixels."""
