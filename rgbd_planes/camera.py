@@ -38,7 +38,8 @@ class Camera:
     cx, cy : float
         Principal point in pixels; may lie outside the image.
     distortion : sequence of 0, 4, 5 or 8 floats
-        k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order.
+        k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order. Those left out are zero; it keeps as many as are needed of
+        0, 5 and 8.
     distortion_model : {"brown_conrady", "inverse_brown_conrady"}
         What the coefficients do: OpenCV's model takes the ray to the image, RealSense's inverse (five
         coefficients) takes the image to the ray.
@@ -92,13 +93,13 @@ class Camera:
         for name in ("fx", "fy"):
             if getattr(self, name) == 0:
                 raise ValueError(f"expected {name} in pixels, not 0, got {getattr(self, name)!r}")
-        self._set("distortion", numbers("distortion", self.distortion))
+        coefficients = numbers("distortion", self.distortion)
+        self._set("distortion", distortion.checked(coefficients, self.distortion_model))
         invalid = numbers("invalid_values", self.invalid_values, finite=False)
         # The others are never measurements; NaN would make a camera differ from its own copy.
         self._set("invalid_values", tuple(value for value in invalid if math.isfinite(value)))
         if self.noise is not None and not isinstance(self.noise, NoiseModel):
             raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
-        distortion.check(self.distortion, self.distortion_model)
         self._check_depth()
         self._warn_of_intrinsics()
 

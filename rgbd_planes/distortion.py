@@ -28,8 +28,14 @@ _CHUNK = 32768  # points at a time, so that the temporaries stay in the cache
 _SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is looked at for folds
 
 
-def check(coefficients: Sequence[float], model: str) -> None:
-    """Raise ValueError unless there is such a model, with so many coefficients."""
+def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
+    """Return 0, 5 or 8 coefficients: equal ones where the zeros at the end make all the difference.
+
+    Raises
+    ------
+    ValueError
+        There is no such model, or none with so many coefficients.
+    """
     if model not in MODELS:
         raise ValueError(f"expected distortion_model to be one of {', '.join(MODELS)}, got {model!r}")
     allowed = (0, 4, 5, 8) if model == "brown_conrady" else (0, 5)
@@ -38,6 +44,8 @@ def check(coefficients: Sequence[float], model: str) -> None:
             f"expected {', '.join(map(str, allowed))} distortion coefficients for {model} "
             f"(k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(coefficients)}: {coefficients}"
         )
+    padded = coefficients + (0.0,) * (8 - len(coefficients))
+    return padded[: next(count for count in (0, 5, 8) if not any(padded[count:]))]
 
 
 def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: str) -> tuple[Floats, Floats]:

@@ -91,6 +91,19 @@ def test_inverse_brown_conrady_takes_the_pixel_to_the_ray():
     assert np.abs(camera.tan_x - replace(camera, distortion_model="brown_conrady").tan_x).max() > 1e-3
 
 
+def test_zeros_at_the_end_of_a_distortion_make_no_other_camera():
+    for same in (
+        [small(distortion=(0.0,) * count) for count in (0, 4, 5, 8)],
+        [small(distortion=KINECT[:4] + (0.0,) * count) for count in (0, 1, 4)],
+        [small(distortion=KINECT + (0.0,) * count) for count in (0, 3)],
+    ):
+        assert len(set(same)) == 1
+    assert small(distortion=KINECT[:4]) != small(distortion=KINECT)
+    # Also where the other model takes five only.
+    other = replace(small(distortion=(*KINECT[:4], 0.0)), distortion_model="inverse_brown_conrady")
+    assert other.distortion == (*KINECT[:4], 0.0)
+
+
 @pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
 def test_a_distortion_that_folds_inside_the_image(model):
     # The radial part folds at radius 0.577; the image reaches to 0.6 sideways and less up and down.
