@@ -93,10 +93,8 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
     x_offset = y_offset = 0
     roi = _get(info, "roi", default=None)
     if roi is not None:
-        x_offset, y_offset = _whole(roi, "x_offset", default=0), _whole(roi, "y_offset", default=0)
-        # A width or height of 0 means the full resolution.
-        width = _whole(roi, "width", default=0) or width
-        height = _whole(roi, "height", default=0) or height
+        x_offset, width = _region(roi, "x_offset", "width", width)
+        y_offset, height = _region(roi, "y_offset", "height", height)
     binning_x = _whole(info, "binning_x", default=0) or 1
     binning_y = _whole(info, "binning_y", default=0) or 1
     return {
@@ -108,6 +106,16 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
         "cy": (pinhole["cy"] - y_offset) / binning_y,
         "distortion": [] if rectified else _ros_distortion(info),
     }
+
+
+def _region(roi: Any, first: str, size: str, whole: int) -> tuple[int, int]:
+    """Where a region of interest begins in an image of ``whole`` pixels, and how many it has: 0 means all of them."""
+    offset, pixels = _whole(roi, first, default=0), _whole(roi, size, default=0) or whole
+    if offset + pixels > whole:
+        raise ValueError(
+            f"expected a roi inside the image, of {size} {whole}, got {first} {offset} and {size} {pixels}"
+        )
+    return offset, pixels
 
 
 def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:

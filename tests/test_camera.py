@@ -408,6 +408,24 @@ def test_from_ros_region_and_binning(form):
     assert rectified == Camera(200, 300, 250.0, 510.0, 105.0, 170.0)
 
 
+@pytest.mark.parametrize(
+    ("roi", "message"),
+    [
+        (
+            {"x_offset": 300, "width": 400},
+            "a roi inside the image, of width 640, got x_offset 300 and width 400",
+        ),
+        (
+            {"y_offset": 1, "height": 0},
+            "a roi inside the image, of height 480, got y_offset 1 and height 480",
+        ),
+    ],
+)
+def test_a_region_beyond_the_image_is_refused(roi, message):
+    with pytest.raises(ValueError, match=message):
+        Camera.from_ros(camera_info(roi=roi))
+
+
 def test_from_ros_models():
     rational = camera_info(distortion_model="rational_polynomial", D=RATIONAL)
     assert Camera.from_ros(rational).distortion == RATIONAL
