@@ -92,15 +92,14 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> No
     Notes
     -----
     Entities: ``camera`` (as in `record`), ``camera/planes`` (the id of each pixel's plane, as
-    `segment_sequence` gives it, 0 for none), ``planes/outlines`` (outlines and holes, in the colour of the
-    plane's id), ``found`` (number of planes). Timelines as in `record`.
+    `segment_sequence` gives it, 0 for none; a frame of another size than the one before has new ids),
+    ``planes/outlines`` (outlines and holes, in the colour of the plane's id), ``found`` (number of planes).
+    Timelines as in `record`.
     """
-    tracker = None
+    tracker = Tracker(MEMORY)
     most = 0
     with _recording(path) as (rr, stream):
         for index, frame in enumerate(sequence):
-            if tracker is None or tracker.shape != frame.camera.shape:
-                tracker = Tracker(frame.camera, MEMORY)
             tracked = tracker.follow(segment(frame.depth, frame.camera))
             _log_frame(rr, stream, index, frame)
             ids = (tracked.ids - 1) % _MOST_CLASSES + 1

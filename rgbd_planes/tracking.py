@@ -86,17 +86,20 @@ def segment_sequence(
         As `segment`: at once for an argument that cannot be, and for a frame when it is that frame's turn.
     """
     check_settings(camera, noise, min_size)
-    tracker = Tracker(camera, check_whole("memory", memory, 0, "whole number of frames"))
+    tracker = Tracker(check_whole("memory", memory, 0, "whole number of frames"))
     return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in frames)
 
 
 class Tracker:
-    """The planes that are remembered, and where each of them was seen last."""
+    """The planes that are remembered, and where each of them was seen last, in frames of one size."""
 
-    def __init__(self, camera: Camera, memory: int) -> None:
-        self.shape = camera.shape
+    def __init__(self, memory: int) -> None:
         self._memory = memory
         self._newest = 0
+        self._forget((0, 0))
+
+    def _forget(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
         # Of each remembered plane, in the order of the ids.
         self._ids = np.zeros(0, np.int32)
         self._planes = np.zeros((0, 4))
@@ -104,7 +107,9 @@ class Tracker:
         self._places: list[NDArray[np.intp]] = []  # of every second pixel of every second row
 
     def follow(self, found: Segmentation) -> TrackedSegmentation:
-        """Give the planes of the next frame their ids."""
+        """Give the planes of the next frame their ids: new ones if it is of another size than the one before."""
+        if found.labels.shape != self._shape:
+            self._forget(found.camera.shape)
         labels = found.labels[::2, ::2].ravel()
         ids = self._known(found, labels)
         new = np.flatnonzero(ids == 0)

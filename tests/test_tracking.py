@@ -1,5 +1,6 @@
 """Ids stay with their planes while the camera moves."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_a_plane_that_was_covered_comes_back_under_its_id() -> None:
 
 
 def test_what_is_forgotten_takes_no_room() -> None:
-    tracker = Tracker(CAMERA, memory=2)
+    tracker = Tracker(memory=2)
     for i in range(12):
         frame = np.full(CAMERA.shape, 1.0 + i % 4)  # a new plane each time
         tracked = tracker.follow(segment(frame, CAMERA))
@@ -88,6 +89,15 @@ def test_missing_frames_do_not_lose_the_ids() -> None:
     assert kept == [[1, 2], [], [], [1, 2]]
     lost = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=1)]
     assert lost == [[1, 2], [], [], [3, 4]]
+
+
+def test_ids_go_on_where_the_size_of_the_frames_changes() -> None:
+    tracker = Tracker(memory=30)
+    half = replace(CAMERA, width=80, height=60, fx=65.5, fy=65.5, cx=39.5, cy=29.5)
+    depth = wall_and_board(True)
+    frames = [(depth, CAMERA), (depth[::2, ::2], half), (depth[::2, ::2], half), (depth, CAMERA)]
+    ids = [tracker.follow(segment(*frame)).ids.tolist() for frame in frames]
+    assert ids == [[1, 2], [3, 4], [3, 4], [5, 6]]
 
 
 def test_frames_are_read_one_at_a_time() -> None:
