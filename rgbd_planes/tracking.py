@@ -115,7 +115,8 @@ class Tracker:
         new = np.flatnonzero(ids == 0)
         ids[new] = self._newest + 1 + np.arange(len(new))
         self._newest += len(new)
-        by_label = np.argsort(labels, kind="stable")
+        # NumPy sorts integers of up to 16 bits by their digits, which takes a fifth of the time.
+        by_label = np.argsort(labels.astype(np.min_scalar_type(len(found))), kind="stable")
         ends = np.searchsorted(labels[by_label], np.arange(len(found) + 1), side="right")
         seen = [by_label[ends[i] : ends[i + 1]] for i in range(len(found))]
         # Those in sight with any pixel at all, and those that have not been out of it for too long.
