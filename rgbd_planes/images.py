@@ -84,8 +84,8 @@ def _read_tiff(path: Path) -> Frame:
     return _read_with_pillow(path, "TIFF")
 
 
-# Tags of TIFF, and what they say of numbers.
-_BITS, _SAMPLE_FORMAT = 258, 339
+# Tags of TIFF, and what one says of numbers.
+_BITS, _ORIENTATION, _SAMPLE_FORMAT = 258, 274, 339
 _UNSIGNED, _SIGNED, _FLOAT = 1, 2, 3
 # Modes of Pillow whose numbers were of the same size, but of another kind, in the file.
 _STORED_AS = {("I", _UNSIGNED): np.uint32, ("L", _SIGNED): np.int8}
@@ -94,8 +94,8 @@ _UNREAD = {
     (_UNSIGNED, 32): "uint32",  # of the other byte order
 }  # fmt: skip
 
-# What Pillow unpacks to 0..255, by the largest value that was stored.
-_STRETCHED = {"L;2": 3, "L;4": 15}
+# What Pillow unpacks to 0..255: of so many bits, inverted (0 is white), with the bits in reverse.
+_STRETCHED = re.compile("L;([24]?)(I?)R?")
 # Of compressed images of the other byte order Pillow swaps the bytes that libtiff has swapped already.
 _SWAPPED_TWICE = {"F;32BF": "float32", "I;32BS": "int32", "I;16BS": "int16"}
 
@@ -122,15 +122,19 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
         with Image.open(path, formats=[file_format]) as image:
             mode, count = image.mode, getattr(image, "n_frames", 1)
             codec, stored_as = _encoding(image)
+            tags = getattr(image, "tag_v2", {})
             swapped = _SWAPPED_TWICE.get(stored_as) if codec == "libtiff" else None
-            if swapped is not None:
+            turned = 1 < tags.get(_ORIENTATION, 1) <= 8  # Pillow turns some of these, and scrambles others
+            if swapped is not None or turned:
                 frame = None
             elif mode.startswith(("L", "I", "F")) and mode not in ("LA", "La", "LAB") and count == 1:
                 frame = np.array(image)
-                if stored_as in _STRETCHED:
-                    frame //= 255 // _STRETCHED[stored_as]
+                stretched = _STRETCHED.fullmatch(stored_as)
+                if stretched is not None:
+                    bits, inverted = stretched.groups()
+                    frame = (255 - frame if inverted else frame) // (255 // (2 ** int(bits or 8) - 1))
                 if file_format == "TIFF":
-                    sample_format = getattr(image, "tag_v2", {}).get(_SAMPLE_FORMAT, (_UNSIGNED,))
+                    sample_format = tags.get(_SAMPLE_FORMAT, (_UNSIGNED,))
                     frame = frame.view(_STORED_AS.get((mode, *sample_format), frame.dtype))
             else:
                 frame = None
@@ -147,6 +151,10 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
         raise ValueError(
             f"{path}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
             "save it little-endian or uncompressed, or NPY"
+        )
+    if turned:
+        raise ValueError(
+            f"{path}: a TIFF image that is to be turned or mirrored (Orientation {tags[_ORIENTATION]}): save it upright"
         )
     if frame is None:
         reason = (
@@ -180,7 +188,14 @@ def _read_pgm(path: Path) -> Frame:
         raise ValueError(f"{path}: expected a largest value of 1 to 65535 in the PGM header, got {largest}")
     dtype = np.dtype(np.uint8 if largest < 256 else np.uint16)
     if header[1] == b"5":
-        pixels = content[header.end() :]
+        start = header.end()
+        # One character ends the header. Where it is the first of a Windows line end, there is a byte too many.
+        if (
+            content[start - 1 : start + 1] == b"\r\n"
+            and len(content) - start > height * width * dtype.itemsize
+        ):
+            start += 1
+        pixels = content[start:]
         count = len(pixels) // dtype.itemsize
         values = np.frombuffer(pixels, dtype.newbyteorder(">"), min(count, height * width))
     else:

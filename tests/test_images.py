@@ -67,7 +67,10 @@ def png(frame, bits):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
 
 
-def tiff(frame, bits=None, *, compressed=False):
+TAGS = {"photometric": 262, "fill_order": 266, "orientation": 274}
+
+
+def tiff(frame, bits=None, *, compressed=False, **others):
     """A TIFF image of any kind of numbers, also of those that Pillow does not write."""
     pixels, order = frame.tobytes() if bits is None else packed(frame, bits), "<>"[frame.dtype.str[0] == ">"]
     (height, width), kind = frame.shape, "uif".index(frame.dtype.kind) + 1
@@ -80,8 +83,8 @@ def tiff(frame, bits=None, *, compressed=False):
         262: 1,
         273: 8,
     }
-    tags |= {277: 1, 278: height, 279: len(pixels), 339: kind}
-    entries = b"".join(struct.pack(f"{order}HHII", tag, 4, 1, value) for tag, value in tags.items())
+    tags |= {277: 1, 278: height, 279: len(pixels), 339: kind} | {TAGS[name]: others[name] for name in others}
+    entries = b"".join(struct.pack(f"{order}HHII", tag, 4, 1, value) for tag, value in sorted(tags.items()))
     header = (b"MM\0*" if order == ">" else b"II*\0") + struct.pack(f"{order}I", 8 + len(pixels))
     return header + pixels + struct.pack(f"{order}H", len(tags)) + entries + bytes(4)
 
@@ -104,6 +107,39 @@ def test_numbers_of_less_than_a_byte_keep_their_values(tmp_path, bits):
     (tmp_path / "labels.tif").write_bytes(tiff(frame, bits))
     assert np.array_equal(images.read_depth(tmp_path / "labels.png"), frame)
     assert np.array_equal(images.read_depth(tmp_path / "labels.tif"), frame)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("bits", [2, 4, 8, 16])
+def test_a_tiff_whose_zero_is_white_keeps_its_values(tmp_path, bits, compressed):
+    frame = a_frame() if bits == 16 else a_frame(np.uint8) >> (8 - bits)
+    stored = tiff(frame, bits if bits < 8 else None, compressed=compressed, photometric=0)
+    (tmp_path / "depth.tif").write_bytes(stored)
+    assert np.array_equal(images.read_depth(tmp_path / "depth.tif"), frame)
+
+
+@pytest.mark.parametrize("bits", [2, 4, 8])
+def test_a_tiff_with_its_bits_in_reverse_keeps_its_values(tmp_path, bits):
+    frame = a_frame(np.uint8) >> (8 - bits)
+    reverse = np.packbits(np.unpackbits(np.frombuffer(packed(frame, bits), np.uint8), bitorder="little"))
+    stored = tiff(frame, bits, fill_order=2).replace(packed(frame, bits), reverse.tobytes())
+    (tmp_path / "depth.tif").write_bytes(stored)
+    assert np.array_equal(images.read_depth(tmp_path / "depth.tif"), frame)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("dtype", ["u1", "<u2", "<f4"])
+def test_a_tiff_that_is_to_be_turned_is_refused(tmp_path, dtype, compressed):
+    frame = a_frame(dtype)
+    for orientation in range(9):
+        (tmp_path / "depth.tif").write_bytes(tiff(frame, compressed=compressed, orientation=orientation))
+        if orientation < 2:  # 0 says nothing
+            assert np.array_equal(images.read_depth(tmp_path / "depth.tif"), frame)
+            continue
+        with pytest.raises(
+            ValueError, match=rf"turned or mirrored \(Orientation {orientation}\): save it upright"
+        ):
+            images.read_depth(tmp_path / "depth.tif")
 
 
 @pytest.mark.parametrize("dtype", ["<i4", ">i4", "<i2", ">i2", "<f4", ">f4", "<u2", ">u2", "u1"])
@@ -144,6 +180,19 @@ def test_pgm_is_not_stretched_to_its_largest_value(tmp_path, largest, plain):
     read = images.read_depth(tmp_path / "depth.pgm")
     assert read.dtype == (np.uint8 if largest < 256 else np.uint16)
     assert np.array_equal(read, frame)
+
+
+@pytest.mark.parametrize("largest", [255, 65535])
+@pytest.mark.parametrize("first", [ord("\n"), 7])
+def test_pgm_headers_of_windows(tmp_path, largest, first):
+    frame = np.full((2, 3), first, "u1" if largest < 256 else "<u2")
+    if largest > 255:
+        frame = frame << 8  # so that the first byte is that one
+    pixels = frame.astype(frame.dtype.newbyteorder(">")).tobytes()
+    for end in ("\r\n", "\r", "\n"):
+        header = end.join(["P5", "3 2", str(largest), ""])
+        (tmp_path / "depth.pgm").write_bytes(header.encode() + pixels)
+        assert np.array_equal(images.read_depth(tmp_path / "depth.pgm"), frame)
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32, np.float64])
