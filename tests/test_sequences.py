@@ -5,6 +5,8 @@ import math
 import os
 import pickle
 import struct
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -426,6 +428,21 @@ def test_a_rosbag_in_the_place_of_another(tmp_path, frames, name):
             (tmp_path / name).rename(tmp_path / "earlier")
         (tmp_path / f"{i}" / name).replace(tmp_path / name)
         assert np.array_equal(rp.open_sequence(tmp_path / name, CAMERA)[0].depth, these[0])
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "mcap"])
+def test_a_rosbag_is_closed_at_the_end_of_the_process(tmp_path, frames, name):
+    pytest.importorskip("rosbags")
+    depth, _ = messages(type_store(tmp_path / name)[0], frames)
+    write_bag(tmp_path / name, {"/depth": [(5, depth[0])]})
+    program = (
+        "import sys, rgbd_planes as rp;"
+        "camera = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0);"
+        "rp.open_sequence(sys.argv[1], camera)[0]"
+    )
+    command = [sys.executable, "-W", "always::ResourceWarning", "-c", program, tmp_path / name]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_rosbag_of_any_topic_that_can_be_read(tmp_path, frames):

@@ -1,5 +1,6 @@
 """ROS 1 and ROS 2 bags, read by rosbags: no ROS needed. RealSense recordings are ROS 1 bags."""
 
+import atexit
 import io
 import math
 import os
@@ -192,6 +193,12 @@ class _OpenBag:
 
 
 _open = threading.local()
+
+
+@atexit.register
+def _close_the_last_one() -> None:
+    # The interpreter, at its end, would warn of its file first and only then let go of the bag.
+    _open.__dict__.clear()
 
 
 def _read_message(location: _Location) -> NDArray[Any]:
