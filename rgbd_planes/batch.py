@@ -27,7 +27,7 @@ from rgbd_planes.batch_rows import Columns
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads
 from rgbd_planes.extras import needs
-from rgbd_planes.files import write_beside
+from rgbd_planes.files import alone_in, write_beside
 from rgbd_planes.sequences.frames import FrameSequence
 from rgbd_planes.threads import num_cores
 
@@ -100,6 +100,7 @@ def fit_sequence(
     *,
     num_threads: int | None = None,
     scheduler: str | None = None,
+    retry: bool = False,
     progress: Callable[[Progress], object] | None = None,
 ) -> BatchReport:
     """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile or a segment.
@@ -107,8 +108,8 @@ def fit_sequence(
     Where `out` holds a part of this very table, from a call that was interrupted, the rest is done: of the
     same frames, read from the same files at the same paths, by the same function, with the same cameras and
     settings. A table with a noise model that is a function, or of a sequence that cannot be pickled, is not
-    resumed. A frame that cannot be read or fitted is skipped and reported. Memory does not grow with the
-    sequence.
+    resumed. A frame that cannot be read or fitted is skipped and reported, and tried again with `retry` only.
+    Memory does not grow with the sequence.
 
     Parameters
     ----------
@@ -127,6 +128,9 @@ def fit_sequence(
     scheduler : str, optional
         Address of a Dask scheduler, tcp://host:port, instead of threads here. Its workers must see the
         sequence's files at the same paths; `out` is written here.
+    retry : bool
+        Whether frames that an earlier call has skipped are tried again, and with them those that were written into
+        the same files.
     progress : callable, optional
         Called with a `Progress` from the calling thread.
 
@@ -138,6 +142,8 @@ def fit_sequence(
     ------
     ModuleNotFoundError
         pyarrow, or distributed with a scheduler, is not installed.
+    BlockingIOError
+        Another call is writing into `out`. (Not on Windows.)
     TypeError, ValueError
         `out` holds another table, or one that cannot be told from another, or something else; or an argument
         cannot be used.
@@ -156,7 +162,11 @@ def fit_sequence(
     timed = not bool(np.isnan(sequence.timestamps).any())
     columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
     folder = Path(out)
-    with _workers(scheduler, num_threads) as workers:
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(
+            f"{folder}: expected a folder for the table, got a file; choose another name"
+        )
+    with _workers(scheduler, num_threads) as workers, alone_in(folder):
         size = _open_table(folder, sequence, settings, workers.slots)
         tasks: list[Task] = [
             (i, start, min(start + size, len(sequence)))
@@ -166,7 +176,7 @@ def fit_sequence(
         missing = []
         for task in tasks:
             done = Part.of_file(_file(folder, task[0]))
-            if done is None:
+            if done is None or (retry and done.problems):
                 missing.append(task)
                 continue
             report.add(done)
@@ -183,15 +193,11 @@ def fit_sequence(
 
 
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
-    """Make or check the table's folder; the number of frames of a part."""
+    """Begin a table in an empty folder, or check the one that is there; the number of frames of a part."""
     chosen = asdict(settings) | {"tile": np.broadcast_to(settings.tile, 2).tolist()}  # 16 is (16, 16)
     about = {"frames": len(sequence), **digests(sequence), "settings": chosen}
     about = json.loads(json.dumps(about))
     file = folder / _ABOUT
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(
-            f"{folder}: expected a folder for the table, got a file; choose another name"
-        )
     if file.is_file():
         try:
             found = json.loads(file.read_text(encoding="utf-8"))
@@ -221,7 +227,6 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
                 f"{others[0]}: no part of the table that was begun here; who reads the folder would take it for one"
             )
         return size
-    folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
     size = _frames_of_part(len(sequence), settings, sequence.camera, slots)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import batch, cli, images, presets, scenes
+from rgbd_planes import batch, cli, files, images, presets, scenes
 from rgbd_planes.batch_parts import FitSettings
 from rgbd_planes.sequences import FrameEntry, FrameSequence
 
@@ -196,6 +196,37 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     # An interrupted table has them, too.
     again = rp.fit_sequence(sequence, tmp_path / "out")
     assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
+
+
+def test_frames_that_were_skipped_are_tried_again_where_asked_for(recording, tmp_path):
+    sequence, out = rp.open_sequence(recording), tmp_path / "out"
+    bad = [recording / "depth" / f"{i}.png" for i in (3, 20)]
+    contents = [file.read_bytes() for file in bad]
+    for file in bad:
+        file.write_bytes(b"")
+    assert len(rp.fit_sequence(sequence, out, num_threads=1).problems) == 2
+    bad[0].write_bytes(contents[0])
+    assert len(rp.fit_sequence(sequence, out).problems) == 2
+    check_rows(out, sequence, bad=(3, 20))
+    parts = {file: file.stat().st_mtime_ns for file in out.iterdir()}
+    report = rp.fit_sequence(sequence, out, retry=True)
+    assert ([problem.frame for problem in report.problems], report.resumed) == ([20], 18)
+    check_rows(out, sequence, bad=(20,))
+    rewritten = {file.name for file in parts if file.stat().st_mtime_ns != parts[file]}
+    assert rewritten == {"part-000000.parquet", "part-000003.parquet"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there nobody is kept out")
+def test_a_folder_that_another_call_writes_into_is_refused(recording, tmp_path):
+    sequence, out = rp.open_sequence(recording), tmp_path / "out"
+    with files.alone_in(out):
+        (out / ".part-000000.123-456.parquet").write_bytes(b"what it writes just now")
+        with pytest.raises(BlockingIOError, match=r"out: another call is writing there"):
+            rp.fit_sequence(sequence, out)
+        assert [file.name for file in out.iterdir()] == [".part-000000.123-456.parquet"]
+    next(out.iterdir()).unlink()
+    rp.fit_sequence(sequence, out)
+    check_rows(out, sequence)
 
 
 def test_a_table_of_bad_frames_alone_has_its_columns(recording, tmp_path, capsys):
@@ -493,7 +524,11 @@ def test_command_writes_the_table_and_says_what_it_did(recording, tmp_path, caps
     assert first.startswith("rgbd-planes batch: skipped frame 3, depth/3.png: ")
     assert last == "Skipped 1 of 30 frames."
     assert cli.main(arguments) == 1
-    assert "not tried again" in capsys.readouterr().err.splitlines()[-1]
+    assert capsys.readouterr().err.splitlines()[-1] == "What was skipped before is tried again with --retry."
+    assert cli.main([*arguments, "--retry"]) == 1
+    written, err = capsys.readouterr()
+    assert written.startswith("29 of 30 frames, 725 rows: ")
+    assert err.splitlines() == [first, last]
     assert cli.main([*arguments, "--tile", "20"]) == 2
     assert "another sequence, camera or settings" in capsys.readouterr().err
     assert cli.main(["batch", str(tmp_path / "gone"), "--out", str(out)]) == 2

@@ -15,7 +15,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet
 
     After an interruption the same command does the rest. A frame that cannot be
-    read or fitted is reported and skipped, and makes the exit status 1.
+    read or fitted is reported and skipped, and makes the exit status 1; with
+    --retry the same command tries it again.
     """
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
     parser.add_argument(
@@ -46,6 +47,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         metavar="ADDRESS",
         help="address of a Dask scheduler, to use its workers: tcp://host:port",
     )
+
+    parser.add_argument("--retry", action="store_true", help="try the frames again that were skipped before")
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import Camera, FitSettings, fit_sequence, open_sequence, sequences
@@ -89,6 +92,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
                     settings,
                     num_threads=arguments.threads,
                     scheduler=arguments.scheduler,
+                    retry=arguments.retry,
                     progress=progress,
                 )
         except KeyboardInterrupt:
@@ -111,10 +115,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
                 print(f"{len(frames)} frames, {_ranges(frames)}: {reason}", file=sys.stderr)
         if report.problems:
             print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
-            if report.resumed:
-                print(
-                    "What was skipped before is not tried again, unless its part is removed.", file=sys.stderr
-                )
+            if report.resumed and not arguments.retry:
+                print("What was skipped before is tried again with --retry.", file=sys.stderr)
         return 1 if report.problems else 0
 
     return run
