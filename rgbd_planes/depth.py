@@ -29,7 +29,9 @@ _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float3
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
 
-_GRAIN = 1e-5  # metres: steps are multiples of it, and it is finer than any sensor
+# Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
+_GRAIN, _GRAIN_OF_DISPARITY = 1e-5, 1.0 / 256.0  # metres, raw units
+_INDISTINCT = 2.0**53  # grains: all larger numbers are whole
 _FEW_VALUES = 50  # of which nothing can be said: a scene may have been made of whole numbers
 
 
@@ -229,17 +231,19 @@ def some_of(raw: NDArray[Any]) -> NDArray[Any]:
 
 
 def step_of(frame: DepthFrame) -> float:
-    """Between neighbouring raw values: of integers, and of metres that integers were made into; 0 if there is none."""
-    if frame.step > 0.0 or frame.is_disparity:
+    """Between neighbouring raw values: of integers, and of floats that integers were made into; 0 if there is none."""
+    if frame.step > 0.0:
         return frame.step
+    grain = _GRAIN_OF_DISPARITY if frame.is_disparity else _GRAIN
     sample = some_of(frame.raw)
-    grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / _GRAIN
+    grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / grain
+    grains = grains[np.abs(grains) < _INDISTINCT]
     whole = np.rint(grains)
-    # What single precision does to metres is 1e-7 of them.
-    if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * grains, 0.3)).any():
+    # What single precision does to a number is 1e-7 of it.
+    if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * np.abs(grains), 0.3)).any():
         return 0.0
     values = np.unique(whole)
-    return _GRAIN * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
+    return grain * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
 
 
 def warn_caller(message: str) -> None:

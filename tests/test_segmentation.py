@@ -14,6 +14,7 @@ from rgbd_planes import (
     Camera,
     estimate_noise,
     fit_tiles,
+    normals,
     scenes,
     segment,
     segmentation_workspace,
@@ -543,6 +544,40 @@ def test_metres_that_integers_were_made_into_are_rounded(kind, scale):
     expected, found = segment(depth, camera), segment(metres.raw, camera)
     assert len(found) == len(expected)
     assert np.mean(found.labels != expected.labels) < 1e-3
+
+
+@pytest.mark.parametrize("farthest", [1e10, 1e15, 3e38])
+def test_a_sky_beyond_any_measure_leaves_the_step_of_metres(farthest):
+    # As simulators give it. All so large numbers are whole.
+    metres = scenes.room().render(CAMERA).measure(holes=0.05) / 1000.0
+    metres[metres == 0.0] = farthest
+    assert step_of(as_depth_frame(metres, CAMERA)) == pytest.approx(0.001, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize(("parts", "scale"), [(16, 2.5e-2), (256, 1.25e-2), (16, -2.5e-2)])
+def test_disparities_that_integers_were_divided_into_are_rounded(kind, parts, scale):
+    # As OpenCV's matchers give them: 16ths of a pixel, which its examples make into floats.
+    whole = replace(CAMERA, depth_scale=None, disparity=(scale / parts, 0.1))
+    divided = replace(whole, disparity=(scale, 0.1))
+    q = 1.0 / scenes.room().render(CAMERA).depth
+    raw = np.rint((q - 0.1) / (scale / parts)).astype(np.int16)
+    disparity = (raw / parts).astype(kind)
+    assert step_of(as_depth_frame(disparity, divided)) == 1.0 / parts
+    expected, found = segment(raw, whole), segment(disparity, divided)
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    assert found.sigma == pytest.approx(expected.sigma)
+    slopes, of_floats = normals(raw, whole, avoid_edges=True), normals(disparity, divided, avoid_edges=True)
+    np.testing.assert_allclose(of_floats, slopes, atol=1e-6)
+
+
+def test_disparities_that_were_measured_have_no_step():
+    camera = replace(CAMERA, depth_scale=None, disparity=(0.025, 0.0))
+    disparity = 40.0 / scenes.room().render(CAMERA).measure(noise=1e-4, quantise=False)
+    few = np.full(CAMERA.shape, 32.0)
+    few[:, 100:] = 48.0
+    for raw in (disparity, disparity.astype(np.float32), few):
+        assert step_of(as_depth_frame(raw, camera)) == 0.0
 
 
 def test_metres_that_were_measured_have_no_step():
