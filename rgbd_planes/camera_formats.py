@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import check_whole, number
+from rgbd_planes.checks import check_choice, check_whole, number
 
 Floats = NDArray[np.float64]
 
@@ -133,10 +133,7 @@ def _ros_distortion(info: Any) -> list[float]:
     if not any(coefficients):
         return []
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
-    if model not in _ROS_COEFFICIENTS:
-        raise ValueError(
-            f"expected distortion_model to be one of {', '.join(_ROS_COEFFICIENTS)}, got {model!r}"
-        )
+    check_choice("distortion_model", model, tuple(_ROS_COEFFICIENTS))
     if len(coefficients) not in _ROS_COEFFICIENTS[model]:
         raise ValueError(
             f"expected {' or '.join(map(str, _ROS_COEFFICIENTS[model]))} coefficients in D for {model}, "

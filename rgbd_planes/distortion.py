@@ -16,6 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.checks import check_choice
+
 Floats = NDArray[np.float64]
 
 MODELS = ("brown_conrady", "inverse_brown_conrady")
@@ -36,8 +38,7 @@ def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
     ValueError
         There is no such model, or none with so many coefficients.
     """
-    if model not in MODELS:
-        raise ValueError(f"expected distortion_model to be one of {', '.join(MODELS)}, got {model!r}")
+    check_choice("distortion_model", model, MODELS)
     allowed = (0, 4, 5, 8) if model == "brown_conrady" else (0, 5)
     if len(coefficients) not in allowed:
         raise ValueError(

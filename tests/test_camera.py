@@ -186,7 +186,7 @@ def test_a_camera_is_a_value():
             {"distortion": (0,) * 8, "distortion_model": "inverse_brown_conrady"},
             "expected 0, 5 distortion .* got 8",
         ),
-        ({"distortion_model": "fisheye"}, "expected distortion_model to be one of .* got 'fisheye'"),
+        ({"distortion_model": "fisheye"}, "distortion_model must be one of .* got 'fisheye'"),
         ({"depth_scale": 0}, "expected depth_scale > 0"),
         ({"depth_scale": -1000.0}, "expected depth_scale > 0 .* got -1000"),
         ({"depth_scale": 1000.0, "disparity": (1, 0)}, "expected depth_scale or disparity, got both"),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera
+from rgbd_planes.checks import check_camera, check_choice
 from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
@@ -72,8 +72,7 @@ def open_sequence(
         raise FileNotFoundError(f"{path}: there is no such file or folder")
     if format is None:
         format = _recognise(place, camera is not None)
-    elif format not in FORMATS:
-        raise ValueError(f"format must be one of {', '.join(FORMATS)}, got {format!r}")
+    check_choice("format", format, tuple(FORMATS))
     return FORMATS[format](place, camera)
 
 
