@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
+from rgbd_planes.camera import Camera
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
@@ -40,6 +41,11 @@ class NotebookFigure(Figure):
         buffer = io.BytesIO()
         self.savefig(buffer, format="png", dpi=80)
         return buffer.getvalue()
+
+
+def panel_height(width: float, camera: Camera) -> float:
+    """How high a panel is: as its image, unless that is very narrow or very low."""
+    return width * min(max(camera.height / camera.width, 0.3), 1.6)
 
 
 def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figure | None = None) -> Figure:
@@ -69,9 +75,9 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     if depth_metres is not None and depth_metres.shape != (height, width):
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
     if figure is None:
-        panel_height = _PANEL_INCHES * min(max(height / width, 0.3), 1.6)
         figure = NotebookFigure(
-            (3 * _PANEL_INCHES, panel_height + _LEGEND_INCHES + 0.35), layout="constrained"
+            (3 * _PANEL_INCHES, panel_height(_PANEL_INCHES, fits.camera) + _LEGEND_INCHES + 0.35),
+            layout="constrained",
         )
 
     panel_share = _PANEL_INCHES * height / width

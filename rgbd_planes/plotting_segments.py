@@ -80,11 +80,11 @@ def plot_segments(
     -------
     matplotlib Figure or SubFigure
     """
-    from rgbd_planes.plotting import NotebookFigure
+    from rgbd_planes.plotting import NotebookFigure, panel_height
 
-    height, width = segmentation.labels.shape
     if figure is None:
-        figure = NotebookFigure((8.0, 8.0 * height / width + 0.4), layout="constrained")
+        size = 8.0, panel_height(8.0, segmentation.camera) + 0.4
+        figure = NotebookFigure(size, layout="constrained")
     axes = figure.add_subplot()
     axes.imshow(label_image(segmentation, depth), interpolation="nearest")
     _write_numbers(segmentation, axes)

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting import NotebookFigure
+from rgbd_planes.plotting import NotebookFigure, panel_height
 
 if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
@@ -43,9 +43,8 @@ def plot_quadtree(
     matplotlib Figure
     """
     elements = segmentation.elements
-    height, width = elements.camera.shape
     if figure is None:
-        figure = NotebookFigure((15.6, 5.2 * height / width + 0.8), layout="constrained")
+        figure = NotebookFigure((15.6, panel_height(5.2, elements.camera) + 0.8), layout="constrained")
     known = depth_metres[np.isfinite(depth_metres)]
     nearest, farthest = np.percentile(known, [1.0, 99.0]) if known.size else (0.0, 1.0)
     panels = figure.subplots(1, 3)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rgbd_planes.camera import Camera
 from rgbd_planes.colours import MISSING, normal_colours
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.plotting import NotebookFigure, depth_limits, depth_note
+from rgbd_planes.plotting import NotebookFigure, depth_limits, depth_note, panel_height
 
 _PANEL_INCHES = 5.2
 
@@ -40,8 +40,8 @@ def plot_surfaces(
     matplotlib Figure
     """
     metres = as_depth_frame(depth, camera).metres
-    panel = _PANEL_INCHES * min(max(camera.height / camera.width, 0.3), 1.6)
-    figure = NotebookFigure((3 * _PANEL_INCHES, panel + 1.0), layout="constrained")
+    size = 3 * _PANEL_INCHES, panel_height(_PANEL_INCHES, camera) + 1.0
+    figure = NotebookFigure(size, layout="constrained")
     left, middle, right = figure.subplots(1, 3)
 
     viridis = colormaps["viridis_r"].with_extremes(bad=MISSING)

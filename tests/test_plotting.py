@@ -1,5 +1,6 @@
 """The figure of a fit: what it draws is what was fitted."""
 
+import io
 import os
 import subprocess
 import sys
@@ -87,6 +88,22 @@ def test_the_scale_of_one_depth_is_in_metres():
         (scale,) = (axes.xaxis for axes in drawn if "metres" in axes.get_xlabel())
         assert scale.get_offset_text().get_text() == ""
         assert scale.get_major_ticks()[1].label1.get_text().startswith("1.0")
+
+
+@pytest.mark.parametrize("shape", [(1280, 16), (16, 1280)])
+def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
+    height, width = shape
+    camera = rp.Camera(width, height, 1000.0, 1000.0, (width - 1) / 2, (height - 1) / 2)
+    depth = scenes.plane((0.1, 0.2, -1.0), 2.0).render(camera).depth
+    normals = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    others = (
+        rp.fit_tiles(depth, camera, 8),
+        rp.segment(depth, camera),
+        rp.segment_quadtree(depth, camera, 16),
+    )
+    for figure in (normals, *(fitted.plot(depth) for fitted in others)):
+        assert 0.15 <= figure.get_figheight() / figure.get_figwidth() <= 2.0
+        figure.savefig(io.BytesIO())
 
 
 def test_colours_are_of_the_image_whatever_the_sign_of_fy():
