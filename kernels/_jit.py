@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache
-from numba.core.runtime import rtsys
+
+from ._cache import Cache
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -31,25 +31,6 @@ def _sources_digest() -> str:
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
-
-
-class _Cache(FunctionCache):
-    """Numba's cache on disk, from which a kernel loads in a sixth of the time.
-
-    Before it loads anything, Numba's own puts together all that a compilation may need, among it SciPy's linear
-    algebra. A compiled kernel needs only the functions that allocate arrays, and the modules of what it calls: a
-    NumPy function like sum or max would bring SciPy again. A compilation fetches the rest itself.
-    """
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled kernel for these types, or None."""
-        try:
-            guard, load = self._guard_against_spurious_io_errors, self._load_overload
-        except AttributeError:  # a later Numba's inside is another: its own way then
-            return super().load_overload(sig, target_context)
-        rtsys.initialize(target_context)
-        with guard():
-            return load(sig, target_context)
 
 
 def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Function], Function]:
@@ -78,7 +59,7 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
             dispatcher = numba.njit(cache=True, **options)(function)
         except RuntimeError:  # no place for a cache: a read-only home and installation
             return cast(Function, numba.njit(**options)(function))
-        dispatcher._cache = _Cache(function)
+        dispatcher._cache = Cache(function)
         return cast(Function, dispatcher)
 
     return compile_lazily

@@ -1,0 +1,102 @@
+"""Compiled kernels on disk: what one process saves, another loads, whatever happened in between."""
+
+import errno
+import importlib.util
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+SOURCE = "from rgbd_planes.kernels._jit import kernel\n@kernel()\ndef twice(x): return x + x\n"
+
+
+@pytest.fixture
+def of_a_process(tmp_path):
+    """A kernel as another process would have it: nothing compiled, the same files."""
+    (tmp_path / "doubling.py").write_text(SOURCE)
+
+    def load() -> Any:
+        spec = importlib.util.spec_from_file_location("doubling", tmp_path / "doubling.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module.twice
+
+    return load
+
+
+@pytest.fixture
+def files(of_a_process) -> list[Path]:
+    """Where a kernel for integers has been saved."""
+    twice = of_a_process()
+    assert twice(3) == 6
+    return list(Path(twice._cache.cache_path).glob("*.nbc"))
+
+
+def loaded(kernel: Any) -> tuple[int, int]:
+    """How often a kernel was found on disk, and how often not."""
+    return sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values())
+
+
+def test_what_one_process_compiles_another_loads(of_a_process, files):
+    assert len(files) == 1
+    twice = of_a_process()
+    assert twice(4) == 8
+    assert loaded(twice) == (1, 0)
+    assert twice(0.25) == 0.5
+    assert loaded(twice) == (1, 1)
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut short", "a bit", "zeros at the end"])
+def test_a_damaged_file_is_compiled_anew(of_a_process, files, damage):
+    content = bytearray(files[0].read_bytes())
+    if damage == "a bit":
+        content[len(content) // 2] ^= 16
+    elif damage == "zeros at the end":
+        content[-2000:] = bytes(2000)
+    files[0].write_bytes(b"" if damage == "empty" else content[:-100] if damage == "cut short" else content)
+    for found in ((0, 1), (1, 0)):
+        twice = of_a_process()
+        assert twice(3) == 6
+        assert loaded(twice) == found
+
+
+def test_processes_that_compile_at_a_time_lose_nothing(of_a_process, monkeypatch):
+    """Another one saves a kernel for other types just when this one's file is about to appear."""
+    replace = os.replace
+
+    def interrupted(*names: Any) -> None:
+        monkeypatch.setattr(os, "replace", replace)
+        assert of_a_process()(0.25) == 0.5
+        replace(*names)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    assert of_a_process()(3) == 6
+    assert os.replace is replace
+    twice = of_a_process()
+    assert (twice(3), twice(0.25)) == (6, 0.5)
+    assert loaded(twice) == (2, 0)
+
+
+def test_a_full_disk_is_no_error(of_a_process, monkeypatch):
+    def full(*names: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        twice = of_a_process()
+        assert twice(3) == 6
+    assert list(Path(twice._cache.cache_path).glob("doubling.twice*")) == []
+    assert twice(np.float32(0.25)) == 0.5
+
+
+def test_a_kernel_that_is_recompiled_forgets_its_files(of_a_process, files):
+    twice = of_a_process()
+    assert twice(0.25) == 0.5
+    twice.recompile()
+    again = of_a_process()
+    assert again(0.25) == 0.5
+    assert loaded(again) == (1, 0)
+    assert again(3) == 6
+    assert loaded(again) == (1, 1)
