@@ -29,6 +29,8 @@ FEWEST_GROWN = 40
 # errors add up to 8.5 times as much, and most of them up to 3.8, which is the most where the squares are few.
 MOST_STEEPENING = 9.0
 FEW, MOST_OF_FEW = 100, 4.0
+# Share of the squares of a size: where fewer are clean, the low quantile of all is that of edges and outliers.
+FEW_CLEAN = 0.25
 # Share of its pixels that a small square may show to go together, to say how many do beyond it.
 MOST_SHOWN = 0.75
 
@@ -103,6 +105,34 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
         mean_square[count] = rss[i] / (moments[0, i] - 3.0) / expected
         slope_square[count] = slope[i] / expected
         count += 1
+    return count
+
+
+@kernel()
+def keep_clean_squares(pyramid, level, sigma, most, mean_square):
+    """Keep those of a level's squares in which no square of 8 pixels has a residual above ``most``; return how many.
+
+    ``mean_square`` is that of `square_residuals`, whose first entries become those of the squares kept.
+    """
+    moments, rss, _, offsets, shapes = pyramid
+    least, side = FULL * (BLOCK << level) ** 2, 1 << (level - 1)
+    seen = count = 0
+    for row in range(shapes[level, 0]):
+        for column in range(shapes[level, 1]):
+            i = offsets[level] + row * shapes[level, 1] + column
+            if moments[0, i] < least or rss[i] < 0.0:
+                continue
+            clean = True
+            for r in range(row * side, row * side + side):
+                for c in range(column * side, column * side + side):
+                    k = offsets[1] + r * shapes[1, 1] + c
+                    n = moments[0, k]
+                    if n > 3.0 and rss[k] > most * (n - 3.0) * expected_variance(moments[3, k] / n, sigma):
+                        clean = False
+            if clean:
+                mean_square[count] = mean_square[seen]
+                count += 1
+            seen += 1
     return count
 
 
@@ -201,6 +231,13 @@ def estimate_noise(pyramid, sigma, growth):
             smallest = quantile(values[:count], LOW)
             lateral = lateral_of(mean_square[:count], slope_square[:count], typical)
         elif smallest > 0.0:
+            clean = keep_clean_squares(pyramid, level, sigma, FLAT * typical, mean_square)
+            if clean < FEW_CLEAN * count:  # most have an edge in them, or a stray pixel
+                if clean < FEWEST:
+                    growth[level - 1 :] = growth[level - 2]
+                    break
+                count = clean
+                values[:count] = mean_square[:count]
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
             if level == 3:
                 most = MOST_OF_FEW if count < FEW else MOST_STEEPENING

@@ -521,6 +521,19 @@ def test_where_the_squares_of_a_small_frame_fall_costs_no_planes(width, height, 
         assert compare_labels(segment(depth, camera).labels, rendering.labels).hoover(0.8).correct >= least
 
 
+@pytest.mark.parametrize("share", [0.005, 0.01])
+def test_outliers_strewn_over_the_image_cost_no_planes(share):
+    # Hardly a square of 16 or 32 pixels is without one, which is no noise that grows.
+    rendering = scenes.room().render(CAMERA)
+    depth = rendering.measure(holes=0.05, quantise=False)
+    correct = compare_labels(segment(depth, CAMERA).labels, rendering.labels).hoover(0.8).correct
+    rng = np.random.default_rng(30)
+    outliers = rng.random(depth.shape) < share
+    depth[outliers] = 1.0 / rng.uniform(0.2, 2.0, np.count_nonzero(outliers))
+    found = segment(depth, CAMERA)
+    assert compare_labels(found.labels, rendering.labels).hoover(0.8).correct >= correct - 1
+
+
 def test_small_things_all_over_a_large_frame_are_planes():
     # Like a chessboard, each field tilted another way: hardly a square of 32 pixels is within one.
     camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
