@@ -31,6 +31,7 @@ from rgbd_planes.noise_samples import (
     all_samples,
     bins_of,
     flat_windows,
+    unevenness,
 )
 from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tiles import TileFitter
@@ -51,6 +52,7 @@ _TAIL = 0.95  # quantile at which the spread is matched: above are also tiles th
 _EXACT = 1e-9  # residuals below this share of 1/Z are rounding errors of float64
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
 _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
+_UNEVEN = 3.0  # of windows that are as they should be: 1.1 to 1.6 with real sensors
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
@@ -79,7 +81,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     Warns
     -----
     UserWarning
-        What is taken for flat differs so much that it may be edges: do not rely on the model then.
+        What is taken for flat differs so much that it may be edges, or outliers: do not rely on the model then.
 
     Notes
     -----
@@ -129,9 +131,9 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
-    if model.spread >= SPREADS[-1]:
+    if model.spread >= SPREADS[-1] or unevenness(tiles[WINDOW], tiles[8], flat) > _UNEVEN:
         warn_caller(
-            "what is taken for flat differs more than the noise of a sensor does, and may be edges: "
+            "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
             "are surfaces in the frames flat over 50 pixels or more?"
         )
     return replace(model, evidence=evidence_of(opened, camera, model, samples, tiles, count))

@@ -149,19 +149,16 @@ def flat_windows(
     Of larger windows clutter may be what is usual: ``flat_parts`` says which windows of `WINDOW` pixels are flat, and
     only those of which all are come into question.
     """
-    frames, rows, columns = planes.shape
+    _, rows, columns = planes.shape
     window = planes.tile[0]
-    parts = window // small.tile[0]
-    inside = np.full((frames, rows * parts, columns * parts), np.nan)
-    inside[:, : small.shape[1], : small.shape[2]] = small.rmse
-    inside = np.moveaxis(inside.reshape(frames, rows, parts, columns, parts), 3, 2)
+    inside = _of_parts(planes, small)
     good = planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * window * window)
     good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
     good &= planes.rmse > 0.0
     if flat_parts is not None:
         good &= _all_flat(flat_parts, window // WINDOW, rows, columns)
     flat = np.zeros(planes.shape, bool)
-    local = np.median(inside[good].reshape(-1, parts * parts), axis=1)
+    local = np.median(inside[good], axis=1)
     residual = planes.rmse[good]
     usable = local > 0.0  # NaN where a part has no plane
     if np.count_nonzero(usable) < FEWEST_WINDOWS:
@@ -174,6 +171,23 @@ def flat_windows(
     usable[usable] = alike & (level < np.median(level[alike]) + np.log(_CLUTTERED))
     flat[good] = usable
     return flat
+
+
+def unevenness(planes: TilePlanes, small: TilePlanes, flat: npt.NDArray[np.bool_]) -> float:
+    """How many times the smallest residual of a flat window's parts the median one is, in the median."""
+    inside = np.sort(_of_parts(planes, small)[flat], axis=1)
+    inside = inside[inside[:, 0] > 0.0]  # without those of which rounding leaves nothing
+    return float(np.median(inside[:, inside.shape[1] // 2] / inside[:, 0])) if len(inside) else 1.0
+
+
+def _of_parts(planes: TilePlanes, small: TilePlanes) -> Floats:
+    """(F, R, C, N): the residuals of the N small tiles in each window, NaN where one has no plane."""
+    frames, rows, columns = planes.shape
+    parts = planes.tile[0] // small.tile[0]
+    inside = np.full((frames, rows * parts, columns * parts), np.nan)
+    inside[:, : small.shape[1], : small.shape[2]] = small.rmse
+    inside = np.moveaxis(inside.reshape(frames, rows, parts, columns, parts), 3, 2)
+    return inside.reshape(frames, rows, columns, parts * parts)
 
 
 def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -> npt.NDArray[np.bool_]:

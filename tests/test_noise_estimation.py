@@ -155,8 +155,18 @@ def test_frames_without_anything_flat(rng):
 def test_what_may_be_edges_is_doubted():
     """Hardly any window of 24 pixels is flat."""
     camera, seen = small_frames(80, 60, 66.0, 40)
-    with pytest.warns(UserWarning, match="may be edges: are surfaces in the frames flat over 50 pixels"):
+    with pytest.warns(UserWarning, match="may be edges, or outliers: are surfaces in the frames flat"):
         rp.estimate_noise(seen, camera)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02])
+def test_what_may_be_outliers_is_doubted(rng, share):
+    """Hardly a window of 24 pixels is without one: the noise comes out a hundred times too large."""
+    depth = rendering(*VIEWS[0]).measure(quantise=False)
+    outliers = rng.random(depth.shape) < share
+    depth[outliers] = 1.0 / rng.uniform(0.2, 2.0, np.count_nonzero(outliers))
+    with pytest.warns(UserWarning, match="may be edges, or outliers"):
+        rp.estimate_noise(depth, replace(CAMERA, depth_scale=None))
 
 
 def test_missing_pixels_are_named():
