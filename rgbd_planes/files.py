@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -58,6 +58,10 @@ def alone_in(folder: Path) -> Iterator[None]:
             pass
         yield
     finally:
+        with suppress(OSError):
+            fcntl.flock(
+                handle, fcntl.LOCK_UN
+            )  # a child that was forked meanwhile would keep what is only closed
         os.close(handle)
 
 

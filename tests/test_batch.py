@@ -229,6 +229,29 @@ def test_a_folder_that_another_call_writes_into_is_refused(recording, tmp_path):
     check_rows(out, sequence)
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_child_keeps_nobody_out(tmp_path):
+    """It has the folder open, too, for as long as it lives."""
+    code = (
+        "import os, sys, time\n"
+        "from pathlib import Path\n"
+        "from rgbd_planes.files import alone_in\n"
+        "folder = Path(sys.argv[1])\n"
+        "with alone_in(folder):\n"
+        "    child = os.fork()\n"
+        "    if child == 0:\n"
+        "        time.sleep(60)\n"
+        "        os._exit(0)\n"
+        "try:\n"
+        "    with alone_in(folder):\n"
+        "        print('entered')\n"
+        "finally:\n"
+        "    os.kill(child, 9)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
+    assert (ran.stdout, ran.stderr) == ("entered\n", "")
+
+
 def test_a_table_of_bad_frames_alone_has_its_columns(recording, tmp_path, capsys):
     sequence = rp.open_sequence(recording)
     rp.fit_sequence(sequence, tmp_path / "good")
