@@ -14,6 +14,9 @@ from .segment_noise import sensor_variance
 
 FULL = 0.5  # share of a square's pixels that must be measured
 FEWEST = 10  # squares that tell something
+# Blocks of 4 pixels where there are not so many: the smallest plane has as many. Of more the frame is not small, but
+# what is measured is sparse.
+FEWEST_BLOCKS, MOST_BLOCKS = 4, 160
 MIXTURE = 0.5  # residual, as a share of the mean inverse depth, of a square of what is near and what is far
 SOLID = 2  # level of the squares that are too large to be a speck
 LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
@@ -109,6 +112,15 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
 
 
 @kernel()
+def typical_of_blocks(pyramid, sigma):
+    """Variance within blocks of 4 pixels, where hardly a square of 8 is measured; 0 where they do not say."""
+    room = pyramid.offsets[1]
+    values, slope_square = np.empty(room), np.empty(room)
+    count = square_residuals(pyramid, 0, sigma, values, slope_square)
+    return quantile(values[:count], TYPICAL) if FEWEST_BLOCKS <= count <= MOST_BLOCKS else 0.0
+
+
+@kernel()
 def keep_clean_squares(pyramid, level, sigma, most, mean_square):
     """Keep those of a level's squares in which no square of 8 pixels has a residual above ``most``; return how many.
 
@@ -194,7 +206,8 @@ def together_of(pyramid, coarse, fine, sigma, typical):
 def estimate_noise(pyramid, sigma, growth):
     """Estimate the noise of a frame from the residuals of its own squares of 8, 16 and 32 pixels.
 
-    Where a frame has too few squares to say, the noise is taken to be independent, and half a pixel across.
+    Where a frame has too few squares to say, blocks of 4 pixels say how large the noise is, which is taken to be
+    independent, and half a pixel across.
 
     Parameters
     ----------
@@ -207,8 +220,8 @@ def estimate_noise(pyramid, sigma, growth):
     Returns
     -------
     typical : float
-        Variance of inverse depth within squares of 8 pixels, 1/m², or as a multiple of what ``sigma`` says; 0 where
-        it is unknown.
+        Variance of inverse depth within squares of 8 pixels, or of 4, 1/m², or as a multiple of what ``sigma`` says;
+        0 where it is unknown.
     lateral : float
         Standard deviation, in pixels, of where a measurement lies.
     together : float
@@ -223,6 +236,8 @@ def estimate_noise(pyramid, sigma, growth):
         count = square_residuals(pyramid, level, sigma, mean_square, slope_square)
         if count < (FEWEST_GROWN if level == 2 else FEWEST):
             growth[level - 1 :] = growth[max(level - 2, 0)]
+            if level == 1:
+                typical = typical_of_blocks(pyramid, sigma)
             break
         for i in range(count):
             values[i] = mean_square[i]

@@ -534,6 +534,17 @@ def test_outliers_strewn_over_the_image_cost_no_planes(share):
     assert compare_labels(found.labels, rendering.labels).hoover(0.8).correct >= correct - 1
 
 
+@pytest.mark.parametrize("side", [12, 16, 20, 24])
+def test_planes_within_small_masks_are_found(side, rng):
+    # Hardly a square of 8 pixels is measured.
+    depth = scenes.plane((0.2, 0.3, -1.0), 1.5).render(CAMERA).measure()
+    for row, column in rng.integers(0, CAMERA.height - side, (8, 2)):
+        mask = np.zeros(CAMERA.shape, bool)
+        mask[row : row + side, column : column + side] = True
+        found = segment(np.where(mask, depth, 0), CAMERA)
+        np.testing.assert_array_equal(found.labels, mask)
+
+
 def test_small_things_all_over_a_large_frame_are_planes():
     # Like a chessboard, each field tilted another way: hardly a square of 32 pixels is within one.
     camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
