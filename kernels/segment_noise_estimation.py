@@ -11,6 +11,7 @@ from ._jit import kernel
 from .segment_blocks import BLOCK
 from .segment_moments import fit
 from .segment_noise import sensor_variance
+from .segment_records import Pyramid
 
 FULL = 0.5  # share of a square's pixels that must be measured
 FEWEST = 10  # squares that tell something
@@ -34,6 +35,11 @@ MOST_STEEPENING = 9.0
 FEW, MOST_OF_FEW = 100, 4.0
 # Share of the squares of a size: where fewer are clean, the low quantile of all is that of edges and outliers.
 FEW_CLEAN = 0.25
+# Variance, as a share of the squared mean, up to which measurements are all the same, but for the rounding of sums.
+CONSTANT = 1e-12
+# Share of the squares that are not constant: where fewer vary in each of their quarters, of which a straight edge
+# crosses three at most, these have corners in them.
+FEWEST_VARIED = 0.1
 # Share of its pixels that a small square may show to go together, to say how many do beyond it.
 MOST_SHOWN = 0.75
 
@@ -90,6 +96,50 @@ def nearest_surface(pyramid, nearest):
 def expected_variance(q, sigma):
     """Variance of an inverse depth by `segment_noise.sensor_variance`; 1 where ``sigma`` is empty: not known."""
     return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
+
+
+@kernel(inline=True)
+def is_constant(moments, i):
+    """Whether all measurements of square ``i`` are the same: three or more, for fewer say nothing."""
+    n, sum_q = moments[0, i], moments[3, i]
+    return (n >= 3.0) & (n * moments[9, i] <= (1.0 + CONSTANT) * sum_q * sum_q)
+
+
+@kernel()
+def varied_squares(pyramid):
+    """The pyramid, where its low quantile of residuals is that of constant squares, without those that show no noise.
+
+    Where a sensor says the same of everything beyond its range, or its steps are larger than its noise, there is none
+    to see: a square up to 32 pixels with a constant quarter has no residual then. Where hardly one of the others is
+    left, things that show no noise end before each other.
+    """
+    moments, rss, slope, offsets, shapes = pyramid
+    count = constant = varied = 0
+    for i in range(offsets[1], offsets[2]):
+        if moments[0, i] >= FULL * (BLOCK << 1) ** 2:
+            count += 1
+            constant += is_constant(moments, i)
+    if constant <= LOW * count:
+        return pyramid
+    rss = rss.copy()
+    for level in range(1, min(len(shapes), 4)):
+        for row in range(shapes[level, 0]):
+            for column in range(shapes[level, 1]):
+                i = offsets[level] + row * shapes[level, 1] + column
+                k = offsets[level - 1] + 2 * (row * shapes[level - 1, 1] + column)
+                below = k + shapes[level - 1, 1]
+                if (
+                    is_constant(moments, k)
+                    | is_constant(moments, k + 1)
+                    | is_constant(moments, below)
+                    | is_constant(moments, below + 1)
+                ):
+                    rss[i] = -1.0
+                elif level == 1:
+                    varied += moments[0, i] >= FULL * (BLOCK << 1) ** 2
+    if varied <= FEWEST_VARIED * (count - constant):
+        return pyramid
+    return Pyramid(moments, rss, slope, offsets, shapes)
 
 
 @kernel()
@@ -227,6 +277,7 @@ def estimate_noise(pyramid, sigma, growth):
     together : float
         Pixels that have one error between them.
     """
+    pyramid = varied_squares(pyramid)
     room = pyramid.offsets[2] - pyramid.offsets[1]
     mean_square, slope_square, values = np.empty(room), np.empty(room), np.empty(room)
     growth[:] = 1.0

@@ -545,6 +545,44 @@ def test_planes_within_small_masks_are_found(side, rng):
         np.testing.assert_array_equal(found.labels, mask)
 
 
+@pytest.mark.parametrize("reach", [2.8, 3.4])
+def test_one_depth_for_all_that_is_beyond_the_range_is_not_taken_for_no_noise(reach):
+    rendering = scenes.room().render(CAMERA)
+    depth = rendering.measure(quantise=False)
+    beyond = depth > reach
+    truth = np.where(beyond, 0, rendering.labels)
+
+    def measured(far: float) -> tuple[int, float]:
+        found = segment(np.where(beyond, far, depth), CAMERA)
+        return compare_labels(np.where(beyond, 0, found.labels), truth).hoover(0.8).correct, found.sigma
+
+    correct, sigma = measured(np.nan)
+    for far in (reach, 10.0):
+        correct_so, sigma_so = measured(far)
+        assert correct_so >= correct - 1
+        assert sigma_so == pytest.approx(sigma, rel=0.05)
+
+
+def test_steps_larger_than_the_noise_are_not_taken_for_no_noise():
+    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+    rendering = scenes.room().render(camera)
+    step = 0.5 / (525.0 * scenes.KINECT_BASELINE)  # half a pixel of disparity, in 1/m
+    depth = rendering.measure(noise=0.1 * step, quantise=False)
+    found = segment(1.0 / (step * np.rint(1.0 / (step * depth))), camera)
+    assert compare_labels(found.labels, rendering.labels).hoover(0.8).correct >= 10
+
+
+def test_edges_of_things_that_show_no_noise_are_not_taken_for_noise():
+    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+    rng = np.random.default_rng(1)
+    depth, truth = np.full(camera.shape, 3.0), np.ones(camera.shape, np.int32)
+    for nearer in range(1, 41):
+        y, x, height, width = rng.integers([0, 0, 15, 15], [440, 600, 160, 160])
+        thing = np.s_[y : y + height, x : x + width]
+        depth[thing], truth[thing] = 3.0 - 0.05 * nearer, 1 + nearer
+    assert compare_labels(segment(depth, camera).labels, truth).hoover(0.8).correct >= 30
+
+
 def test_small_things_all_over_a_large_frame_are_planes():
     # Like a chessboard, each field tilted another way: hardly a square of 32 pixels is within one.
     camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
