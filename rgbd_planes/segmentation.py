@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_whole
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.depth import DepthFrame, as_depth_frame, warn_caller
 from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
@@ -79,6 +79,12 @@ def segment(
     TypeError, ValueError
         As `fit_tiles`, and for a `noise` or a `min_size` that cannot be.
 
+    Warns
+    -----
+    UserWarning
+        The frame is several times as rough as `noise`, and less than half of it is on planes: most likely that is the
+        noise of another sensor.
+
     Notes
     -----
     Blocks of 4x4 pixels, joined by fours where they are one plane, are merged by what joining adds to the
@@ -127,7 +133,7 @@ def segment_frame(
         rays, inverse_depth, pyramid,
     )  # fmt: skip
     segment_blocks.sum_by_fours(pyramid, rays)
-    noise = noise_of(frame, rays, pyramid, nearest, given)
+    noise, is_rougher = noise_of(frame, rays, pyramid, nearest, given)
 
     state = np.empty(pyramid.offsets[-1], np.int8)
     segment_quadtree.join_blocks(pyramid, noise, rules, state)
@@ -147,7 +153,14 @@ def segment_frame(
     segment_shape.find_curved(
         region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
     )
-    return _result(camera, rays, work, number, planes, sums, curved, noise, given, min_size, rules)
+    found = _result(camera, rays, work, number, planes, sums, curved, noise, given, min_size, rules)
+    if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
+        warn_caller(
+            "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
+            "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
+            "Without it the frame tells its own, and rp.estimate_noise finds that of a sensor"
+        )
+    return found
 
 
 def _result(

@@ -21,6 +21,9 @@ FLATNESS = 4e-4
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
+UNLIKE = 4.0
+"""Times that a frame's noise may be what is given. Of other sensors' frames a Kinect's is up to 2.5 times too small."""
+
 _UNKNOWN = np.empty(0)
 _SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth of a surface: where the table has entries
 
@@ -59,8 +62,12 @@ class Given(NamedTuple):
         return np.asarray(self.sigma(moments[:, 3] / pixels) ** 2 * factors)
 
 
-def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given) -> Noise:
-    """Noise of a frame: what is not given, the frame says, see `segment_noise_estimation.estimate_noise`.
+def noise_of(
+    frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given
+) -> tuple[Noise, bool]:
+    """Noise of a frame, and whether the frame is far rougher than what is given of it, even where it is flattest.
+
+    What is not given, the frame says: see `segment_noise_estimation.estimate_noise`.
 
     Parameters
     ----------
@@ -80,6 +87,8 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
         if given.at_large:
             known = np.concatenate([step, table])
     typical, own_lateral, together = estimate_noise(pyramid, known, growth)
+    expected = 0.0 if given.sigma is None else 1.0 if given.at_large else table.max()
+    is_rougher = bool(0.0 < UNLIKE * expected < typical**0.5)
     if given.sigma is None:
         # Between the first two entries it is not to fall to nothing: far surfaces may lie there.
         table = np.maximum(np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, q))
@@ -87,7 +96,7 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
     lateral = given.lateral or own_lateral
-    return Noise(
+    noise = Noise(
         sigma=np.concatenate([step, np.maximum(table, flattest)]),
         lateral=lateral**2,
         lateral_x=(lateral * rays.pitch_x) ** 2,
@@ -95,6 +104,7 @@ def noise_of(frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, gi
         growth=growth,
         together=together,
     )
+    return noise, is_rougher
 
 
 def _rounding(frame: DepthFrame, q: Floats) -> Floats:

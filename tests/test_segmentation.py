@@ -24,7 +24,7 @@ from rgbd_planes.kernels import segment_blocks, segment_inside
 from rgbd_planes.kernels.segment_noise_estimation import quantile
 from rgbd_planes.kernels.segment_records import Rays
 from rgbd_planes.metrics import compare_labels, plane_errors
-from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -332,6 +332,18 @@ def test_noise_can_be_given():
         segment(depth, CAMERA, noise="kinect")
     with pytest.raises(ValueError, match="min_size must be at least 3"):
         segment(depth, CAMERA, min_size=2)
+
+
+@pytest.mark.parametrize("noise", [1e-4, lambda q: 1e-4 + 0.0 * q, kinect_v1()])
+def test_the_noise_of_another_sensor_is_doubted(noise):
+    """Where it costs planes: a frame of outliers is rough as well."""
+    rendering = scenes.room().render(CAMERA)
+    rng = np.random.default_rng(1)
+    depth = np.rint(1000.0 / (1.0 / rendering.depth + rng.normal(0.0, 1e-2, CAMERA.shape))).astype(np.int32)
+    with pytest.warns(UserWarning, match="several times as rough as the noise that is given"):
+        segment(depth, CAMERA, noise=noise)
+    strewn = np.where(rng.random(CAMERA.shape) < 0.05, 700, rendering.measure(seed=1))
+    assert len(segment(strewn, CAMERA, noise=kinect_v1())) > 15
 
 
 def room_of_correlated_noise(sigma, pixels):
