@@ -23,6 +23,7 @@ from rgbd_planes.depth import warn_caller
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise_evidence import evidence_of
 from rgbd_planes.noise_samples import (
+    EXACT,
     FEWEST_WINDOWS,
     MOST_MISSING,
     REFERENCE,
@@ -49,7 +50,6 @@ LATERALS = np.linspace(0.0, 1.2, 25)
 SPREADS = np.linspace(0.0, 1.5, 61)
 """Candidates for the spread: of real sensors none was above 1.1."""
 _TAIL = 0.95  # quantile at which the spread is matched: above are also tiles that are not flat
-_EXACT = 1e-9  # residuals below this share of 1/Z are rounding errors of float64
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
 _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
 _UNEVEN = 3.0  # of windows that are as they should be: 1.1 to 1.6 with real sensors
@@ -115,7 +115,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         )
     samples = all_samples(tiles, flat)
     for some in samples.values():
-        if np.median(some.rss / (some.count * some.q**2)) < _EXACT**2:
+        if np.median(some.rss / (some.count * some.q**2)) < EXACT**2:
             raise ValueError(
                 "expected frames with noise, got flat tiles without any residual but that of rounding: "
                 "rendered without noise?"

@@ -18,6 +18,8 @@ REFERENCE = 12
 MOST_MISSING = 0.1
 """Share of the pixels of a tile."""
 FEWEST_WINDOWS = 16
+EXACT = 1e-9
+"""Residuals below this share of 1/Z are rounding errors of float64."""
 # How many times the usual a window's residual may be over those of its parts, at least and at most.
 _BENT = 1.02, 1.6
 _DEVIATIONS = 5.0  # and, in between, how many times as far above the usual as the smaller ones are below
@@ -154,7 +156,7 @@ def flat_windows(
     inside = _of_parts(planes, small)
     good = planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * window * window)
     good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
-    good &= planes.rmse > 0.0
+    good &= _varied(planes)
     if flat_parts is not None:
         good &= _all_flat(flat_parts, window // WINDOW, rows, columns)
     flat = np.zeros(planes.shape, bool)
@@ -188,6 +190,13 @@ def _of_parts(planes: TilePlanes, small: TilePlanes) -> Floats:
     inside[:, : small.shape[1], : small.shape[2]] = small.rmse
     inside = np.moveaxis(inside.reshape(frames, rows, parts, columns, parts), 3, 2)
     return inside.reshape(frames, rows, columns, parts * parts)
+
+
+def _varied(planes: TilePlanes) -> npt.NDArray[np.bool_]:
+    """Tiles in which not all measurements are the same, as where there is one depth for all beyond the range."""
+    n, sum_q, sum_qq = np.moveaxis(planes._moments, 1, 0)[[0, 3, 9]]
+    spread = (sum_qq - sum_q**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
+    return np.asarray((planes.rmse > 0.0) & (spread * _depth(planes) ** 2 > EXACT**2))
 
 
 def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -> npt.NDArray[np.bool_]:

@@ -183,6 +183,15 @@ def test_frames_without_noise():
         rp.estimate_noise([rendering(*VIEWS[0]).depth], CAMERA)
 
 
+def test_one_depth_for_all_that_is_beyond_the_range_is_no_measure_of_noise():
+    camera = rp.Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+    views = [rp.scenes.room((0.35 + 0.02 * i, -1.5, -0.2)).render(camera) for i in range(3)]
+    frames = [view.measure(noise=2e-3, holes=0.02, quantise=False, seed=i) for i, view in enumerate(views)]
+    for reach in (3.0, 3.4):
+        model = rp.estimate_noise([np.where(depth > reach, 10.0, depth) for depth in frames], camera)
+        np.testing.assert_allclose(model.sigma([0.3, 0.4, 0.6]), 2e-3, rtol=0.1)
+
+
 def test_all_tiles_at_one_depth(rng):
     """Bins by depth may have the very same one."""
     pattern = 20000 + rng.integers(-50, 51, (12, 12))
