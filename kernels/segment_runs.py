@@ -47,6 +47,12 @@ def put_below(a, y, last, above_label, above_row):
 
 
 @kernel(inline=True)
+def rows_up(a, y, above_label, above_row):
+    """How many rows above a pixel the one lies from which its label ``a`` goes on; 0 where it does not."""
+    return y - above_row if (a >= 0) & (above_label == a) & (y - above_row <= GAP + 1) else 0
+
+
+@kernel(inline=True)
 def label_of(owner, pixel_owner, number, y, x):
     """Label of a pixel; below 0 is none."""
     row, column = y // BLOCK, x // BLOCK
@@ -83,7 +89,6 @@ def find_runs(owners, number, width, height, runs, loose):
     first, run_start, run_stop, run_label, _, parent, _ = runs
     rows, columns = owner.shape
     run_count = loose_count = 0
-    this_first = row_first = two_first = 0  # first run of this row, of the row above, and the one above that
     above_label = np.full(width, -1, np.int32)
     above_row = np.full(width, -GAP - 2, np.int32)
     starts = np.empty(columns, np.int64)  # stretches of blocks of one label in a row, and of no label
@@ -100,8 +105,8 @@ def find_runs(owners, number, width, height, runs, loose):
                 count += 1
         top = row * BLOCK
         for y in range(top, min(top + BLOCK, height)):
-            two_first, row_first, this_first = row_first, this_first, run_count
-            first[y] = run_count
+            first[y] = this_first = run_count
+            reach = 2  # rows up to those that this row's runs may go on from
             for i in range(count):
                 left = starts[i] * BLOCK
                 right = min((starts[i + 1] if i + 1 < count else columns) * BLOCK, width)
@@ -109,6 +114,8 @@ def find_runs(owners, number, width, height, runs, loose):
                 if a >= 0:
                     new = 0
                     if y == top:
+                        for x in range(left, right):
+                            reach = max(reach, rows_up(a, y, above_label[x], above_row[x]))
                         new = put_below(a, y, y + BLOCK - 1, above_label[left:right], above_row[left:right])
                     run_count = put_run(left, right, a, new, this_first, run_count, runs)
                 elif a == MIXED:
@@ -122,6 +129,7 @@ def find_runs(owners, number, width, height, runs, loose):
                         new = 0
                         while x < right and pixel_owner[block, k + x] == b:
                             new += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+                            reach = max(reach, rows_up(a, y, above_label[x], above_row[x]))
                             if a >= 0:
                                 above_label[x] = a
                                 above_row[x] = y
@@ -132,8 +140,8 @@ def find_runs(owners, number, width, height, runs, loose):
                             x += 1
                         if a >= 0:
                             run_count = put_run(start, x, a, new, this_first, run_count, runs)
-            for lines in range(1, 3):
-                j, stop = (row_first, this_first) if lines == 1 else (two_first, row_first)
+            for lines in range(1, min(y, reach) + 1):
+                j, stop = first[y - lines], first[y - lines + 1]
                 for i in range(this_first, run_count):
                     while j < stop and run_stop[j] < run_start[i]:
                         j += 1
@@ -141,7 +149,10 @@ def find_runs(owners, number, width, height, runs, loose):
                     while k < stop and run_start[k] <= run_stop[i]:
                         if run_label[k] == run_label[i] and parent[k] != parent[i]:
                             x = max(run_start[i], run_start[k])
-                            if lines == 1 or label_of(owner, pixel_owner, number, y - 1, x) < 0:
+                            above = y - 1
+                            while above > y - lines and label_of(owner, pixel_owner, number, above, x) < 0:
+                                above -= 1
+                            if above == y - lines:
                                 unite(parent, i, k)
                         k += 1
     first[height] = run_count

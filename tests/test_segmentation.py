@@ -575,6 +575,26 @@ def test_one_depth_for_all_that_is_beyond_the_range_is_not_taken_for_no_noise(re
         assert sigma_so == pytest.approx(sigma, rel=0.05)
 
 
+def test_a_row_of_pixels_is_no_plane():
+    # Of every three rows one is measured: they are apart, and none of them determines a plane.
+    depth = scenes.room().render(CAMERA).measure(quantise=False)
+    depth[np.arange(CAMERA.height) % 3 != 0] = np.nan
+    found = segment(depth, CAMERA)
+    assert np.isfinite(found.planes).all()
+    for label in range(1, len(found) + 1):
+        assert len(np.unique(np.nonzero(found.labels == label)[0])) > 1
+
+
+@pytest.mark.parametrize(("measured", "of"), [(2, 4), (2, 5), (3, 6)])
+def test_planes_go_on_across_three_missing_rows(measured, of):
+    rendering = scenes.room().render(CAMERA)
+    depth = rendering.measure(quantise=False)
+    depth[np.arange(CAMERA.height) % of >= measured] = np.nan
+    found = segment(depth, CAMERA)
+    truth = np.where(np.isfinite(depth), rendering.labels, 0)
+    assert compare_labels(found.labels, truth).hoover(0.8).correct >= 12
+
+
 def test_steps_larger_than_the_noise_are_not_taken_for_no_noise():
     camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
     rendering = scenes.room().render(camera)
