@@ -21,6 +21,9 @@ FEWEST_BLOCKS, MOST_BLOCKS = 4, 160
 MIXTURE = 0.5  # residual, as a share of the mean inverse depth, of a square of what is near and what is far
 SOLID = 2  # level of the squares that are too large to be a speck
 LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
+# Where the second is so many times the first, it is that of edges or outliers, of which more squares are full than is
+# usual: of real sensors it is 1.2 to 2.1 times. Lower quantiles tell then, unless they are of no noise at all.
+LEAP, NOTHING, LOWEST = 4.0, 1e6, 0.05
 STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
 FLAT = 4.0  # variances of a square that holds one surface
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
@@ -295,6 +298,10 @@ def estimate_noise(pyramid, sigma, growth):
         if level == 1:
             typical = quantile(values[:count], TYPICAL)
             smallest = quantile(values[:count], LOW)
+            share = LOW
+            while share > LOWEST and LEAP * smallest < typical < NOTHING * smallest:
+                share *= 0.5
+                typical, smallest = smallest, quantile(values[:count], share)
             lateral = lateral_of(mean_square[:count], slope_square[:count], typical)
         elif smallest > 0.0:
             clean = keep_clean_squares(pyramid, level, sigma, FLAT * typical, mean_square)
