@@ -12,6 +12,7 @@ from .segment_blocks import BLOCK, MISSING, MIXED
 
 # Missing pixels in a row that still are holes in a surface.
 GAP = 3
+REACH = np.int32(GAP + 1)
 
 
 @kernel(inline=True)
@@ -34,22 +35,28 @@ def put_run(start, stop, a, starts, first, count, runs):
 
 
 @kernel(inline=True)
+def rows_up(a, y, above_label, above_row):
+    """How many rows above a pixel the one lies from which its label ``a`` goes on; 0 where it does not."""
+    up = y - above_row
+    return up if (above_label == a) & (up <= REACH) else np.int32(0)
+
+
+@kernel(inline=True)
 def put_below(a, y, last, above_label, above_row):
-    """How many pixels of a run have no label ``a`` above them; below them, up to row ``last``, they have one."""
-    starts = 0
+    """How many pixels of a run have no label ``a`` above them; below them, up to row ``last``, they have one.
+
+    And how many rows above is the farthest from which one goes on: see `rows_up`.
+    """
+    starts = farthest = np.int32(0)  # no wider than what they count: more fit into the processor's vectors
     for x in range(len(above_label)):
-        starts += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
+        up = rows_up(a, y, above_label[x], above_row[x])
+        starts += np.int32(up == 0)
+        farthest = max(farthest, up)
     for x in range(len(above_label)):
         above_label[x] = a
     for x in range(len(above_row)):
         above_row[x] = last
-    return starts
-
-
-@kernel(inline=True)
-def rows_up(a, y, above_label, above_row):
-    """How many rows above a pixel the one lies from which its label ``a`` goes on; 0 where it does not."""
-    return y - above_row if (a >= 0) & (above_label == a) & (y - above_row <= GAP + 1) else 0
+    return starts, farthest
 
 
 @kernel(inline=True)
@@ -114,9 +121,10 @@ def find_runs(owners, number, width, height, runs, loose):
                 if a >= 0:
                     new = 0
                     if y == top:
-                        for x in range(left, right):
-                            reach = max(reach, rows_up(a, y, above_label[x], above_row[x]))
-                        new = put_below(a, y, y + BLOCK - 1, above_label[left:right], above_row[left:right])
+                        new, up = put_below(
+                            np.int32(a), np.int32(y), y + BLOCK - 1, above_label[left:right], above_row[left:right]
+                        )  # fmt: skip
+                        reach = max(reach, up)
                     run_count = put_run(left, right, a, new, this_first, run_count, runs)
                 elif a == MIXED:
                     block = row * columns + starts[i]
@@ -128,9 +136,10 @@ def find_runs(owners, number, width, height, runs, loose):
                         a = number[b] if b >= 0 else -1
                         new = 0
                         while x < right and pixel_owner[block, k + x] == b:
-                            new += (above_label[x] != a) | (y - above_row[x] > GAP + 1)
-                            reach = max(reach, rows_up(a, y, above_label[x], above_row[x]))
+                            up = rows_up(np.int32(a), np.int32(y), above_label[x], above_row[x])
+                            new += up == 0
                             if a >= 0:
+                                reach = max(reach, up)
                                 above_label[x] = a
                                 above_row[x] = y
                             elif b != MISSING:
