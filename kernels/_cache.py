@@ -73,7 +73,8 @@ class Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file = CacheFiles(self._cache_path, self._impl.filename_base)
+        with contextlib.suppress(AttributeError):  # a later Numba's inside is another: its own files then
+            self._cache_file = CacheFiles(self._cache_path, self._impl.filename_base)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for these types, or None."""

@@ -145,6 +145,12 @@ def varied_squares(pyramid):
     return Pyramid(moments, rss, slope, offsets, shapes)
 
 
+@kernel(inline=True)
+def is_measured(moments, rss, level, i):
+    """Whether square ``i`` of a level has enough pixels, and these a plane."""
+    return (moments[0, i] >= FULL * (BLOCK << level) ** 2) & (rss[i] >= 0.0)
+
+
 @kernel()
 def square_residuals(pyramid, level, sigma, mean_square, slope_square):
     """Mean squared residual and squared slope of the squares of a level that have a plane; how many there are.
@@ -152,10 +158,9 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
     Both in variances, where ``sigma`` says what these are: see `expected_variance`.
     """
     moments, rss, slope = pyramid.moments, pyramid.rss, pyramid.slope
-    least = FULL * (BLOCK << level) ** 2
     count = 0
     for i in range(pyramid.offsets[level], pyramid.offsets[level + 1]):
-        if moments[0, i] < least or rss[i] < 0.0:
+        if not is_measured(moments, rss, level, i):
             continue
         expected = expected_variance(moments[3, i] / moments[0, i], sigma)
         mean_square[count] = rss[i] / (moments[0, i] - 3.0) / expected
@@ -180,12 +185,12 @@ def keep_clean_squares(pyramid, level, sigma, most, mean_square):
     ``mean_square`` is that of `square_residuals`, whose first entries become those of the squares kept.
     """
     moments, rss, _, offsets, shapes = pyramid
-    least, side = FULL * (BLOCK << level) ** 2, 1 << (level - 1)
+    side = 1 << (level - 1)
     seen = count = 0
     for row in range(shapes[level, 0]):
         for column in range(shapes[level, 1]):
             i = offsets[level] + row * shapes[level, 1] + column
-            if moments[0, i] < least or rss[i] < 0.0:
+            if not is_measured(moments, rss, level, i):
                 continue
             clean = True
             for r in range(row * side, row * side + side):

@@ -10,7 +10,7 @@ from ._jit import kernel
 from .disjoint_sets import unite
 from .segment_blocks import BLOCK, MISSING, MIXED
 
-# Missing pixels in a row that still are holes in a surface.
+# Missing pixels in a row that still are holes in a surface; and rows, or columns, from one side of them to the other.
 GAP = 3
 REACH = np.int32(GAP + 1)
 

@@ -58,10 +58,8 @@ def alone_in(folder: Path) -> Iterator[None]:
             pass
         yield
     finally:
-        with suppress(OSError):
-            fcntl.flock(
-                handle, fcntl.LOCK_UN
-            )  # a child that was forked meanwhile would keep what is only closed
+        with suppress(OSError):  # what is only closed, a child that was forked meanwhile would keep locked
+            fcntl.flock(handle, fcntl.LOCK_UN)
         os.close(handle)
 
 

@@ -254,8 +254,9 @@ class TileFitter:
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
         arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
-        if out._asked_for is not None:
-            arrays["_statistics"] = out._asked_for.rows
+        statistics = out._asked_for
+        if statistics is not None:
+            arrays["_statistics"] = statistics.rows
         return arrays
 
     def _result(self, arrays: Arrays) -> TilePlanes:

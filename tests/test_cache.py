@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.caching import FunctionCache
 
 SOURCE = "from rgbd_planes.kernels._jit import kernel\n@kernel()\ndef twice(x): return x + x\n"
 
@@ -100,3 +101,18 @@ def test_a_kernel_that_is_recompiled_forgets_its_files(of_a_process, files):
     assert loaded(again) == (1, 0)
     assert again(3) == 6
     assert loaded(again) == (1, 1)
+
+
+def test_a_later_numba_keeps_its_own_files(of_a_process, monkeypatch):
+    """Where those are, and how they are named, is known by names that are not public."""
+    begin = FunctionCache.__init__
+
+    def begin_otherwise(self: Any, function: Any) -> None:
+        begin(self, function)
+        del self._impl._filename_base
+
+    monkeypatch.setattr(FunctionCache, "__init__", begin_otherwise)
+    assert of_a_process()(3) == 6
+    twice = of_a_process()
+    assert twice(3) == 6
+    assert loaded(twice) == (1, 0)
