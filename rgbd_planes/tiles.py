@@ -338,9 +338,9 @@ def fit_tiles(
     Parameters
     ----------
     depth : (H, W) array_like
-        Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
-        ``disparity``, disparities. Missing is NaN, infinity, 0 and negative depth, one of the camera's
-        ``invalid_values`` or outside its ``depth_range``.
+        Along the optical axis, not along the ray. Integers in the camera's ``depth_scale`` or ``disparity``, or
+        floats: metres, or, where the camera has ``disparity``, disparities. Missing is NaN, infinity, 0 and
+        negative depth, one of the camera's ``invalid_values`` or outside its ``depth_range``.
     camera, tile, method, implementation, max_missing, max_error, significance, num_threads
         As in `TileFitter`.
 

@@ -94,7 +94,7 @@ def printed(page, number, files, monkeypatch):
 
 
 def test_what_the_page_on_calibration_says_comes_out(files, monkeypatch):
-    lines = printed("howto/calibration.md", 3, files, monkeypatch).splitlines()
+    lines = printed("howto/calibration.md", 4, files, monkeypatch).splitlines()
     assert "is it a colour image?" in lines[0]
     assert "is it transposed, or are the camera's width and height swapped?" in lines[1]
     number = r"([\d.]+)"
@@ -108,6 +108,9 @@ def test_what_the_page_on_calibration_says_comes_out(files, monkeypatch):
     exact, bent = (float(re.search(rf"up to {number} mm", line)[1]) for line in lines[4:6])
     assert exact < 0.005
     assert 0.5 < bent < 1.0
+    bulge, depth = ([float(value) for value in re.findall(number, line)] for line in lines[6:8])
+    assert bulge == pytest.approx([110.0, 0.1, 19.4], abs=0.5)
+    assert depth == [0.0, 0.0, 0.0]
 
 
 def test_what_the_page_on_bent_floors_says_comes_out(files, monkeypatch):
