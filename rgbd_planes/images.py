@@ -1,4 +1,4 @@
-"""Depth frames in files: PNG, TIFF, PGM, NPY, NPZ."""
+"""Depth frames in files: PNG, TIFF, PGM, PFM, NPY, NPZ."""
 
 import os
 import re
@@ -22,8 +22,8 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     Parameters
     ----------
     path : path
-        A .png (2 to 16 bits), .tif or .tiff (integers of 2 to 32 bits, or float32), .pgm (8 or 16 bits), .npy,
-        or .npz with one array.
+        A .png (2 to 16 bits), .tif or .tiff (integers of 2 to 32 bits, or float32), .pgm (8 or 16 bits), .pfm
+        (float32), .npy, or .npz with one array. Of an array, a first or last axis of one channel is left out.
 
     Returns
     -------
@@ -45,7 +45,10 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     file = existing_file(path)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
-        raise ValueError(f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}")
+        raise ValueError(
+            f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}: "
+            "numpy.save writes what another library has read as .npy"
+        )
     frame = reader(file)
     if frame.ndim != 2 or 0 in frame.shape:
         raise ValueError(f"{path}: expected one depth image (height, width), got shape {frame.shape}")
@@ -188,25 +191,43 @@ def _read_pgm(path: Path) -> Frame:
         raise ValueError(f"{path}: expected a largest value of 1 to 65535 in the PGM header, got {largest}")
     dtype = np.dtype(np.uint8 if largest < 256 else np.uint16)
     if header[1] == b"5":
-        start = header.end()
-        # One character ends the header. Where it is the first of a Windows line end, there is a byte too many.
-        if (
-            content[start - 1 : start + 1] == b"\r\n"
-            and len(content) - start > height * width * dtype.itemsize
-        ):
-            start += 1
-        pixels = content[start:]
-        count = len(pixels) // dtype.itemsize
-        values = np.frombuffer(pixels, dtype.newbyteorder(">"), min(count, height * width))
+        values = _pixels(content, header.end(), dtype.newbyteorder(">"), height * width)
     else:
         try:
             values = np.array(content[header.end() :].split(), dtype=dtype)
         except (ValueError, OverflowError):
             raise ValueError(f"{path}: expected numbers from 0 to {largest} in the PGM image") from None
-        count = len(values)
-    if count < height * width:
-        raise ValueError(f"{path}: truncated PGM image: {count} of {height * width} pixels")
+    if len(values) < height * width:
+        raise ValueError(f"{path}: truncated PGM image: {len(values)} of {height * width} pixels")
     return values[: height * width].astype(dtype).reshape(height, width)
+
+
+_PFM_HEADER = re.compile(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)\s")
+
+
+def _read_pfm(path: Path) -> Frame:
+    content = path.read_bytes()
+    header = _PFM_HEADER.match(content)
+    if header is None:
+        raise ValueError(f"{path}: not a PFM image, or damaged")
+    kind, width, height, scale = header[1], int(header[2]), int(header[3]), header[4]
+    if kind == b"F":
+        raise ValueError(f"{path}: expected one depth image of one channel, got a colour image (PF)")
+    # The scale is for display; its sign tells the byte order.
+    values = _pixels(
+        content, header.end(), np.dtype("<f4" if scale.startswith(b"-") else ">f4"), height * width
+    )
+    if len(values) < height * width:
+        raise ValueError(f"{path}: truncated PFM image: {len(values)} of {height * width} pixels")
+    return values.reshape(height, width)[::-1].astype(np.float32)  # the lowest row comes first
+
+
+def _pixels(content: bytes, start: int, dtype: np.dtype[Any], count: int) -> Frame:
+    """The numbers after a header, as many as there are, up to a count."""
+    # One character ends the header. Where it is the first of a Windows line end, there is a byte too many.
+    if content[start - 1 : start + 1] == b"\r\n" and len(content) - start > count * dtype.itemsize:
+        start += 1
+    return np.frombuffer(content, dtype, min(count, (len(content) - start) // dtype.itemsize), start)
 
 
 def _read_npy(path: Path) -> Frame:
@@ -214,7 +235,7 @@ def _read_npy(path: Path) -> Frame:
         if file.read(6) != b"\x93NUMPY":
             raise ValueError(f"{path}: not an NPY file")
     try:
-        return np.asarray(np.load(path, allow_pickle=False))
+        return _one_channel(np.load(path, allow_pickle=False))
     except Exception as error:  # also of the tokens of Python that the header is made of
         raise ValueError(f"{path}: damaged or truncated NPY file ({error})") from error
 
@@ -225,10 +246,17 @@ def _read_npz(path: Path) -> Frame:
             names = [name.removesuffix(".npy") for name in archive.namelist()]
         if len(names) == 1:
             with np.load(path, allow_pickle=False) as arrays:
-                return np.asarray(arrays[names[0]])
+                return _one_channel(arrays[names[0]])
     except Exception as error:  # of the archive, of its compression, or of the array
         raise ValueError(f"{path}: damaged or truncated NPZ file ({error})") from error
     raise ValueError(f"{path}: expected an NPZ file with one array, got {len(names)}: {', '.join(names)}")
+
+
+def _one_channel(array: Frame) -> Frame:
+    """The array without axes of one, as simulators give it last and neural networks first."""
+    while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):
+        array = array[..., 0] if array.shape[-1] == 1 else array[0]
+    return np.asarray(array)
 
 
 _READERS: dict[str, Callable[[Path], Frame]] = {
@@ -236,6 +264,7 @@ _READERS: dict[str, Callable[[Path], Frame]] = {
     ".tif": _read_tiff,
     ".tiff": _read_tiff,
     ".pgm": _read_pgm,
+    ".pfm": _read_pfm,
     ".npy": _read_npy,
     ".npz": _read_npz,
 }

@@ -195,6 +195,45 @@ def test_pgm_headers_of_windows(tmp_path, largest, first):
         assert np.array_equal(images.read_depth(tmp_path / "depth.pgm"), frame)
 
 
+def pfm(frame, order="<", end="\n"):
+    height, width = frame.shape
+    header = end.join(["Pf", f"{width} {height}", f"{'-' if order == '<' else ''}0.003922", ""])
+    return header.encode() + frame[::-1].astype(f"{order}f4").tobytes()
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", " "])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_pfm(tmp_path, order, end):
+    frame = a_frame(np.float32)
+    frame[3, 4:6] = np.inf, np.nan
+    (tmp_path / "disparity.pfm").write_bytes(pfm(frame, order, end))
+    read = images.read_depth(tmp_path / "disparity.pfm")
+    assert read.dtype == np.float32
+    assert read.dtype.isnative
+    assert np.array_equal(read, frame, equal_nan=True)
+    (tmp_path / "disparity.pfm").write_bytes(pfm(frame, order).replace(b"Pf", b"PF", 1))
+    with pytest.raises(ValueError, match="colour image"):
+        images.read_depth(tmp_path / "disparity.pfm")
+
+
+def test_pfm_is_as_pillow_has_it(tmp_path):
+    pytest.importorskip("PIL", "10.3")
+    (tmp_path / "disparity.pfm").write_bytes(pfm(a_frame(np.float32)))
+    with Image.open(tmp_path / "disparity.pfm") as image:
+        assert np.array_equal(images.read_depth(tmp_path / "disparity.pfm"), np.array(image))
+
+
+@pytest.mark.parametrize("index", [np.s_[..., None], np.s_[None], np.s_[None, None], np.s_[None, ..., None]])
+def test_the_axis_of_the_one_channel_is_left_out(tmp_path, index):
+    frame = a_frame(np.float32)
+    np.save(tmp_path / "depth.npy", frame[index])
+    np.savez(tmp_path / "depth.npz", frame[index])
+    for name in ("depth.npy", "depth.npz"):
+        read = images.read_depth(tmp_path / name)
+        assert read.dtype == frame.dtype
+        assert np.array_equal(read, frame)
+
+
 @pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32, np.float64])
 def test_arrays_come_back_as_they_were_stored(tmp_path, dtype):
     frame = a_frame(dtype)
@@ -224,7 +263,7 @@ def test_missing_file_and_unknown_suffix(tmp_path):
         images.read_depth(tmp_path / "gone.png")
     for name in ("depth.jpg", "depth"):
         (tmp_path / name).touch()
-        with pytest.raises(ValueError, match=r"must be one of \.png, \.tif"):
+        with pytest.raises(ValueError, match=r"must be one of \.png, \.tif.*numpy\.save"):
             images.read_depth(tmp_path / name)
     for folder in (tmp_path, tmp_path / "folder.png"):
         folder.mkdir(exist_ok=True)
@@ -238,6 +277,8 @@ def encoded(suffix):
     frame, buffer = a_frame(), io.BytesIO()
     if suffix == ".pgm":
         return f"P5 {frame.shape[1]} {frame.shape[0]} 65535\n".encode() + frame.astype(">u2").tobytes()
+    if suffix == ".pfm":
+        return pfm(frame)
     if suffix == ".npy":
         np.save(buffer, frame)
     elif suffix == ".npz":
@@ -247,7 +288,7 @@ def encoded(suffix):
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".pfm", ".npy", ".npz"])
 @pytest.mark.filterwarnings("ignore:Corrupt EXIF data")  # what Pillow says on top
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.01, 0.1, 0.5, 0.9])
 def test_a_truncated_file_is_an_error_that_names_it(tmp_path, suffix, share):
@@ -259,7 +300,7 @@ def test_a_truncated_file_is_an_error_that_names_it(tmp_path, suffix, share):
         images.read_depth(tmp_path / f"depth{suffix}")
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".pfm", ".npy", ".npz"])
 @pytest.mark.filterwarnings("ignore")  # what libraries say on top
 def test_a_file_with_some_bytes_wrong_is_read_or_an_error_that_names_it(tmp_path, suffix):
     path, whole, rng = tmp_path / f"depth{suffix}", encoded(suffix), np.random.default_rng(0)
@@ -276,7 +317,7 @@ def test_a_file_with_some_bytes_wrong_is_read_or_an_error_that_names_it(tmp_path
         assert str(path) in said
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".npy", ".npz"])
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".pfm", ".npy", ".npz"])
 def test_a_file_of_another_format(tmp_path, suffix):
     Image.fromarray(a_frame(np.uint8)).save(tmp_path / "image.jpg")
     (tmp_path / f"depth{suffix}").write_bytes((tmp_path / "image.jpg").read_bytes())

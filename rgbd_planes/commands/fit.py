@@ -18,7 +18,7 @@ from rgbd_planes.commands.arguments import (
 
 
 def fit(parser: argparse.ArgumentParser) -> Run:
-    """Fit a plane to every tile of a depth image (PNG, TIFF, PGM, NPY, NPZ).
+    """Fit a plane to every tile of a depth image (PNG, TIFF, PGM, PFM, NPY, NPZ).
 
     example: rgbd-planes fit depth.png --camera camera.json --figure planes.png
     """
