@@ -122,6 +122,29 @@ def test_what_the_page_on_bent_floors_says_comes_out(files, monkeypatch):
     assert tilt[1] < 0.45 * tilt[0]
 
 
+def test_what_the_page_on_depth_formats_says_comes_out(files, monkeypatch):
+    monkeypatch.chdir(files)
+    out, page = io.StringIO(), {}
+    with contextlib.redirect_stdout(out):
+        for _, code in blocks(ROOT / "docs/howto/depth-formats.md"):
+            exec(code, page)
+    camera, depth = page["camera"], page["depth"]
+    across = np.degrees(np.arctan(camera.tan_x[0, [0, -1]]) + np.array([-1.0, 1.0]) * 0.5 / camera.fx)
+    assert across == pytest.approx([-45.0, 45.0], abs=0.1)
+    codes = np.arange(65536, dtype=np.uint16)  # of millimetres
+    assert np.array_equal(page["of_sun_rgbd"]((codes << 3) | (codes >> 13)), codes)
+    colours = (
+        np.rint(depth.astype(float) / 1000.0 * (2**24 - 1)).astype("<u4").view(np.uint8).reshape(480, 640, 4)
+    )
+    np.testing.assert_allclose(page["of_carla"](colours), depth, atol=1e-4)
+    np.testing.assert_allclose(page["of_carla"](colours[..., [2, 1, 0, 3]][..., 2::-1]), depth, atol=1e-4)
+    fx = camera.fx
+    np.testing.assert_allclose(page["middlebury"].points(0.193 * fx / depth - 31.0)[..., 2], depth, rtol=1e-5)
+    kitti = np.rint(256.0 * 0.54 * fx / depth).astype(np.uint16)
+    np.testing.assert_allclose(page["kitti"].points(kitti)[..., 2], depth, rtol=1e-4)
+    assert float(re.search(r"([\d.]+)% of the pixels", out.getvalue())[1]) > 99.0
+
+
 def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
     ours, explicit, pca = (
         float(value)
