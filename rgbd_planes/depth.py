@@ -28,6 +28,7 @@ _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float3
 
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
+_LARGEST = 65535  # of 16 bits; no sensor measures it, some write it for what they did not measure
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
 _GRAIN, _GRAIN_OF_DISPARITY = 1e-5, 1.0 / 256.0  # metres, raw units
@@ -109,6 +110,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         A frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
         farther says that it is not. A frame of 8 bits that ends before 1 m: most likely a picture, unless
         `depth_range` ends before that, too.
+        A frame of 16 bits in which 65535 counts as depth and is more than a stray: most likely missing.
 
     Notes
     -----
@@ -147,6 +149,8 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         camera.depth_range,
         camera.invalid_values,
     )
+    if disparity is None and highest == _LARGEST and raw.dtype == np.uint16:
+        _warn_of_the_largest(raw)
     if holes:
         raw, lowest, highest = _without(raw, holes, lowest, highest, missing)
     raw = raw.view()
@@ -218,6 +222,15 @@ def _warn_of_units(
         warn_caller(
             f"with a depth_scale of {depth_scale:g} per metre most of this frame is beyond "
             f"{_PLAINLY_NOT_METRES:g} m: is it in millimetres, depth_scale=1000?"
+        )
+
+
+def _warn_of_the_largest(raw: NDArray[Any]) -> None:
+    """Warn of a number that most likely means missing, and would count as a far plane."""
+    if np.count_nonzero(some_of(raw) == _LARGEST) > 10:  # a hundredth
+        warn_caller(
+            f"many pixels are {_LARGEST}, the largest number of 16 bits: are they missing? A camera with "
+            f"invalid_values=({_LARGEST},) says so, or with a depth_range that ends before"
         )
 
 

@@ -358,7 +358,8 @@ def fit_tiles(
     -----
     UserWarning
         The frame is most likely not in the units that the camera says: most of it is beyond 50 m, or all of it is
-        nearer than 1 m in 8 bits.
+        nearer than 1 m in 8 bits; or many of its pixels are 65535, the largest number of 16 bits, which most
+        likely means missing.
     """
     fitter = TileFitter(
         camera,

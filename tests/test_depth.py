@@ -56,6 +56,7 @@ codes = st.one_of(st.integers(0, 65535), st.sampled_from([0, 1, 2047, 65534, 655
 
 
 @pytest.mark.filterwarnings("ignore:with a depth_scale of")  # the units are any
+@pytest.mark.filterwarnings("ignore:many pixels are 65535")
 @given(
     depth=hnp.arrays(np.uint16, (4, 6), elements=codes),
     unit=units,
@@ -243,7 +244,24 @@ def test_integers_in_unlikely_units_draw_a_warning():
         as_depth_frame(picture, camera((480, 640), depth_scale=1000.0, depth_range=(0, 0.2)))
         as_depth_frame(depth, camera((480, 640), depth_scale=1.0, depth_range=(1, 4000)))
         as_depth_frame(picture, camera((480, 640), depth_scale=100.0))
-        as_depth_frame(np.full((480, 640), 65535, np.uint16), camera((480, 640), depth_scale=1000.0))
+        as_depth_frame(np.full((480, 640), 65534, np.uint16), camera((480, 640), depth_scale=1000.0))
+
+
+def test_the_largest_number_of_16_bits_is_most_likely_missing():
+    depth = np.full((480, 640), 1500, np.uint16)
+    depth[40:80, 200:500] = 65535
+    for scale in (1000.0, 5000.0, 256.0):
+        with pytest.warns(UserWarning, match=r"are they missing.*invalid_values=\(65535,\)") as caught:
+            as_depth_frame(depth, camera((480, 640), depth_scale=scale))
+        assert caught[0].filename == __file__
+    stray = np.where(np.indices(depth.shape).sum(axis=0) % 400 == 0, depth, 1500).astype(np.uint16)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_depth_frame(stray, camera((480, 640), depth_scale=1000.0))
+        as_depth_frame(depth, camera((480, 640), depth_scale=1000.0, invalid_values=(65535,)))
+        as_depth_frame(depth, camera((480, 640), depth_scale=1000.0, depth_range=(0, 20)))
+        as_depth_frame(depth, camera((480, 640), disparity=(1e-4, 0.0)))
+        as_depth_frame(depth / np.float32(1000.0), camera((480, 640)))
 
 
 @pytest.mark.parametrize("far", [0, 0.4, 0.49])

@@ -166,6 +166,7 @@ def test_frames_smaller_than_the_window(shape, rng):
     assert np.isfinite(rp.normals(depth, camera)).all() == (min(shape) > 1)
 
 
+@pytest.mark.filterwarnings("ignore:many pixels are 65535")
 @settings(max_examples=40, deadline=None)
 @given(
     height=st.integers(1, 20),

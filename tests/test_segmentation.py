@@ -454,6 +454,7 @@ def test_any_size(size):
         assert found.planes[0] == pytest.approx([0.0, 0.0, -1.0, 1.25], abs=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:many pixels are 65535")
 @settings(max_examples=60, deadline=None)
 @given(
     depth=arrays(
