@@ -12,9 +12,10 @@ import re
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -268,10 +269,17 @@ class _Threads:
 
         def submit(task: Task) -> None:
             frames, file = sequence[task[1] : task[2]], _file(folder, task[0])
-            future = executor.submit(fit_part, frames, task[1], settings, columns, file, stopped.is_set)
+            work = partial(fit_part, frames, task[1], settings, columns, file, stopped.is_set)
+            try:
+                future = executor.submit(work)
+            except RuntimeError:
+                if threading.main_thread().is_alive():
+                    raise
+                future = Future()  # once the main thread has ended, others that go on get no more threads
+                future.set_result(work())
             running[future] = task
 
-        running: dict[Any, Task] = {}
+        running: dict[Future[Part], Task] = {}
         try:
             for task in islice(waiting, 2 * self.slots):
                 submit(task)

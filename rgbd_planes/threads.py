@@ -5,10 +5,13 @@ bits for any number of threads, no threading layer of Numba's to choose, to lock
 """
 
 import os
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 # Handing a range to a waiting thread and collecting it costs about 50 µs: the time of this many pixels.
 PIXELS_PER_THREAD = 1_000_000
@@ -18,7 +21,10 @@ Result = TypeVar("Result")
 
 
 @cache
-def _pool(workers: int) -> ThreadPoolExecutor:
+def _pool(workers: int) -> "ThreadPoolExecutor":
+    # Not above: where the main thread has ended this is an error, which `submit` expects.
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(workers, thread_name_prefix="rgbd_planes")
 
 
@@ -44,9 +50,15 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
     """Have ``work(*arguments)`` done by one of ``num_threads`` threads; call what is returned for the result.
 
     Who asks before a thread has begun does the work itself: work may have threads for its own, all of which
-    may be busy with work that waits likewise.
+    may be busy with work that waits likewise. So does who asks once the main thread has ended: those
+    that go on get no more threads from Python.
     """
-    future = _pool(num_threads).submit(work, *arguments)
+    try:
+        future = _pool(num_threads).submit(work, *arguments)
+    except RuntimeError:
+        if threading.main_thread().is_alive():
+            raise
+        return lambda: work(*arguments)
     return lambda: work(*arguments) if future.cancel() else future.result()
 
 

@@ -521,6 +521,27 @@ def test_a_process_that_is_stopped_is_resumed(recording, tmp_path, kind, capsys)
     check_rows(out, rp.open_sequence(recording))
 
 
+AFTER_THE_MAIN_THREAD = """
+import sys, threading
+import rgbd_planes as rp
+
+sequence, fit_sequence = rp.open_sequence(sys.argv[1]), rp.fit_sequence
+
+def go_on():
+    threading.main_thread().join()
+    print(fit_sequence(sequence, sys.argv[2], num_threads=3).rows)
+
+threading.Thread(target=go_on).start()
+"""
+
+
+def test_a_thread_that_goes_on_when_the_main_thread_has_ended(recording, tmp_path):
+    command = [sys.executable, "-c", AFTER_THE_MAIN_THREAD, str(recording), str(tmp_path / "out")]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert (ran.stdout, ran.stderr) == (f"{30 * 20}\n", "")
+    check_rows(tmp_path / "out", rp.open_sequence(recording))
+
+
 def until(condition, seconds=60.0):
     end = time.monotonic() + seconds
     while not condition():

@@ -140,6 +140,38 @@ def test_frames_that_threads_make_may_be_made_with_threads(inner, lock):
     assert done.stdout.strip() == "[True, True]"
 
 
+AFTER_THE_MAIN_THREAD = """
+import sys, threading
+import numpy as np
+import rgbd_planes as rp
+
+camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, depth_scale=1000.0)
+frames = np.random.default_rng(0).integers(1000, 1100, (4, 48, 64)).astype(np.uint16)
+wanted = rp.TileFitter(camera, 8).fit_batch(frames).planes
+fitter = rp.TileFitter(camera, 8, num_threads=3)
+if sys.argv[1] == "used":
+    fitter.fit(frames[0])
+
+def go_on():
+    threading.main_thread().join()
+    found = [np.stack([fitter.fit(frame).planes for frame in frames])]
+    found.append(fitter.fit_batch(frames).planes)
+    found.append(np.stack([tiles.planes for tiles in fitter.fit_stream(frames)]))
+    print([np.array_equal(planes, wanted) for planes in found])
+
+threading.Thread(target=go_on).start()
+"""
+
+
+@pytest.mark.parametrize("threads", ["new", "used"])
+def test_threads_go_on_when_the_main_thread_has_ended(threads):
+    """As where a program starts its loop in a thread, and that is all that it does."""
+    done = subprocess.run(
+        [sys.executable, "-c", AFTER_THE_MAIN_THREAD, threads], capture_output=True, text=True, timeout=300
+    )
+    assert (done.stdout, done.stderr) == ("[True, True, True]\n", "")
+
+
 @pytest.mark.parametrize("num_threads", [None, 1, 2, 5])
 def test_stream_gives_what_fit_gives(num_threads, rng):
     camera = make_camera()
