@@ -24,8 +24,15 @@ def main(argv: list[str] | None = None) -> int:
     int
         0; 1 if a frame has no measurement or frames of a batch were skipped; 2 after an error.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):  # of a name that its encoding lacks the rest is worth saying
-        sys.stdout.reconfigure(errors="backslashreplace")
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed: what is said to nobody must not fail, nor go to the other
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for good)
+    if sys.stdout is sys.__stdout__ and isinstance(sys.stdout, io.TextIOWrapper):
+        # Of a name that its encoding lacks the rest is worth saying. A pipe gets all at the end, with PYTHONUNBUFFERED,
+        # too: by then the work is done, even if its reader has left.
+        sys.stdout.reconfigure(
+            errors="backslashreplace", line_buffering=sys.stdout.isatty(), write_through=False
+        )
     parser = _Parser(
         prog="rgbd-planes",
         description="Fit planes to depth images.",
@@ -33,25 +40,26 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=__version__)
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    width = max(shutil.get_terminal_size().columns - 2, 11)  # as argparse has it
     for command in COMMANDS:
         summary, _, example = inspect.cleandoc(command.__doc__ or "").partition("\n")
         subparser = subparsers.add_parser(
             command.__name__,
             help=summary,
-            description=textwrap.fill(summary, shutil.get_terminal_size().columns - 2),
+            description=textwrap.fill(summary, width),
             epilog=example.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         subparser.set_defaults(run=command(subparser))
     arguments = parser.parse_args(argv)
+    status: int | None = 0
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
             warnings.showwarning = _show_each_once()
-            status: int | None = arguments.run(arguments)
-            print(end="", flush=True)  # also where there is no stdout
+            status = arguments.run(arguments)
+            print(end="", flush=True)
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
-        status = 0
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (CommandError, ImportError, MemoryError, OSError, TypeError, ValueError) as error:
         print(f"rgbd-planes {arguments.command}: {_one_line(error) or 'not enough memory'}", file=sys.stderr)

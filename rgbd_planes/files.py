@@ -29,6 +29,10 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield beside
         beside.replace(target)
+    except OSError as error:
+        if error.filename is None:  # of a full disk, say
+            error.filename = os.fspath(path)
+        raise
     finally:
         beside.unlink(missing_ok=True)
 
@@ -93,7 +97,8 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
         raise ValueError(
             f"{path}: expected a file, got {'a folder' if file.is_dir() else 'a device or a pipe'}"
         )
-    return file
+    with file.open("rb"):  # what may not be read is not damaged
+        return file
 
 
 def identity(path: Path) -> tuple[tuple[int, ...], ...]:

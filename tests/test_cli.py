@@ -322,6 +322,32 @@ def test_without_a_place_for_what_it_says(folder):
     assert rp.TilePlanes.load("p.npz").fitted.any()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="without a shell of POSIX")
+def test_without_a_place_for_what_went_wrong(folder):
+    """It does not come out between the results."""
+    command = f"{sys.executable} -m rgbd_planes fit gone.png --camera camera.json 2>&-"
+    ran = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
+    assert (ran.returncode, ran.stdout) == (2, "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="without a shell of POSIX")
+def test_a_batch_without_a_place_for_what_went_wrong(folder):
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("tqdm")
+    command = f"{sys.executable} -m rgbd_planes batch depth --camera camera.json --out table 2>&-"
+    (folder / "depth").mkdir()
+    os.rename("depth.png", "depth/0.png")
+    (folder / "depth" / "1.png").touch()
+    ran = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
+    assert ran.returncode == 1
+    assert ran.stdout.startswith("1 of 2 frames, 20 rows")
+
+
+def test_a_terminal_without_width(folder, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1")
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json"]) == 0
+
+
 def test_a_name_that_stdout_has_no_letters_for(folder):
     ran = run_module(
         *("fit", "depth.png", "--camera", "camera.json", "--out", "tür.npz"),
@@ -342,14 +368,26 @@ def test_what_the_machine_lacks_is_one_line(folder, capsys, monkeypatch, error, 
     assert words in fails(capsys, "fit", "depth.png", "--camera", "camera.json")
 
 
-def test_a_reader_that_leaves_early_is_no_error(folder):
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_reader_that_leaves_early_is_no_error(folder, unbuffered, measured):
+    """The work is done, and the exit status what it always is."""
+    if not measured:
+        images.write_png("depth.png", np.zeros((60, 80), np.uint16))
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-m", "rgbd_planes", "fit", "depth.png", "--camera", "camera.json"]
-    ran = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    arguments = ["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz"]
+    ran = subprocess.run(
+        [sys.executable, "-m", "rgbd_planes", *arguments],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+    )
     os.close(write)
+    assert rp.TilePlanes.load("p.npz").fitted.any() == measured
     noise = [line for line in ran.stderr.splitlines() if not line.startswith("compiling kernels")]
-    assert (ran.returncode, noise) == (0, [])
+    assert (ran.returncode, len(noise)) == ((0, 0) if measured else (1, 1))
 
 
 def test_fit_on_real_frames(tmp_path, monkeypatch, capsys, real_frame):

@@ -1,10 +1,12 @@
 """Depth frames from files: every value as it was stored, and a clear error for what is not a depth frame."""
 
+import errno
 import io
 import os
 import struct
 import threading
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -380,6 +382,24 @@ def test_written_whole_or_not_at_all(tmp_path):
         fail()
     assert path.read_text() == "first"
     assert os.listdir(tmp_path) == ["file.txt"]
+
+
+def test_what_cannot_be_written_is_named(tmp_path):
+    """The system's error of a full disk names no file."""
+    path = tmp_path / "file.txt"
+    with pytest.raises(OSError, match=r"No space left on device: '.*/file\.txt'"), files.write_beside(path):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert os.listdir(tmp_path) == []
+
+
+def test_what_may_not_be_read_is_not_said_to_be_damaged(tmp_path, monkeypatch):
+    def locked(self, *arguments, **options):
+        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+
+    images.write_png(tmp_path / "depth.png", a_frame())
+    monkeypatch.setattr(Path, "open", locked)
+    with pytest.raises(PermissionError, match=r"depth\.png"):
+        images.read_depth(tmp_path / "depth.png")
 
 
 def test_writing_through_a_link_keeps_the_link(tmp_path):
