@@ -226,7 +226,8 @@ def together_of(pyramid, coarse, fine, sigma, typical):
 
     Where noise is independent the mean of n pixels has an n-th of their variance; where they go together it has
     more, by as many as go together: the median over the flat squares of level ``coarse``, by their parts of level
-    ``fine``. These show no more than their own pixels n of it: 1/shown = 1/n + 1/together, for errors of any reach.
+    ``fine``; 0 where they are too few. The parts show no more than their own pixels n of it: 1/shown = 1/n +
+    1/together, for errors of any reach.
     """
     moments, rss, _, offsets, shapes = pyramid
     least, most = FULL * (BLOCK << coarse) ** 2, FLAT * typical
@@ -255,7 +256,7 @@ def together_of(pyramid, coarse, fine, sigma, typical):
                 ratio[count] = total / parts * (m[0] - 3.0) / rss[i]
                 count += 1
     if count < FEWEST:
-        return 1.0
+        return 0.0
     shown = quantile(ratio[:count], 0.5)
     return max(shown / (1.0 - min(shown / (BLOCK << fine) ** 2, MOST_SHOWN)), 1.0)
 
@@ -283,7 +284,7 @@ def estimate_noise(pyramid, sigma, growth):
     lateral : float
         Standard deviation, in pixels, of where a measurement lies.
     together : float
-        Pixels that have one error between them.
+        Pixels that have one error between them; 0 where it is unknown.
     """
     pyramid = varied_squares(pyramid)
     room = pyramid.offsets[2] - pyramid.offsets[1]
@@ -323,4 +324,7 @@ def estimate_noise(pyramid, sigma, growth):
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
     # Of squares of 32 pixels; where errors reach far, that is more than within 8.
     grown = typical * growth[len(growth) - 1] ** 2
-    return typical, lateral, together_of(pyramid, len(growth), 1, sigma, grown)
+    together = together_of(pyramid, len(growth), 1, sigma, grown)
+    if together == 0.0:
+        together = together_of(pyramid, 2, 0, sigma, typical * growth[1] ** 2)
+    return typical, lateral, together

@@ -33,7 +33,18 @@ class Rules(NamedTuple):
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
     narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
+    bent: float = 2.0  # variances per pixel that a region's own bend must make to be more than the sensor's
     trips: int = 3  # from planes to pixels and back
+
+    def tolerating(self, share: float) -> "Rules":
+        """The rules for a sensor that bends planes less than most: the share of what is tolerated."""
+        return self._replace(
+            square_floor=share * self.square_floor,
+            region_floor=share * self.region_floor,
+            region_jump=share * self.region_jump,
+            region_crest=share * self.region_crest,
+            bent=share * share * self.bent,
+        )
 
 
 class Rays(NamedTuple):

@@ -22,7 +22,6 @@ PLANE_TERMS = 3
 MARGIN = 1.0 / 32.0
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
-BENT = 2.0  # variances per pixel that a region's own bend must make to be more than the sensor's
 # Blocks across a region whose own shape can be told, and of which it can be told that it goes on beyond its edge.
 FEWEST = 5
 FEWEST_BESIDE = 2
@@ -206,7 +205,7 @@ def step_of(window):
 
 
 @kernel()
-def find_turns(region, means, region_moments, planes, sigma, significant, box, turned, bent):
+def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent):
     """How far the normals of each region turn within it: mean squared angle, 0 where noise would do it.
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
@@ -234,8 +233,8 @@ def find_turns(region, means, region_moments, planes, sigma, significant, box, t
             continue
         flat = eliminate(products, 0, PLANE_TERMS)
         drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        bent[a] = drop > BENT * waves[a] * pixels
-        if drop * step * step > significant * waves[a]:
+        bent[a] = drop > rules.bent * waves[a] * pixels
+        if drop * step * step > rules.region_spread * waves[a]:
             second_derivatives(products, scale, deviation, h)
             turned[a] = turn(m, alpha[a], h)
 
@@ -315,7 +314,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
     boxes(region, box)
     turned = np.empty(regions)
     bent = np.empty(regions, np.bool_)
-    find_turns(region, means, region_moments, planes, sigma, significant, box, turned, bent)
+    find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent)
     find_faceted(
         region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved
     )

@@ -133,7 +133,8 @@ def segment_frame(
         rays, inverse_depth, pyramid,
     )  # fmt: skip
     segment_blocks.sum_by_fours(pyramid, rays)
-    noise, is_rougher = noise_of(frame, rays, pyramid, nearest, given)
+    noise, tolerance, is_rougher = noise_of(frame, rays, pyramid, nearest, given)
+    rules = rules.tolerating(tolerance)
 
     state = np.empty(pyramid.offsets[-1], np.int8)
     segment_quadtree.join_blocks(pyramid, noise, rules, state)

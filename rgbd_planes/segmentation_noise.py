@@ -21,6 +21,9 @@ FLATNESS = 4e-4
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
 
+INDEPENDENT = 1.0 / 3.0
+"""Share of what segments tolerate of a sensor, where the errors of neighbouring pixels are independent."""
+
 UNLIKE = 4.0
 """Times that a frame's noise may be what is given. Of other sensors' frames a Kinect's is up to 2.5 times too small."""
 
@@ -64,8 +67,10 @@ class Given(NamedTuple):
 
 def noise_of(
     frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given
-) -> tuple[Noise, bool]:
-    """Noise of a frame, and whether the frame is far rougher than what is given of it, even where it is flattest.
+) -> tuple[Noise, float, bool]:
+    """Noise of a frame, and what is to be tolerated beside it: see `Rules.tolerating`.
+
+    And whether the frame is far rougher than what is given of it, even where it is flattest.
 
     What is not given, the frame says: see `segment_noise_estimation.estimate_noise`.
 
@@ -102,9 +107,29 @@ def noise_of(
         lateral_x=(lateral * rays.pitch_x) ** 2,
         lateral_y=(lateral * rays.pitch_y) ** 2,
         growth=growth,
-        together=together,
+        together=max(together, 1.0),
     )
-    return noise, is_rougher
+    middle = len(q) // 2  # of the nearest surface: the table reaches twice as far
+    return noise, tolerance(together, float(table[middle]), float(flattest[middle])), is_rougher
+
+
+def tolerance(together: float, sigma: float, flattest: float) -> float:
+    """Share of what segments tolerate that a frame needs.
+
+    A sensor whose neighbouring pixels share their errors has some that reach farther and bend whole planes, up to a
+    bias, which the residuals of small squares do not show. Independent errors have no such company. And a surface
+    may be as bent as it may be rough, whoever measures it.
+
+    Parameters
+    ----------
+    together : float
+        Pixels that have one error between them: one, up to two or more. 0 where it is unknown.
+    sigma, flattest : float
+        Noise of the nearest surface, and the least that is assumed of surfaces, 1/m.
+    """
+    shared = min(max(together, 1.0) - 1.0, 1.0) if together > 0.0 else 1.0
+    share = INDEPENDENT + (1.0 - INDEPENDENT) * shared
+    return max(share * sigma, flattest) / max(sigma, flattest)
 
 
 def _rounding(frame: DepthFrame, q: Floats) -> Floats:

@@ -25,6 +25,7 @@ from rgbd_planes.kernels.segment_noise_estimation import quantile
 from rgbd_planes.kernels.segment_records import Rays
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
+from rgbd_planes.segmentation_noise import tolerance
 from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -119,6 +120,59 @@ def test_parallel_planes_stay_two_where_the_noise_allows(step, expected):
     assert len(found) == expected
     if expected == 2:
         assert compare_labels(found.labels, truth).detection(0.95).recall == 1.0
+
+
+@pytest.mark.parametrize(("pixels", "expected"), [(0.0, 2), (1.5, 1)])
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_that_neighbours_do_not_share_hide_less(pixels, expected, seed):
+    # Four deviations apart: a sensor that bends its planes could make that of one, but not by independent errors.
+    q, truth = two_planes(CAMERA, 0.004)
+    found = segment(1.0 / (q + 1e-3 * smooth_noise(seed, pixels)), CAMERA)
+    assert len(found) == expected
+    if expected == 2:
+        assert compare_labels(found.labels, truth).detection(0.9).recall == 1.0
+
+
+def smooth_noise(seed, pixels):
+    noise = gaussian_filter(np.random.default_rng(seed).standard_normal(CAMERA.shape), pixels)
+    return noise / noise.std()
+
+
+def test_a_door_that_is_ajar_is_a_plane_of_its_own():
+    # By five degrees, three metres away, with the noise of a Kinect.
+    hinge, angle = np.array([-0.3, 0.0, 3.0]), np.radians(5.0)
+    normal = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    q = (normal[0] * CAMERA.tan_x + normal[2]) / (normal @ hinge)
+    from_hinge = CAMERA.tan_x / q - hinge[0]
+    is_door = (from_hinge > 0.0) & (from_hinge < 0.9) & (np.abs(CAMERA.tan_y / q) < 0.9)
+    q = np.where(is_door, q, 1.0 / 3.0)
+    found = segment(1.0 / (q + 1.4e-3 * smooth_noise(1, 0.0)), CAMERA)
+    assert compare_labels(found.labels, np.where(is_door, 2, 1)).detection(0.85).f_score == 1.0
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_bias_beside_independent_errors_costs_no_planes(share):
+    rendering = empty_room().render(CAMERA)
+    bias = (CAMERA.tan_x**2 + CAMERA.tan_y**2) / (CAMERA.tan_x**2 + CAMERA.tan_y**2).std()
+    q = 1.0 / rendering.depth + 1e-3 * (smooth_noise(2, 0.0) + share * bias)
+    found = segment(1.0 / q, CAMERA)
+    assert compare_labels(found.labels, rendering.labels).detection(0.9).f_score == 1.0
+
+
+@pytest.mark.parametrize(
+    ("together", "sigma", "flattest", "expected"),
+    [
+        (0.0, 1e-3, 1e-4, 1.0),  # unknown
+        (1.0, 1e-3, 1e-4, 1.0 / 3.0),
+        (1.5, 1e-3, 1e-4, 2.0 / 3.0),
+        (2.0, 1e-3, 1e-4, 1.0),
+        (30.0, 1e-3, 1e-4, 1.0),
+        (1.0, 1e-3, 5e-4, 0.5),  # surfaces bend by so much
+        (1.0, 1e-4, 5e-4, 1.0),  # there is no noise
+    ],
+)
+def test_what_is_tolerated(together, sigma, flattest, expected):
+    assert tolerance(together, sigma, flattest) == pytest.approx(expected)
 
 
 def test_crease_is_where_the_planes_meet():
@@ -536,7 +590,8 @@ def test_where_the_squares_of_a_small_frame_fall_costs_no_planes(width, height, 
 
 @pytest.mark.parametrize("share", [0.005, 0.01, 0.02, 0.03])
 def test_outliers_strewn_over_the_image_cost_no_planes(share):
-    # Hardly a square of 16 or 32 pixels is without one, which is no noise that grows; with more hardly one of 8.
+    # Hardly a square of 16 or 32 pixels is without one, which is no noise that grows; with more hardly one of 8. What
+    # it may cost is knowing that errors are independent: then two that hardly differ are one.
     rendering = scenes.room().render(CAMERA)
     depth = rendering.measure(holes=0.05, quantise=False)
     correct = compare_labels(segment(depth, CAMERA).labels, rendering.labels).hoover(0.8).correct
@@ -544,7 +599,7 @@ def test_outliers_strewn_over_the_image_cost_no_planes(share):
     outliers = rng.random(depth.shape) < share
     depth[outliers] = 1.0 / rng.uniform(0.2, 2.0, np.count_nonzero(outliers))
     found = segment(depth, CAMERA)
-    assert compare_labels(found.labels, rendering.labels).hoover(0.8).correct >= correct - 1
+    assert compare_labels(found.labels, rendering.labels).hoover(0.8).correct >= correct - 2
 
 
 @pytest.mark.parametrize("side", [12, 16, 20, 24])
@@ -731,16 +786,22 @@ def test_covariance_is_that_of_the_fit():
     assert np.diag(frames[0].plane_covariance[0])[:2] == pytest.approx(np.diag(planes)[:2], rel=0.6)
 
 
-@pytest.mark.parametrize("pixels", [0.0, 0.8, 1.5, 3.0])
-def test_covariance_of_correlated_noise_is_honest(pixels):
+SMALL = replace(CAMERA, width=120, height=90, cx=59.5, cy=44.5)
+
+
+@pytest.mark.parametrize(
+    ("camera", "pixels"),
+    [(CAMERA, 0.0), (CAMERA, 0.8), (CAMERA, 1.5), (CAMERA, 3.0), (SMALL, 0.0), (SMALL, 1.5)],
+)
+def test_covariance_of_correlated_noise_is_honest(camera, pixels):
     # The mean squared error of α in units of its covariance is 1; taking pixels as independent makes it 5, 19 and 100.
     rng = np.random.default_rng(18)
     truth = np.array([0.1, 0.0, 0.6])
     errors = []
     for _ in range(25):
-        noise = gaussian_filter(rng.normal(size=CAMERA.shape), pixels)
-        q = truth[0] * CAMERA.tan_x + truth[2] + 1e-3 * noise / noise.std()
-        found = segment(1.0 / q, CAMERA)
+        noise = gaussian_filter(rng.normal(size=camera.shape), pixels)
+        q = truth[0] * camera.tan_x + truth[2] + 1e-3 * noise / noise.std()
+        found = segment(1.0 / q, camera)
         error = found.alpha[0] - truth
         errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
     assert 0.4 < np.mean(errors) < 1.6
