@@ -49,8 +49,7 @@ def separable(
     at_centre = np.zeros(strip)
     tan_y_row = np.empty(strip)
     all_wanted = np.ones(strip, np.float32)
-    sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
-    steps = sliding.plan_steps(window, sizes, between)
+    between = sliding.plan_steps(window)
     row_start = band_start * BAND
     row_stop = min(band_stop * BAND, height)
 
@@ -69,15 +68,13 @@ def separable(
                 q[:count], valid[slot, :count],
             )  # fmt: skip
             total_missing += missing[slot]
-            sliding.depth_sums_along_row(steps, sizes, between, q, count, work, rows[slot])
+            sliding.depth_sums_along_row(between, q, count, work, rows[slot])
             if surfaces:
                 for i in range(count):
                     squared[i] = q[i] * q[i]
-                sliding.sums_along_row(steps, sizes, between, squared, count, work, square_rows[slot])
+                sliding.sums_along_row(between, squared, count, work, square_rows[slot])
             if missing[slot] > 0 or was_missing > 0:
-                sliding.valid_sums_along_row(
-                    steps, sizes, between, valid[slot], count, valid_work, valid_rows[slot]
-                )
+                sliding.valid_sums_along_row(between, valid[slot], count, valid_work, valid_rows[slot])
             centre = row - half
             if centre < row_start:
                 continue
@@ -149,8 +146,7 @@ def distorted(
     needed = np.empty(strip, np.float32)
     all_wanted = np.ones(strip, np.float32)
     x_pixel, y_pixel = np.empty(strip), np.empty(strip)
-    sizes, between = np.empty(5, np.int64), np.empty(5, np.int64)
-    steps = sliding.plan_steps(window, sizes, between)
+    between = sliding.plan_steps(window)
     row_start = band_start * BAND
     row_stop = min(band_stop * BAND, height)
 
@@ -176,7 +172,7 @@ def distorted(
                 q[margin:], valid[slot, margin:], tan_x[nearest, first_column:last_column],
                 tan_y[nearest, first_column:last_column], x_reference, y_reference, row_channels[margin:],
             )  # fmt: skip
-            sliding.sums_along_row(steps, sizes, between, row_channels, length, work, rows[slot])
+            sliding.sums_along_row(between, row_channels, length, work, rows[slot])
             centre = row - half
             if centre < row_start:
                 continue

@@ -79,24 +79,19 @@ def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, 
 
 
 @kernel()
-def plan_steps(window, sizes, between):
-    """Write how a window is put together, w = k + c + k with k odd and c 1 or 3; return the number of steps.
+def plan_steps(window):
+    """How a window is put together, w = k + c + k with k odd and c 1 or 3: the c of each step.
 
-    Step i makes it of ``between[i]`` = c columns between two times ``sizes[i]`` = k; the first step has k = 1.
+    Each step puts c columns between two of the parts that the one before it made; the first between two columns.
     """
-    steps = 0
-    size = window
+    between = np.empty(window, np.int64)
+    first = size = window
     while size > 1:
         c = 1 if size == 3 or (size - 1) // 2 % 2 == 1 else 3
         size = (size - c) // 2
-        sizes[steps] = size
-        between[steps] = c
-        steps += 1
-    for i in range(steps // 2):
-        j = steps - 1 - i
-        sizes[i], sizes[j] = sizes[j], sizes[i]
-        between[i], between[j] = between[j], between[i]
-    return steps
+        first -= 1
+        between[first] = c
+    return between[first:]
 
 
 @kernel(reduction=True)
@@ -126,18 +121,19 @@ def join_depth_columns_by_three(shift, left, three, right, count, sums):
 
 
 @kernel()
-def depth_sums_along_row(steps, sizes, between, q, count, work, sums):
+def depth_sums_along_row(between, q, count, work, sums):
     """Sums of q and q·x over the window's columns, of which the first is i.
 
     Parameters
     ----------
-    steps, sizes, between
+    between
         From `plan_steps`.
     q : (2 * PITCH,) float64
         q of ``count`` columns, and zeros, which are Σq·x over one column.
     work : (3, 2 * PITCH) float64
     sums : (2 * PITCH,) float64, written
     """
+    steps = len(between)
     three = sums if steps == 1 and between[0] == 1 else work[2]
     three_depth_columns(q, count, three)
     part = q
@@ -195,18 +191,19 @@ def join_valid_columns_by_three(shift, left, three, right, count, sums):
 
 
 @kernel()
-def valid_sums_along_row(steps, sizes, between, valid, count, work, sums):
+def valid_sums_along_row(between, valid, count, work, sums):
     """Sums of 1, x, xx over the valid pixels of the window's columns, of which the first is i.
 
     Parameters
     ----------
-    steps, sizes, between
+    between
         From `plan_steps`.
     valid : (3 * PITCH,) float32
         1 or 0 for ``count`` columns, and zeros, which are Σx and Σxx over one column.
     work : (3, 3 * PITCH) float32
     sums : (3 * PITCH,) float32, written
     """
+    steps = len(between)
     three = sums if steps == 1 and between[0] == 1 else work[2]
     three_valid_columns(valid, count, three)
     part = valid
@@ -238,12 +235,12 @@ def join_columns(left, middle, right, length, sums):
 
 
 @kernel()
-def sums_along_row(steps, sizes, between, channels, length, work, sums):
+def sums_along_row(between, channels, length, work, sums):
     """Plain sums of channels over the window's columns, of which the first is i.
 
     Parameters
     ----------
-    steps, sizes, between
+    between
         From `plan_steps`.
     channels : (L,) float64
         One channel after the other; a channel's sums that would need columns behind its last are garbage.
@@ -252,6 +249,7 @@ def sums_along_row(steps, sizes, between, channels, length, work, sums):
     work : (3, L) float64
     sums : (L,) float64, written
     """
+    steps = len(between)
     three = sums if steps == 1 and between[0] == 1 else work[2]
     join_columns(channels, channels[1:], channels[2:], length - 2, three)
     part = channels
