@@ -41,7 +41,7 @@ def fit_range_tiles(
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
     block_moments[:] = 0.0
-    sums_room = strip_room(raw)
+    sums_room = strip_room()
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)
@@ -99,7 +99,7 @@ def fit_standard_tiles(
     block_moments, block_sums, block_reference, work = room[:10], room[10:22], room[22:25], room[25:]
     block_moments[:] = 0.0
     block_sums[:] = 0.0
-    sums_room = strip_room(raw)
+    sums_room = strip_room()
 
     first = tile_row_start * tile_columns
     filled = np.int64(0)

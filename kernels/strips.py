@@ -40,7 +40,7 @@ def step_of_columns(u, start, last, tile_width):
 
 
 @kernel(inline=True)
-def strip_room(raw):
+def strip_room():
     """Room for sums of columns, references of columns, codes of columns and counts of valid pixels."""
     room = np.empty((13, COLUMNS + 8))
     codes = np.empty((4, COLUMNS), np.uint64)
