@@ -11,3 +11,23 @@ def copy(values, where):
     """
     for i in range(len(where)):
         where[i] = values[i]
+
+
+@kernel(inline=True)
+def copy_columns(values, first, last, where):
+    """Copy columns ``first`` to ``last`` of all rows to the first columns."""
+    for row in range(len(values)):
+        # In one dimension, whose stride the compiler knows.
+        source, target = values[row][first:last], where[row]
+        for i in range(last - first):
+            target[i] = source[i]
+
+
+@kernel(inline=True)
+def copy_columns_back(where, first, last, values):
+    """The reverse of `copy_columns`, to rows that follow each other in one dimension."""
+    columns = len(values) // len(where)
+    for row in range(len(where)):
+        source, target = where[row], values[row * columns + first : row * columns + last]
+        for i in range(last - first):
+            target[i] = source[i]

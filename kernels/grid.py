@@ -7,6 +7,7 @@ import numpy as np
 
 from . import range_moments, solve, standard_moments
 from ._jit import kernel
+from .copying import copy_columns, copy_columns_back
 from .strips import TILES, strip_room, tiles_in_strip
 
 
@@ -66,9 +67,9 @@ def fit_range_tiles(
             is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
-                solve.copy_columns(centre, first, last, block_reference)
-                solve.copy_columns_back(block_moments, first, last, moments)
-                solve.copy_columns_back(block_reference, first, last, reference)
+                copy_columns(centre, first, last, block_reference)
+                copy_columns_back(block_moments, first, last, moments)
+                copy_columns_back(block_reference, first, last, reference)
                 solve.range_planes(
                     implicit, block_moments, block_reference, None, needed[first:last], filled, work
                 )
@@ -125,10 +126,10 @@ def fit_standard_tiles(
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 if tan_x.ndim == 1:
-                    solve.copy_columns(centre, first, last, block_reference)
+                    copy_columns(centre, first, last, block_reference)
                     standard_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
-                solve.copy_columns_back(block_moments, first, last, moments)
-                solve.copy_columns_back(block_reference, first, last, reference)
+                copy_columns_back(block_moments, first, last, moments)
+                copy_columns_back(block_reference, first, last, reference)
                 solve.standard_planes(method, block_moments, block_reference, None, filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,

@@ -11,6 +11,7 @@ import numpy as np
 
 from . import eigen3, eigen4, secular
 from ._jit import kernel
+from .copying import copy_columns
 from .strips import TILES
 
 # Values of rgbd_planes.TileStatus.
@@ -270,23 +271,3 @@ def fit_moments(
             rmse[first:last], rmse_metric[first:last],
             valid_count[first:last], status[first:last],
         )  # fmt: skip
-
-
-@kernel(inline=True)
-def copy_columns(values, first, last, where):
-    """Copy columns ``first`` to ``last`` of all rows to the first columns."""
-    for row in range(len(values)):
-        # In one dimension, whose stride the compiler knows.
-        source, target = values[row][first:last], where[row]
-        for i in range(last - first):
-            target[i] = source[i]
-
-
-@kernel(inline=True)
-def copy_columns_back(where, first, last, values):
-    """The reverse of `copy_columns`, to rows that follow each other in one dimension."""
-    columns = len(values) // len(where)
-    for row in range(len(where)):
-        source, target = where[row], values[row * columns + first : row * columns + last]
-        for i in range(last - first):
-            target[i] = source[i]
