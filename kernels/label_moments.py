@@ -3,6 +3,7 @@
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .depth import depth, inverse_depth
 
 
@@ -18,7 +19,7 @@ def points_of_row(
     xs = tan_x[row if tan_x.shape[0] > 1 else 0]
     u, v, w, there = points[0], points[1], points[2], points[3]
     if tan_y.shape[1] > 1:
-        v[:] = tan_y[row]
+        copy(tan_y[row], v)
     else:
         v[:] = tan_y[row, 0]
     for column in range(len(values)):

@@ -8,6 +8,7 @@ in the wall itself.
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .disjoint_sets import root_of, unite
 from .segment_moments import rise
 from .segment_planes import fit_planes
@@ -216,7 +217,8 @@ def join_planes(parent, number, moments, alpha, rss, deviation):
     count = 0
     for a in range(len(parent)):
         if parent[a] == a:
-            moments[count], deviation[count] = moments[a], deviation[a]
+            copy(moments[a], moments[count])
+            deviation[count] = deviation[a]
             parent[a] = count
             count += 1
         else:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_blocks import BLOCK
 from .segment_moments import fit
 from .segment_noise import sensor_variance
@@ -299,8 +300,7 @@ def estimate_noise(pyramid, sigma, growth):
             if level == 1:
                 typical = typical_of_blocks(pyramid, sigma)
             break
-        for i in range(count):
-            values[i] = mean_square[i]
+        copy(mean_square, values[:count])
         if level == 1:
             typical = quantile(values[:count], TYPICAL)
             smallest = quantile(values[:count], LOW)
@@ -316,7 +316,7 @@ def estimate_noise(pyramid, sigma, growth):
                     growth[level - 1 :] = growth[level - 2]
                     break
                 count = clean
-                values[:count] = mean_square[:count]
+                copy(mean_square, values[:count])
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
             if level == 3:
                 most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
