@@ -247,12 +247,18 @@ def extent(m):
 
 
 @kernel()
-def continues(region, means, a, b, region_moments, planes, sigma, box, covered, bend):
-    """How much better one quadric fits two neighbouring regions than two planes: sums of squares, in variances.
+def continues(region, means, a, b, region_moments, planes, sigma, box):
+    """Whether one quadric fits two neighbouring regions better than two planes do.
 
     ``a`` is the smaller one; of ``b`` only what is no farther from ``a`` than ``a`` is wide is looked at.
-    ``covered`` (1,) is written: the share of ``b``'s pixels that is; and ``bend`` (1,): how much better two
-    planes are than one.
+
+    Returns
+    -------
+    better, bend : float
+        How much better the quadric is than two planes, and two planes than one: sums of squares, in variances. -1 and
+        0 where no block of one of the two is looked at.
+    covered : float
+        The share of ``b``'s pixels that are looked at.
     """
     alpha, slope_variance, _ = planes
     m = region_moments[a]
@@ -273,15 +279,15 @@ def continues(region, means, a, b, region_moments, planes, sigma, box, covered, 
         pixels[k] = add_blocks(
             region, means, c, alpha[a], deviation, window, step, centre, scale, products[k]
         )  # fmt: skip
-    covered[0] = pixels[1] * step * step / region_moments[b, 0]
+    covered = pixels[1] * step * step / region_moments[b, 0]
     if pixels[0] == 0.0 or pixels[1] == 0.0:
-        return -1.0
+        return -1.0, 0.0, covered
     for i in range(TERMS + 1):
         for j in range(i, TERMS + 1):
             joint[i, j] = products[0, i, j] + products[1, i, j]
     two = eliminate(products[0], 0, PLANE_TERMS) + eliminate(products[1], 0, PLANE_TERMS)
-    bend[0] = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
-    return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step
+    bend = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
+    return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step, bend, covered
 
 
 @kernel()
@@ -319,7 +325,6 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved
     )
     parent = np.arange(regions)
-    covered, bend = np.empty(1), np.empty(1)
     smooth = 0
     for i in range(count):
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
@@ -331,13 +336,13 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         variance = about_plane(sensor_variance(q, sigma), planes, a)
         if not jump * jump < rules.reach * rules.reach * variance:
             continue
-        better = continues(region, means, a, b, region_moments, planes, sigma, box, covered, bend)
-        if not better > -MARGIN * bend[0]:
+        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box)
+        if not better > -MARGIN * bend:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
-        enough = covered[0] > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
-        if enough and better > max(MARGIN * bend[0], significant * planes.waves[a]):
+        enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
+        if enough and better > max(MARGIN * bend, significant * planes.waves[a]):
             unite(parent, a, b)
             bent[root_of(parent, a)] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)

@@ -20,9 +20,9 @@ from rgbd_planes import (
     segmentation_workspace,
 )
 from rgbd_planes.depth import as_depth_frame, step_of
-from rgbd_planes.kernels import segment_blocks, segment_inside
+from rgbd_planes.kernels import segment_blocks, segment_inside, segment_shape
 from rgbd_planes.kernels.segment_noise_estimation import quantile
-from rgbd_planes.kernels.segment_records import Rays
+from rgbd_planes.kernels.segment_records import Planes, Rays
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation_noise import tolerance
@@ -246,6 +246,20 @@ def test_a_column_of_many_sides_is_round(noise):
     on_column = q > 0.45
     assert (found.reason[on_column] == Reason.CURVED).mean() > 0.85
     assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
+    # Large regions are looked at in every other row of blocks: here those are all of one region.
+    region = np.zeros((32, 32), np.int32)
+    region[1::2] = 1
+    means = np.zeros((32, 32, 4), np.float32)
+    means[..., 0] = 16.0
+    moments = np.zeros((2, 10))
+    moments[:, 0] = 8192.0
+    box = np.array([[0, 32, 0, 32]] * 2)
+    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2))
+    found = segment_shape.continues(region, means, 0, 1, moments, planes, np.array([1.0, 1e-3, 1e-3]), box)
+    assert found == (-1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("turned", [(-27.0, 0.0, 27.0), (27.0, 0.0, -27.0), (-13.0, 13.0, -13.0, 13.0)])
