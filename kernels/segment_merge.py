@@ -135,11 +135,11 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     makes Δ and no jump; two parallel planes make a jump before they make much Δ. And a small region may be a crest
     of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
     """
-    alpha, rss, noise, waves = described
+    alpha, rss, variances, waves = described
     pairs, where, _ = contacts
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
-    m = np.empty((18, TOGETHER))  # joint moments; smaller, touch, step, rss, noise, waves; what comes out
+    m = np.empty((18, TOGETHER))  # joint moments; smaller, touch, step, rss, variance, waves; what comes out
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
         for i in range(number):
@@ -155,7 +155,7 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
                 + (alpha_a[1] - alpha_b[1]) * at[2]
             )
             m[13, i] = rss[a] + rss[b]
-            m[14, i] = min(noise[a], noise[b])
+            m[14, i] = min(variances[a], variances[b])
             m[15, i], m[16, i] = min(waves[a], waves[b]), max(waves[a], waves[b])
         for i in range(number):
             smaller, step, calm, least = m[10, i], m[12, i] / m[11, i], m[15, i], crest * crest * m[16, i]
@@ -163,23 +163,23 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
             together, _, _, _ = solve(
                 m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
             )
-            rise = max(together - m[13, i], 0.0) / (max(floor * floor * calm, least) * smaller + spread)
-            m[17, i] = max(jumped, rise) / m[14, i]
+            risen = max(together - m[13, i], 0.0) / (max(floor * floor * calm, least) * smaller + spread)
+            m[17, i] = max(jumped, risen) / m[14, i]
         for i in range(number):
             cost[start + i] = m[17, i]
 
 
 @kernel(inline=True)
 def describe(moments, a, noise, described):
-    """Plane, residual and noise of region ``a``."""
-    alpha, rss, variance, waves = described
+    """Plane, residual, variance of a pixel and squared waviness of region ``a``: to ``described``, in this order."""
+    alpha, rss, variances, waves = described
     n, mean_q = moments[a, 0], moments[a, 3] / moments[a, 0]
     rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
         n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4],
         moments[a, 5], moments[a, 6], moments[a, 7], moments[a, 8], moments[a, 9],
     )  # fmt: skip
     slope = noise.lateral_x * alpha[a, 0] ** 2 + noise.lateral_y * alpha[a, 1] ** 2
-    variance[a] = sensor_variance(mean_q, noise.sigma) + slope if rss[a] >= 0.0 else 0.0
+    variances[a] = sensor_variance(mean_q, noise.sigma) + slope if rss[a] >= 0.0 else 0.0
     waves[a] = waviness(n, noise.growth) ** 2
 
 
@@ -260,7 +260,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     regions = moments.shape[0]
     cost = np.empty(count)
     described = np.empty((regions, 3)), np.empty(regions), np.empty(regions), np.empty(regions)
-    variance = described[2]
+    variances = described[2]
     changed = np.empty(regions, np.bool_)
     best = np.empty(regions, np.int64)
     least = np.empty(regions)
@@ -290,7 +290,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
             if not mutual or changed[b] or parent[a] != a:
                 # Or what only chance tells apart, as they are now: one or both have been joined with others.
                 a = root_of(parent, a)
-                if a == b or rise(moments[a], moments[b]) > CHANCE * min(variance[a], variance[b]):
+                if a == b or rise(moments[a], moments[b]) > CHANCE * min(variances[a], variances[b]):
                     continue
             parent[b] = a
             for j in range(10):

@@ -109,7 +109,7 @@ def take_out(
     around = np.empty((3, AREA), np.float32)
     middle = np.empty((4, BLOCK * BLOCK), np.float32)
     own = np.empty(BLOCK * BLOCK, np.int32)
-    owners = np.empty(NEIGHBOURS, np.int64)
+    listed = np.empty(NEIGHBOURS, np.int64)  # owners of the block's pixels
     for k in range(count):
         row, column = block[k, 0], block[k, 1]
         i = row * owner.shape[1] + column
@@ -129,9 +129,9 @@ def take_out(
         found = 0
         for p in range(BLOCK * BLOCK):
             own[p] = pixel_owner[i, p]
-            j = place_of(own[p], owners, found)
+            j = place_of(own[p], listed, found)
             if j == found and own[p] >= 0 and number[own[p]] >= 0:
-                owners[j] = own[p]
+                listed[j] = own[p]
                 found += 1
         if found == 0:
             continue
@@ -139,7 +139,7 @@ def take_out(
         for c in range(3):
             take_middle(around, c, middle, c)
         for j in range(found):
-            b = owners[j]
+            b = listed[j]
             a = number[b]
             share = 1.0 / about_plane(sensor, planes, a)
             for p in range(BLOCK * BLOCK):
@@ -172,7 +172,7 @@ def contest(
     room = np.zeros((5 + NEIGHBOURS, AREA), np.float32)
     around, down, measured, square = room[:3], room[3], room[4:5], room[5:]
     small = np.zeros((5 + NEIGHBOURS, BLOCK * BLOCK), np.float32)
-    middle, n, sums = small[:4], small[4:5], small[5:]
+    middle, n, nearby = small[:4], small[4:5], small[5:]
     whole = np.zeros((1 + NEIGHBOURS, BLOCK * BLOCK), np.int32)
     winner, within = whole[0], whole[1:]
     for b in range(count):
@@ -198,7 +198,7 @@ def contest(
             for k in range(near_count):
                 i = near[k]
                 penalty[i] = math.log(penalty[i])
-                sums_of_nine(square, i, down, sums)
+                sums_of_nine(square, i, down, nearby)
             for p in range(AREA):
                 measured[0, p] = 1.0 if around[0, p] > 0.0 else 0.0
             sums_of_nine(measured, 0, down, n)
@@ -210,7 +210,7 @@ def contest(
                 i = near[other]
                 line_u, line_v, line_1 = line_between(i, j, candidate, centre, alpha)
                 contend(
-                    i, j, within, middle, n, line_u, line_v, line_1, sums, penalty, close_square, winner
+                    i, j, within, middle, n, line_u, line_v, line_1, nearby, penalty, close_square, winner
                 )  # fmt: skip
             for p in range(BLOCK * BLOCK):
                 winner[p] = j if (winner[p] < 0) & (within[j, p] == 1) else winner[p]
