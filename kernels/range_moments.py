@@ -171,7 +171,7 @@ def range_strip_separable(
     row_start, row_stop
         Image rows of the tiles.
     room
-        See `strip_room`.
+        See `strips.strip_room`.
     references : (N,) float64, written
         Inverse depth of the reference of each of the strip's tiles.
     moments : (10, N) float64, added to

@@ -1,4 +1,4 @@
-"""Segmentation, first stage: the frame in blocks of a few pixels, and in squares of 2x2, 4x4, ... blocks.
+"""Segmentation: the frame in blocks of a few pixels, and in squares of 2x2, 4x4, ... blocks.
 
 The frame is read once; what comes out are the moments and the plane of each block and of each square.
 """

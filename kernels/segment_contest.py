@@ -196,7 +196,8 @@ def contend(i, j, within, middle, n, line_u, line_v, line_1, sums, penalty, clos
 def add_owned(i, winner, middle, cut, sign, moments, a):
     """Add the pixels that contender ``i`` has to the moments of region ``a``, or subtract them.
 
-    ``middle`` (4, BLOCK²) has q, tanθx, tanθy and squared residuals, whose sum is returned.
+    ``middle`` (4, BLOCK²) has q, tanθx, tanθy and squared residuals. The sum of these, each ``cut`` at most, is
+    returned.
     """
     n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = error = 0.0
     for k in range(BLOCK * BLOCK):

@@ -71,7 +71,7 @@ def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, co
 
     Planes that meet at less than ``blunt`` radians and bend the same way form groups. One is round if it has
     FACETS or more, none of which is most of it, and turns by more than ``sharp`` radians, root mean square.
-    The other arguments are those of `find_curved`.
+    The other arguments are those of `segment_shape.find_curved`.
     """
     pairs, where, _ = contacts
     regions = len(alpha)

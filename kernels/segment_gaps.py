@@ -1,4 +1,4 @@
-"""Segmentation, last of all: parts of one plane that a thin thing in front separates are one plane again.
+"""Segmentation: parts of one plane that a thin thing in front separates are one plane again.
 
 A lamp's pole cuts the wall behind it in two. The two halves are one plane if their moments agree that they are
 and nothing between them is farther away than the plane: through what is farther one would see that there is a gap

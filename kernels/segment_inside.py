@@ -1,4 +1,4 @@
-"""Segmentation, last stage: the pixels that are surely their plane's own.
+"""Segmentation: the pixels that are surely their plane's own.
 
 Along its edge each pixel went to the plane that it fits. So a plane gets some of its neighbour's there and loses some
 of its own, and a sensor's pixel may see both: that shifts planes by more than noise does. In the end they are

@@ -1,4 +1,4 @@
-"""Segmentation, last stage: the label of every pixel, and why it has none."""
+"""Segmentation: the label of every pixel, and why it has none."""
 
 import numpy as np
 

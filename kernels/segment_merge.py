@@ -1,4 +1,4 @@
-"""Segmentation, second stage: neighbouring regions that are one plane become one region.
+"""Segmentation: neighbouring regions that are one plane become one region.
 
 Joining regions a and b raises the sum of squared residuals by Δ = RSS(a ∪ b) - RSS(a) - RSS(b), which the
 moments give exactly. Were the noise independent, Δ/σ² would follow χ²(3); real noise is correlated and has a

@@ -1,4 +1,4 @@
-"""Segmentation, third stage, with the merging in turns: every pixel goes to the plane it fits."""
+"""Segmentation, in turns with the merging: every pixel goes to the plane it fits."""
 
 import math
 

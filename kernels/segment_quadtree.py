@@ -1,4 +1,4 @@
-"""Segmentation, second stage: blocks that agree are joined by fours, and those by fours again."""
+"""Segmentation: blocks that agree are joined by fours, and those by fours again."""
 
 import math
 

@@ -59,7 +59,7 @@ def look_around(region, owner, around):
 def settle_unchanged(before, last_before, number, planes, last_alpha, sigma, rays, moments, around):
     """Let blocks be around which no region has changed since the last round, and no plane has moved.
 
-    ``around`` becomes SETTLED for them; the rest is as in `own_pixels`.
+    ``around`` becomes SETTLED for them; the rest is as in `segment_pixels.own_pixels`.
     """
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = before.shape
@@ -178,7 +178,7 @@ def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
     """Which blocks fit a region that no other contends for.
 
     ``block`` (K, 3) int32 has the row, the column and the new owner of ``count`` blocks; where this is UNDECIDED
-    it becomes such a region, or CONTESTED. The rest is as in `own_pixels`.
+    it becomes such a region, or CONTESTED. The rest is as in `segment_pixels.own_pixels`.
     """
     tan_x, tan_y, centre_u, centre_v, _, _ = rays
     of_block, alpha = pyramid.moments, planes.alpha

@@ -83,7 +83,7 @@ def add_standard_rows(
     raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count,
     reference_z, sums, codes,
 ):  # fmt: skip
-    """Add a band of image rows to the sums of their columns: as `add_range_rows`.
+    """Add a band of image rows to the sums of their columns: as `range_moments.add_range_rows`.
 
     ``sums`` (6, COLUMNS) are Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv; z is relative to ``reference_z``.
     """
@@ -177,9 +177,9 @@ def standard_strip_separable(
 ):  # fmt: skip
     """Sums of a strip of tiles for the moments of (X, Y, Z), for a camera without lens distortion.
 
-    As `range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every entry depends
-    on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the camera terms, and ``tile_sums`` (12, N) the
-    sums of which `standard_from_sums` makes the rest.
+    As `range_moments.range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every
+    entry depends on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the camera terms, and ``tile_sums``
+    (12, N) the sums of which `standard_from_sums` makes the rest.
     """
     sums, columns, codes, counts = room
     tiles = tile_stop - tile_start
@@ -242,9 +242,9 @@ def add_standard_rows_of_rays(
             else:
                 qa = scale * a[i] + offset if valid_a else 1.0
                 qb = scale * b[i] + offset if valid_b else 1.0
-                depths = 1.0 / (qa * qb)
-                za = qb * depths
-                zb = qa * depths
+                inverse = 1.0 / (qa * qb)
+                za = qb * inverse
+                zb = qa * inverse
             counts_b = valid_b & is_pair
             xa = za * tan_xa[i] - x0[i] if valid_a else 0.0
             xb = zb * tan_xb[i] - x0[i] if counts_b else 0.0
