@@ -1,8 +1,11 @@
 """Colours that mean something: of normals, and of a tile's status."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.camera import Camera
 from rgbd_planes.plane_fits import TileStatus
 
 Floats = NDArray[np.float64]
@@ -17,13 +20,18 @@ STATUS_COLOURS = {
 MISSING = (0.86, 0.86, 0.86)
 
 
+def in_image(vectors: NDArray[Any], camera: Camera) -> Floats:
+    """(..., 3) float64: vectors with x to the right of the image and y down it, also where fx or fy is negative."""
+    return np.asarray(vectors * np.sign([camera.fx, camera.fy, 1.0]))
+
+
 def normal_colours(normals: Floats) -> Floats:
     """Colours of unit normals: red grows to the right, green upwards, blue towards the camera.
 
     Parameters
     ----------
     normals : (..., 3) float64
-        x to the right of the image, y down, z away from the camera. NaN where there is none.
+        x to the right of the image, y down, z away from the camera: see `in_image`. NaN where there is none.
 
     Returns
     -------

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, plain_array
-from rgbd_planes.colours import normal_colours
+from rgbd_planes.colours import in_image, normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.open3d_mesh import triangle_mesh
@@ -326,7 +326,7 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: f
 def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:
     """Four points for each polygon, with their normals and colours."""
     normals = tiles.planes[exported(tiles)][:, :3]
-    colours = normal_colours(normals * np.sign([tiles.camera.fx, tiles.camera.fy, 1.0]))
+    colours = normal_colours(in_image(normals, tiles.camera))
     return tile_polygons(tiles).reshape(-1, 3), normals.repeat(4, axis=0), colours.repeat(4, axis=0)
 
 

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
@@ -124,7 +124,8 @@ def _draw_depth(panel: Axes, legend: Axes, fits: PlacedFits, depth: Floats | Non
 
 
 def _draw_normals(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
-    panel.imshow(_to_pixels(normal_colours(_normals_in_image(fits)), fits, MISSING), interpolation="nearest")
+    colours = normal_colours(in_image(fits.planes[..., :3], fits.camera))
+    panel.imshow(_to_pixels(colours, fits, MISSING), interpolation="nearest")
     panel.set_title("Normals of the planes")
     # The half ball of normals that face the camera, as the camera sees it.
     x, y = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
@@ -146,7 +147,8 @@ def _draw_normals(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
 def _draw_status(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
     colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
-    light = np.clip(_normals_in_image(fits) @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    normals = in_image(fits.planes[..., :3], fits.camera)
+    light = np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
     shade = np.where(fits.fitted, 0.6 + 0.55 * light, 1.0)[..., None]
     panel.imshow(_to_pixels(np.minimum(colours * shade, 1.0), fits, MISSING), interpolation="nearest")
     _draw_outlines(panel, fits)
@@ -177,12 +179,6 @@ def _draw_outlines(panel: Axes, fits: PlacedFits) -> None:
         bottom, right = fits.camera.height - 0.5, fits.camera.width - 0.5
         panel.vlines(np.cumsum(fits.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
         panel.hlines(np.cumsum(fits.tile_heights[:-1]) - 0.5, -0.5, right, **style)
-
-
-def _normals_in_image(fits: PlacedFits) -> Floats:
-    """The normals with x to the right of the image and y down it, also where a focal length is negative."""
-    signs = np.sign([fits.camera.fx, fits.camera.fy, 1.0])
-    return np.asarray(fits.planes[..., :3] * signs)
 
 
 def _to_pixels(values: Floats, fits: PlacedFits, nothing: tuple[float, ...]) -> Floats:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
 
@@ -38,8 +38,8 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
     if len(fits.shape) > 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}")
     cells = fits._cells(*_sampled(fits.camera.shape))
-    in_image = fits.planes[..., :3] * np.sign([fits.camera.fx, fits.camera.fy, 1.0])
-    return _beside(_shown(normal_colours(in_image), cells), _shown(_status_colours(fits), cells))
+    normals = normal_colours(in_image(fits.planes[..., :3], fits.camera))
+    return _beside(_shown(normals, cells), _shown(_status_colours(fits), cells))
 
 
 def _sampled(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -7,10 +7,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.colours import normal_colours
+from rgbd_planes.colours import in_image, normal_colours
 from rgbd_planes.export import exported, tile_polygons
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
@@ -65,8 +63,9 @@ def record(
                 }
             tiles = fitters[camera].fit(frame.depth)
             _log_frame(rr, stream, index, frame)
-            polygons = tile_polygons(tiles) * _signs(camera)
-            normals = tiles.planes[exported(tiles)][:, :3] * _signs(camera)
+            # In the axes of the image, the only ones that rerun's pinhole has.
+            polygons = in_image(tile_polygons(tiles), camera)
+            normals = in_image(tiles.planes[exported(tiles)][:, :3], camera)
             colours = normal_colours(normals)
             outlines = np.concatenate([polygons, polygons[:, :1]], axis=1)
             size = np.linalg.norm(polygons[:, 0] - polygons[:, 2], axis=1, keepdims=True)
@@ -110,7 +109,7 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> No
             outlines, own = [], []
             for plane in plane_polygons(tracked.segmentation):
                 rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
-                outlines += [ring * _signs(frame.camera) for ring in rings]
+                outlines += [in_image(ring, frame.camera) for ring in rings]
                 own += [colours[ids[plane.label - 1] - 1]] * len(rings)
             stream.log("planes/outlines", rr.LineStrips3D(outlines, colors=np.reshape(own, (-1, 3))))
             stream.log("found", rr.Scalars(float(len(tracked.ids))))
@@ -128,11 +127,6 @@ def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
         stream.log("/", rr.ViewCoordinates.RDF, static=True)
         yield rr, stream
         stream.flush()
-
-
-def _signs(camera: Camera) -> NDArray[np.float64]:
-    """What takes the camera's axes to those of its image, the only ones that rerun's pinhole has."""
-    return np.sign([camera.fx, camera.fy, 1.0])
 
 
 def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.colours import MISSING, normal_colours
+from rgbd_planes.colours import MISSING, in_image, normal_colours
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.plotting import NotebookFigure, depth_limits, depth_note, panel_height
 
@@ -50,9 +50,7 @@ def plot_surfaces(
     left.set_title("Measured depth")
     _bar(figure, left, image, depth_note(metres)).ax.ticklabel_format(useOffset=False)
 
-    # x to the right of the image and y down it, also where a focal length is negative.
-    in_image = normals.astype(np.float64) * np.sign([camera.fx, camera.fy, 1.0])
-    middle.imshow(normal_colours(in_image), interpolation="nearest")
+    middle.imshow(normal_colours(in_image(normals, camera)), interpolation="nearest")
     middle.set_title("Normals")
     # In the place of a colour bar, so that the images keep their size beside each other.
     angle = np.linspace(-1.0, 1.0, 255) * np.pi / 2
