@@ -72,13 +72,12 @@ def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") 
     """A table of the errors of the tiles that see one plane, for the largest planes and for all."""
     import numpy as np
 
+    from rgbd_planes.metrics import plane_errors
+
     def line(name: str, fits: "TilePlanes", chosen: Any) -> str:
-        truth = rendering.planes[labels[chosen] - 1]
-        # Of small angles the cosine loses digits, the chord does not.
-        chord = np.linalg.norm(fits.planes[chosen][:, :3] - truth[:, :3], axis=-1)
-        angle = np.degrees(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
-        offset = 1e3 * np.abs(fits.planes[chosen][:, 3] - truth[:, 3])
-        return f"  {name:<22}{len(truth):>6}{np.median(angle):>13.2f}°{np.median(offset):>13.1f} mm"
+        errors = plane_errors(fits.planes[chosen], rendering.planes[labels[chosen] - 1])
+        angle, offset = np.median(errors.angle_deg), 1e3 * np.median(np.abs(errors.offset))
+        return f"  {name:<22}{len(errors.offset):>6}{angle:>13.2f}°{offset:>13.1f} mm"
 
     labels = np.where(tiles.fitted & usual.fitted, rendering.tile_labels(tiles.tile), 0)
     sizes = np.bincount(labels.ravel(), minlength=len(rendering.planes) + 1)[1:]
