@@ -17,6 +17,7 @@ from rgbd_planes.fitting import METHODS, Arrays, WindowMoments, solve_planes, va
 from rgbd_planes.kernels.merging import merge_by_four
 from rgbd_planes.merging import merge
 from rgbd_planes.plane_fits import TileStatus, allocate
+from rgbd_planes.tile_grid import grid_shape, tile_windows
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.windows import WindowPlanes
 from rgbd_planes.wording import counted
@@ -134,28 +135,29 @@ class QuadtreeFitter:
         self.camera = camera
         self.method = method
         self.implementation = implementation
-        self._sizes = [tile >> level for level in range(max_subdivisions + 1)]
+        # Of all squares of each level, (R, C, 4).
+        self._windows = [_squares(camera, tile >> level) for level in range(max_subdivisions + 1)]
         self._max_error = check_error(max_error)
         self._max_missing = check_share("max_missing", max_missing)
         if implementation == "direct":
             self._finest = TileFitter(camera, finest, method, num_threads=1)
         else:
             self._tables = WindowMoments(camera, method, "integral")
-            self._full = [self._full_level(size) for size in self._sizes]
+            self._full = [self._full_level(windows) for windows in self._windows]
 
     def fit(self, depth: npt.ArrayLike) -> QuadtreePlanes:
         """Fit the elements of a frame, splitting where the residual is too large."""
         with announced(("quadtree", self.method, self.implementation)):
             source, total = self._direct(depth) if self.implementation == "direct" else self._integral(depth)
-            row, column = (index.ravel() for index in np.indices(self._grid(self._sizes[0])))
+            row, column = (index.ravel() for index in np.indices(self._windows[0].shape[:2]))
             leaves: list[dict[str, npt.NDArray[np.generic]]] = []
-            for level, size in enumerate(self._sizes):
-                windows = self._windows(size, row, column)
+            for level, squares in enumerate(self._windows):
+                windows = squares[row, column]
                 arrays = allocate((), (len(windows),))
                 source(level, row, column, windows, arrays)
                 needed = valid_needed(windows[:, 2] * windows[:, 3], self._max_missing)
                 solve_planes(self.method, arrays, needed, self._max_error, 0, len(windows), total)
-                split = (arrays["status"] == TileStatus.ROUGH) & (level + 1 < len(self._sizes))
+                split = (arrays["status"] == TileStatus.ROUGH) & (level + 1 < len(self._windows))
                 arrays |= {"windows": windows, "level": np.full(len(windows), level)}
                 leaves.append(
                     {
@@ -173,31 +175,20 @@ class QuadtreeFitter:
             },
         )
 
-    def _full_level(self, size: int) -> npt.NDArray[np.float64]:
-        """(6, R, C) camera terms of all squares of a grid."""
-        grid = self._grid(size)
-        row, column = (index.ravel() for index in np.indices(grid))
-        full = np.empty((6, row.size))
-        self._tables.camera_moments(self._windows(size, row, column), 0, row.size, full)
-        return full.reshape(6, *grid)
-
-    def _grid(self, size: int) -> tuple[int, int]:
-        """Rows and columns of the grid of squares of so many pixels."""
-        return -(-self.camera.height // size), -(-self.camera.width // size)
-
-    def _windows(self, size: int, row: Indices, column: Indices) -> Indices:
-        """Row, column, height, width in pixels of squares of a grid, cut at the frame's border."""
-        top, left = row * size, column * size
-        height, width = self.camera.shape
-        return np.stack([top, left, np.minimum(size, height - top), np.minimum(size, width - left)], axis=1)
+    def _full_level(self, windows: Indices) -> npt.NDArray[np.float64]:
+        """(6, R, C) camera terms of all squares of a level."""
+        rows, columns, _ = windows.shape
+        full = np.empty((6, rows * columns))
+        self._tables.camera_moments(windows.reshape(-1, 4), 0, rows * columns, full)
+        return full.reshape(6, rows, columns)
 
     def _children(self, level: int, row: Indices, column: Indices) -> tuple[Indices, Indices]:
         """The four squares that each square of a level splits into, where the frame has them."""
-        if level + 1 == len(self._sizes):
+        if level + 1 == len(self._windows):
             return row, column
         row = (2 * row[:, None] + np.array([0, 0, 1, 1])).ravel()
         column = (2 * column[:, None] + np.array([0, 1, 0, 1])).ravel()
-        rows, columns = self._grid(self._sizes[level + 1])
+        rows, columns, _ = self._windows[level + 1].shape
         inside = (row < rows) & (column < columns)
         return row[inside], column[inside]
 
@@ -212,8 +203,8 @@ class QuadtreeFitter:
     def _direct(self, depth: npt.ArrayLike) -> tuple[Source, float]:
         finest = self._finest.fit(depth)
         levels = [(finest._moments, finest._reference)]
-        for size in self._sizes[-2::-1]:
-            wider = np.empty((10, *self._grid(size))), np.empty((3, *self._grid(size)))
+        for windows in self._windows[-2::-1]:
+            wider = np.empty((10, *windows.shape[:2])), np.empty((3, *windows.shape[:2]))
             merge_by_four(*levels[-1], *wider)
             levels.append(wider)
         levels.reverse()
@@ -224,6 +215,11 @@ class QuadtreeFitter:
             arrays["_reference"][:] = reference[:, row, column]
 
         return moments_of, 0.0
+
+
+def _squares(camera: Camera, size: int) -> Indices:
+    """(R, C, 4): row, column, height, width in pixels of squares of a grid, cut at the frame's border."""
+    return tile_windows(camera.shape, (size, size)).reshape(*grid_shape(camera, (size, size)), 4)
 
 
 def segment_quadtree(
