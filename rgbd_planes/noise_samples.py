@@ -134,7 +134,7 @@ def all_samples(
 
 
 def _depth(planes: TilePlanes) -> Floats:
-    """Mean depth of tiles: rmse_metric is d·Z̄·rmse."""
+    """Depth of tiles, where the mean inverse depth of their pixels is; NaN where there is none."""
     mean = planes._reference[:, 2] + planes._moments[:, 3] / np.maximum(planes._moments[:, 0], 1.0)
     return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Components = tuple[tuple[float, float], ...]
 
-_PER_DOUBLING = (
-    2  # proportions of rectangles that are worked out: 1, √2, 2, ...; between them is interpolated
-)
+# Proportions of rectangles that are worked out: 1, √2, 2, ...; between them is interpolated.
+_PER_DOUBLING = 2
 
 
 def like_rectangles(footprint: NDArray[Any]) -> Floats:
