@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
-from rgbd_planes.checks import number, numbers
-from rgbd_planes.depth import as_depth_frame, warn_caller
+from rgbd_planes.checks import number, numbers, warn_caller
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise import NoiseModel
 

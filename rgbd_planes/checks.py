@@ -1,8 +1,12 @@
-"""What many doors check of an argument: it can be used, or an error says what was expected and what came."""
+"""What many doors check of an argument: it can be used, or an error says what was expected and what came.
+
+What can be used, but most likely is a mistake, is warned of.
+"""
 
 import math
 import os
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -123,3 +127,18 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     if not listed or isinstance(values, (str, bytes)):
         raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
     return tuple(number(name, value, finite=finite) for value in values)
+
+
+def warn_caller(message: str) -> None:
+    """Warn at the line that called this library."""
+    warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
+
+
+def _first_level_outside() -> int:
+    """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
+    level = 1
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("rgbd_planes"):
+        frame = frame.f_back
+        level += 1
+    return level

@@ -10,15 +10,13 @@ import functools
 import math
 import os
 import struct
-import sys
-import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import plain_array
+from rgbd_planes.checks import plain_array, warn_caller
 
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
@@ -257,21 +255,6 @@ def step_of(frame: DepthFrame) -> float:
         return 0.0
     values = np.unique(whole)
     return grain * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
-
-
-def warn_caller(message: str) -> None:
-    """Warn at the line that called this library."""
-    warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
-
-
-def _first_level_outside() -> int:
-    """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
-    level = 1
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("rgbd_planes"):
-        frame = frame.f_back
-        level += 1
-    return level
 
 
 def _without(

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, plain_array
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, plain_array, warn_caller
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import as_depth_frame, warn_caller
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments

@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera
-from rgbd_planes.depth import warn_caller
+from rgbd_planes.checks import check_camera, warn_caller
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise_evidence import evidence_of
 from rgbd_planes.noise_samples import (

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_whole
+from rgbd_planes.checks import check_camera, check_whole, warn_caller
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import DepthFrame, as_depth_frame, warn_caller
+from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
