@@ -221,19 +221,22 @@ class TileFitter:
             return
         waiting: deque[Callable[[], TilePlanes]] = deque()
         source = iter(frames)
+        wrong: Exception | None = None
         while True:
             try:
                 frame = next(source)
-            except Exception as error:  # its end, or what went wrong: after the planes of those before
-                end = error
+            except StopIteration:  # not kept: it has this call's variables, and they would have it
+                break
+            except Exception as error:  # comes after the planes of the frames before
+                wrong = error
                 break
             waiting.append(submit(self._fit_alone, ahead, frame))
             if len(waiting) == ahead:
                 yield waiting.popleft()()
         while waiting:
             yield waiting.popleft()()
-        if not isinstance(end, StopIteration):
-            raise end
+        if wrong is not None:
+            raise wrong
 
     def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""

@@ -1,10 +1,13 @@
 """The same bits from many threads, after a fork, and from a stream."""
 
+import gc
 import itertools
 import os
 import subprocess
 import sys
 import threading
+import time
+import weakref
 
 import numpy as np
 import pytest
@@ -233,6 +236,23 @@ def test_a_source_that_fails_does_so_after_the_planes_of_its_frames(num_threads,
     with pytest.raises(OSError, match="unplugged"):
         next(stream)
     assert list(stream) == []
+
+
+@pytest.mark.parametrize("num_threads", [1, 3])
+def test_a_stream_keeps_no_frame_beyond_its_end(num_threads):
+    camera = make_camera()
+    frame = np.full(camera.shape, 1000, np.uint16)
+    kept = weakref.ref(frame)
+    gc.disable()
+    try:
+        assert len(list(rp.TileFitter(camera, num_threads=num_threads).fit_stream([frame] * 4))) == 4
+        del frame
+        until = time.monotonic() + 10.0
+        while kept() is not None and time.monotonic() < until:  # threads are done with it soon
+            time.sleep(0.001)
+    finally:
+        gc.enable()
+    assert kept() is None
 
 
 def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller(rng):
