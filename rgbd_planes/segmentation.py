@@ -12,6 +12,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_whole, warn_caller
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
@@ -26,7 +27,7 @@ from rgbd_planes.kernels import (
     segment_shape,
 )
 from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Sums
-from rgbd_planes.segmentation_noise import Given, noise_of
+from rgbd_planes.segmentation_noise import Given, is_exact, noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
@@ -83,7 +84,7 @@ def segment(
     -----
     UserWarning
         The frame is several times as rough as `noise`, and less than half of it is on planes: most likely that is the
-        noise of another sensor.
+        noise of another sensor. Or its surfaces, without noise, are bent as depth and flat as distances along the ray.
 
     Notes
     -----
@@ -161,6 +162,8 @@ def segment_frame(
             "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
             "Without it the frame tells its own, and rp.estimate_noise finds that of a sensor"
         )
+    if is_exact(noise):
+        warn_of_distances(frame, camera)
     return found
 
 

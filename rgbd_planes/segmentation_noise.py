@@ -132,6 +132,12 @@ def tolerance(together: float, sigma: float, flattest: float) -> float:
     return max(share * sigma, flattest) / max(sigma, flattest)
 
 
+def is_exact(noise: Noise) -> bool:
+    """Whether the noise is no more than what surfaces deviate from planes, as in most renderings."""
+    step, *_, largest = noise.sigma
+    return bool(largest <= FLATNESS * step * (len(_SHARES) - 1))
+
+
 def _rounding(frame: DepthFrame, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale

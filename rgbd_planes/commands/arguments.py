@@ -125,11 +125,14 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     """The depth image, the camera, and what the command exits with: 1 if there is nothing measured, said on stderr."""
     from rgbd_planes.camera import Camera
     from rgbd_planes.depth import as_depth_frame
+    from rgbd_planes.distances import warn_of_distances
     from rgbd_planes.images import read_depth
 
     camera = Camera.load(arguments.camera)
     depth = read_depth(arguments.depth)
-    if as_depth_frame(depth, camera).valid.any():
+    frame = as_depth_frame(depth, camera)
+    if frame.valid.any():
+        warn_of_distances(frame, camera)
         return depth, camera, 0
     reason = f"the values are {depth.min():g} to {depth.max():g}"
     if camera.depth_range is not None:

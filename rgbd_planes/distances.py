@@ -1,0 +1,56 @@
+"""Whether the numbers of a frame are distances along the ray, taken for depth along the optical axis."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.checks import warn_caller
+from rgbd_planes.depth import DepthFrame
+
+Floats = NDArray[np.float64]
+
+_SAMPLES, _SIDE = 100, 10  # along the longer side of the image, and of a window
+# How much flatter by the one reading than by the other, and in how many windows. A ball whose radius is its distance
+# comes out up to 50 times flatter as distances.
+_CLEARLY, _FEWEST = 100.0, 5
+_ROUNDING = 1e-6  # residuals below this share of 1/Z tell nothing
+
+
+def warn_of_distances(frame: DepthFrame, camera: Camera) -> None:
+    """Warn where surfaces are flat if the numbers are distances, and bent if they are depth.
+
+    Only frames of floats without noise tell, as renderers make them; all others pass.
+    """
+    if frame.is_disparity or frame.step > 0.0:
+        return
+    step = max(1, max(camera.shape) // _SAMPLES)
+    x, y = (_windows(tangents[::step, ::step]) for tangents in (camera.tan_x, camera.tan_y))
+    q = _windows(frame.inverse_depth[::step, ::step])
+    telling = np.isfinite(q).all(axis=1) & (np.ptp(q, axis=1) > 0.0)  # a sky has the same number everywhere
+    q, x, y = q[telling], x[telling], y[telling]
+    if len(q) < _FEWEST:
+        return
+    basis = np.linalg.qr(np.stack([x, y, np.ones_like(x)], axis=-1))[0]
+    as_depth = _residual(basis, q)
+    as_distance = _residual(basis, q * np.sqrt(1.0 + x * x + y * y))
+    bent, flat = as_depth > _ROUNDING, as_distance > _ROUNDING
+    for_distance = np.count_nonzero(bent & (_CLEARLY * as_distance < as_depth))
+    for_depth = np.count_nonzero(flat & (_CLEARLY * as_depth < as_distance))
+    if for_distance >= _FEWEST and for_depth == 0:
+        warn_caller(
+            "this frame's surfaces are bent as depth along the optical axis, and flat as distances along the ray: if "
+            "it holds distances, divide it by np.sqrt(1 + camera.tan_x**2 + camera.tan_y**2)"
+        )
+
+
+def _windows(image: Floats) -> Floats:
+    """(K, P): the values of each window."""
+    rows, columns = image.shape[0] // _SIDE, image.shape[1] // _SIDE
+    whole = image[: rows * _SIDE, : columns * _SIDE].reshape(rows, _SIDE, columns, _SIDE)
+    return whole.swapaxes(1, 2).reshape(rows * columns, _SIDE * _SIDE)
+
+
+def _residual(basis: Floats, values: Floats) -> Floats:
+    """(K,): root mean square of what planes leave of the values, as a share of their mean."""
+    planar = (basis @ (basis.swapaxes(1, 2) @ values[:, :, None]))[:, :, 0]
+    return np.asarray(np.sqrt(np.mean((values - planar) ** 2, axis=1)) / np.mean(values, axis=1))

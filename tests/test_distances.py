@@ -1,0 +1,101 @@
+"""Frames of distances along the ray are told from frames of depth, and nothing else is."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import rgbd_planes as rp
+from rgbd_planes import cli, scenes
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.distances import warn_of_distances
+
+CAMERAS = {
+    "kinect": replace(rp.presets.primesense(), depth_scale=None),
+    "distorted": replace(rp.presets.tum_freiburg1(), depth_scale=None),
+    "negative fy": replace(rp.presets.icl_nuim(), depth_scale=None),
+    "wide": rp.Camera(256, 256, 128.0, 128.0, 127.5, 127.5),
+    "small": rp.Camera(80, 60, 65.0, 65.0, 39.5, 29.5),
+    "narrow": rp.Camera(640, 480, 1200.0, 1200.0, 319.5, 239.5),
+}
+cameras = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
+
+
+def ray(camera):
+    return np.sqrt(1.0 + camera.tan_x**2 + camera.tan_y**2)
+
+
+def says_so(depth, camera):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_distances(as_depth_frame(depth, camera), camera)
+    assert all("flat as distances along the ray" in str(warning.message) for warning in caught)
+    return bool(caught)
+
+
+@cameras
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_distances_are_told(camera, dtype):
+    distance = (scenes.room().render(camera).depth * ray(camera)).astype(dtype)
+    assert says_so(distance, camera)
+    if camera.height > 100:  # too little is left of fewer rows
+        distance[: camera.height // 4] = 1e10  # a sky
+        assert says_so(distance, camera)
+
+
+@cameras
+def test_depth_and_what_does_not_tell_pass(camera):
+    rendering = scenes.room().render(camera)
+    depth = rendering.depth
+    noisy = rendering.measure(quantise=False)
+    with_sky = np.where(np.indices(depth.shape)[0] < camera.height // 4, 1e10, depth)
+    for frame in (
+        depth,
+        depth.astype(np.float32),
+        depth.astype(np.float16),
+        with_sky,
+        noisy,
+        noisy * ray(camera),
+    ):
+        assert not says_so(frame, camera)
+    assert not says_so(depth / ray(camera), camera)  # divided twice
+    assert not says_so(np.full_like(depth, np.nan), camera)
+    scale, offset = 0.01, 0.2
+    assert not says_so(
+        (1.0 / (depth * ray(camera)) - offset) / scale, replace(camera, disparity=(scale, offset))
+    )
+
+
+@cameras
+@pytest.mark.parametrize("radius", [0.8, 1.0, 1.2, 1.5])
+def test_a_ball_that_bulges_like_distances_of_a_wall_passes(camera, radius):
+    rays = np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1)
+    centre = np.array([0.1, -0.1, 1.0 + radius])
+    a, b = (rays**2).sum(axis=-1), rays @ centre
+    with np.errstate(invalid="ignore"):
+        assert not says_so((b - np.sqrt(b * b - a * (centre @ centre - radius**2))) / a, camera)
+
+
+def test_segment_says_so():
+    camera = CAMERAS["kinect"]
+    distance = (scenes.room().render(camera).depth * ray(camera)).astype(np.float32)
+    with pytest.warns(UserWarning, match="divide it by") as caught:
+        rp.segment(distance, camera)
+    assert [warning.filename for warning in caught] == [__file__]
+    rp.segment(distance / ray(camera), camera)  # nothing is said: warnings are errors here
+
+
+@pytest.mark.filterwarnings("default")
+def test_the_commands_say_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    camera = CAMERAS["kinect"]
+    depth = scenes.room().render(camera).depth
+    camera.save("camera.json")
+    for name, frame in (("distance", depth * ray(camera)), ("depth", depth)):
+        Image.fromarray(frame.astype(np.float32)).save(f"{name}.tif")
+        for command in ("fit", "segment", "normals"):
+            assert cli.main([command, f"{name}.tif", "--camera", "camera.json"]) == 0
+            said = capsys.readouterr().err
+            assert said.count("flat as distances along the ray") == (name == "distance")
