@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -89,6 +90,10 @@ class TileFitter:
         self.tile = check_tile(tile, camera.shape)
         self.method = method
         self.implementation = implementation
+        self._options: dict[str, Any] = {
+            "implementation": implementation, "max_missing": max_missing, "max_error": max_error,
+            "significance": significance, "num_threads": num_threads,
+        }  # fmt: skip
         self._max_error = check_error(max_error)
         self._num_threads = check_num_threads(num_threads)
 
@@ -116,6 +121,11 @@ class TileFitter:
             self._window_moments = WindowMoments(camera, method, implementation)
             self._full_windows = np.empty((6, len(self._windows)))
             self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Numba pickles a kernel with its code, to be compiled without its cache, and arrays come back as ones that may
+        # be written to, for which others would be compiled.
+        return functools.partial(type(self), **self._options), (self.camera, self.tile, self.method)
 
     def fit(self, depth: npt.ArrayLike, out: TilePlanes | None = None) -> TilePlanes:
         """Fit the tiles of a frame.

@@ -1,5 +1,6 @@
 """Every method and implementation against the oracle, tile by tile."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rgbd_planes as rp
+from rgbd_planes.kernels import grid
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 IMPLEMENTATIONS = ("direct", "integral", "naive")
@@ -265,6 +267,28 @@ def test_out_is_written_into(rng):
     np.testing.assert_array_equal(stack[0].planes, planes)
     with pytest.raises(ValueError, match="out must be a result of this fitter"):
         rp.TileFitter(camera, 8).fit(first, out=out)
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("method", METHODS)
+def test_a_fitter_goes_to_another_process_without_kernels(method, implementation, rng):
+    """Those of another Python do not load, and those that are compiled or in the cache there will do."""
+    camera = make_camera(noise=rp.noise.kinect_v1())
+    options = {"max_missing": 0.1, "max_error": 0.02, "significance": 0.2, "num_threads": 2}
+    fitter = rp.TileFitter(camera, (8, 9), method, implementation=implementation, **options)
+    depth = make_holes(make_depth(camera, rng), "tiles", rng)
+    wanted = fitter.fit(depth)
+    kernel = grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
+    compiled = kernel.signatures
+    pickled = pickle.dumps(fitter)
+    assert b"numba" not in pickled
+    unpickled = pickle.loads(pickled)
+    found = unpickled.fit(depth)
+    np.testing.assert_array_equal(found.planes, wanted.planes)
+    np.testing.assert_array_equal(found.status, wanted.status)
+    assert len(np.unique(found.status)) > 2
+    assert (unpickled.camera, unpickled._num_threads) == (camera, 2)
+    assert kernel.signatures == compiled
 
 
 def test_inputs_of_any_kind_are_the_same_frame(rng):
