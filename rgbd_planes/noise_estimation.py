@@ -19,6 +19,8 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, warn_caller
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise_evidence import evidence_of
 from rgbd_planes.noise_samples import (
@@ -81,6 +83,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     -----
     UserWarning
         What is taken for flat differs so much that it may be edges, or outliers: do not rely on the model then.
+        Or surfaces, without noise, are bent as depth and flat as distances along the ray.
 
     Notes
     -----
@@ -98,6 +101,8 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         for size in SIZES
         if size <= min(camera.shape)
     }
+    for depth in opened:
+        warn_of_distances(as_depth_frame(depth, bare), bare)
     if WINDOW not in tiles:
         raise ValueError(
             f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.height} x {camera.width}"

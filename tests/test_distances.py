@@ -87,6 +87,13 @@ def test_segment_says_so():
     rp.segment(distance / ray(camera), camera)  # nothing is said: warnings are errors here
 
 
+def test_an_estimate_of_noise_says_so():
+    camera = CAMERAS["kinect"]
+    frames = [scenes.room((0.3 * i, -1.5, -0.1 * i)).render(camera).depth * ray(camera) for i in range(2)]
+    with pytest.warns(UserWarning, match="divide it by"):
+        rp.estimate_noise(frames, camera)
+
+
 @pytest.mark.filterwarnings("default")
 def test_the_commands_say_so(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
