@@ -17,6 +17,9 @@ from ._cache import Cache
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+has_cache = True
+"""Whether compiled kernels have a place on disk: not where neither the installation nor the home can be written."""
+
 
 @functools.cache
 def _sources_digest() -> str:
@@ -57,7 +60,9 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
         try:
             dispatcher = numba.njit(cache=True, **options)(function)
-        except RuntimeError:  # no place for a cache: a read-only home and installation
+        except RuntimeError:  # no place for a cache
+            global has_cache
+            has_cache = False
             return cast(Function, numba.njit(**options)(function))
         dispatcher._cache = Cache(function)
         return cast(Function, dispatcher)

@@ -3,7 +3,9 @@
 import logging
 import threading
 from collections.abc import Hashable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+
+from rgbd_planes.kernels import _jit
 
 SECONDS_BEFORE_NOTICE = 1.0
 
@@ -26,7 +28,8 @@ def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextMana
 def _first_call(key: Hashable, takes: str) -> Iterator[None]:
     timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce, [takes])
     timer.daemon = True
-    timer.start()
+    with suppress(RuntimeError):  # no more threads, by a limit or since Python ends: then nothing is said
+        timer.start()
     try:
         yield
         _compiled.add(key)
@@ -39,4 +42,7 @@ def _announce(takes: str) -> None:
     token = object()
     if _announced.setdefault(takes, token) is not token:
         return
-    _logger.warning(f"compiling kernels: {takes}, once for this installation and each kind of frame")
+    often = "once for this installation and each kind of frame"
+    if not _jit.has_cache:
+        often = "again in each process: set NUMBA_CACHE_DIR to a folder that can be written to keep them"
+    _logger.warning(f"compiling kernels: {takes}, {often}")

@@ -118,6 +118,17 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     assert caplog.messages[2].startswith("compiling kernels: about a minute")
 
 
+def test_a_notice_that_gets_no_thread_is_not_given(monkeypatch):
+    def limited(self):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Timer, "start", limited)
+    monkeypatch.setattr(compilation, "_announced", {})
+    monkeypatch.setattr(compilation, "_compiled", set())
+    camera = make_camera()
+    assert rp.fit_tiles(np.full(camera.shape, 2.0), camera).fitted.all()
+
+
 def test_warmup_for_segments_leaves_nothing_to_compile():
     """Whatever the scene: what kernels are compiled for, in all their modules, stays the same."""
     code = """
@@ -143,11 +154,16 @@ def test_works_without_a_place_for_a_cache():
     """A locator that finds nothing is what a read-only home and installation come to."""
     code = (
         "import numba.core.caching as caching; caching.CacheImpl._locator_classes = []\n"
-        "import numpy as np, rgbd_planes as rp\n"
+        "import logging, sys, numpy as np, rgbd_planes as rp\n"
+        "from rgbd_planes import compilation\n"
+        "logging.basicConfig(stream=sys.stdout)\n"
+        "compilation.SECONDS_BEFORE_NOTICE = 0.01\n"
         "camera = rp.Camera(16, 16, 9.0, 9.0, 8.0, 8.0)\n"
         "print(rp.fit_tiles(np.full((16, 16), 2.0), camera).planes.round(9).tolist())"
     )
-    assert run(code).strip().splitlines()[-1].endswith("-1.0, 2.0]]]")
+    notice, planes = run(code).splitlines()
+    assert "again in each process: set NUMBA_CACHE_DIR to a folder" in notice
+    assert planes.endswith("-1.0, 2.0]]]")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
