@@ -109,16 +109,17 @@ class NoiseModel:
             raise ValueError("expected noise above 0, or a step of rounding, got 0 at all inverse depths")
 
     def __repr__(self) -> str:
-        parts = ["σ by a function"]
+        # No Greek: to print what stdout has no letters for is an error, as into a file on Windows.
+        parts = ["sigma by a function"]
         if self.formula is None:
             sigmas = zip(1e3 * self.sigma_depth([0.5, 1.0, 2.0]), ("0.5", "1", "2"), strict=True)
-            parts = ["σ " + ", ".join(f"{two_digits(sigma)} mm at {depth} m" for sigma, depth in sigmas)]
+            parts = ["sigma " + ", ".join(f"{two_digits(sigma)} mm at {depth} m" for sigma, depth in sigmas)]
         if self.lateral:
             parts.append(f"lateral {self.lateral:.2g} pixels")
         for share, length in self.correlation:
             parts.append(f"{two_digits(100.0 * share)}% correlated over {length:g} pixels")
         if self.floor:
-            parts.append(f"floor {self.floor:.2g} σq over {self.floor_length:g} pixels")
+            parts.append(f"floor {self.floor:.2g} sigma over {self.floor_length:g} pixels")
         if self.spread:
             parts.append(f"spread {self.spread:.2g}")
         return f"<NoiseModel: {'; '.join(parts)}>"
