@@ -7,6 +7,8 @@ not its launch cost, not its behaviour after a fork, not its thread safety.
 
 import functools
 import hashlib
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -30,9 +32,13 @@ def _sources_digest() -> str:
     part of the cache's file name, makes every change of any kernel a new cache entry.
     """
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    paths = sorted(Path(__file__).parent.glob("*.py"))
+    for path in paths:
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
+    if not paths:  # they are in a zip, or in a program that has no sources: another one may take its place
+        stat = os.stat(getattr(__loader__, "archive", sys.executable))
+        digest.update(repr((stat.st_mtime_ns, stat.st_size)).encode())
     return digest.hexdigest()[:12]
 
 

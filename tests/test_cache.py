@@ -3,12 +3,17 @@
 import errno
 import importlib.util
 import os
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numba.core.caching import FunctionCache
+
+from rgbd_planes.kernels import _jit
 
 SOURCE = "from rgbd_planes.kernels._jit import kernel\n@kernel()\ndef twice(x): return x + x\n"
 
@@ -101,6 +106,30 @@ def test_a_kernel_that_is_recompiled_forgets_its_files(of_a_process, files):
     assert loaded(again) == (1, 0)
     assert again(3) == 6
     assert loaded(again) == (1, 1)
+
+
+def test_kernels_in_a_zip_are_those_of_the_zip(tmp_path):
+    """A kernel has those that it calls in itself: it is another one if these change."""
+    found = []
+    for factor in (2, 30):
+        with zipfile.ZipFile(tmp_path / "app.zip", "w") as archive:
+            archive.writestr("app/__init__.py", "")
+            for name in ("_jit.py", "_cache.py"):
+                archive.write(Path(_jit.__file__).with_name(name), f"app/{name}")
+            called = f"from ._jit import kernel\n@kernel()\ndef called(x): return {factor} * x\n"
+            archive.writestr("app/two.py", called)
+            calls = "from ._jit import kernel\nfrom .two import called\n@kernel()\ndef calls(x): return called(x)\n"
+            archive.writestr("app/one.py", calls)
+        ran = subprocess.run(
+            [sys.executable, "-c", "from app.one import calls; print(calls(3))"],
+            env=os.environ | {"PYTHONPATH": str(tmp_path / "app.zip"), "XDG_CACHE_HOME": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert ran.returncode == 0, ran.stderr
+        found.append(int(ran.stdout))
+    assert found == [6, 90]
 
 
 def test_a_later_numba_keeps_its_own_files(of_a_process, monkeypatch):
