@@ -30,7 +30,7 @@ STATUS_MEANINGS = {
     TileStatus.ROUGH: "plane fitted, residual too large",
 }
 _LIGHT = np.array([-0.35, -0.65, -0.67])  # from above, over the camera's left shoulder
-_PANEL_INCHES = 5.2
+PANEL_INCHES = 5.2  # wide
 _LEGEND_INCHES = 0.85
 
 
@@ -76,11 +76,11 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
     if figure is None:
         figure = NotebookFigure(
-            (3 * _PANEL_INCHES, panel_height(_PANEL_INCHES, fits.camera) + _LEGEND_INCHES + 0.35),
+            (3 * PANEL_INCHES, panel_height(PANEL_INCHES, fits.camera) + _LEGEND_INCHES + 0.35),
             layout="constrained",
         )
 
-    panel_share = _PANEL_INCHES * height / width
+    panel_share = PANEL_INCHES * height / width
     panels = figure.subplots(
         2, 3, gridspec_kw={"height_ratios": [panel_share, _LEGEND_INCHES], "hspace": 0.0, "wspace": 0.03}
     )

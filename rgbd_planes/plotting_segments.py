@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MISSING = (1.0, 1.0, 1.0)
 NO_PLANE = (0.62, 0.62, 0.62)
+_NOT_MEASURED = (1.0, 1.0, 1.0)
 _GOLDEN = 0.618033988749895
 _NUMBERED = 400  # pixels that a plane must have for its number to be written on it, at 640 x 480
 
@@ -48,7 +48,7 @@ def label_image(segmentation: Segmentation, depth: ArrayLike | None = None) -> F
     if depth is not None:
         frame = as_depth_frame(depth, segmentation.camera)
         image = image * _relief(frame.inverse_depth, segmentation.sigma)[..., None]
-    image[segmentation.reason == Reason.MISSING] = MISSING
+    image[segmentation.reason == Reason.MISSING] = _NOT_MEASURED
     return np.asarray(np.clip(image, 0.0, 1.0))
 
 

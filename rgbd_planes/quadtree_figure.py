@@ -10,7 +10,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting import NotebookFigure, panel_height
+from rgbd_planes.plotting import PANEL_INCHES, NotebookFigure, panel_height
 
 if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
@@ -44,7 +44,8 @@ def plot_quadtree(
     """
     elements = segmentation.elements
     if figure is None:
-        figure = NotebookFigure((15.6, panel_height(5.2, elements.camera) + 0.8), layout="constrained")
+        size = 3 * PANEL_INCHES, panel_height(PANEL_INCHES, elements.camera) + 0.8
+        figure = NotebookFigure(size, layout="constrained")
     known = depth_metres[np.isfinite(depth_metres)]
     nearest, farthest = np.percentile(known, [1.0, 99.0]) if known.size else (0.0, 1.0)
     panels = figure.subplots(1, 3)

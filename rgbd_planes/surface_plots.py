@@ -13,9 +13,7 @@ from matplotlib.figure import Figure
 from rgbd_planes.camera import Camera
 from rgbd_planes.colours import MISSING, in_image, normal_colours
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.plotting import NotebookFigure, depth_limits, depth_note, panel_height
-
-_PANEL_INCHES = 5.2
+from rgbd_planes.plotting import PANEL_INCHES, NotebookFigure, depth_limits, depth_note, panel_height
 
 
 def plot_surfaces(
@@ -40,7 +38,7 @@ def plot_surfaces(
     matplotlib Figure
     """
     metres = as_depth_frame(depth, camera).metres
-    size = 3 * _PANEL_INCHES, panel_height(_PANEL_INCHES, camera) + 1.0
+    size = 3 * PANEL_INCHES, panel_height(PANEL_INCHES, camera) + 1.0
     figure = NotebookFigure(size, layout="constrained")
     left, middle, right = figure.subplots(1, 3)
 
