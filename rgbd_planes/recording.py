@@ -53,15 +53,13 @@ def record(
     length of the tile; red right, green up, blue towards the camera), ``fitted`` (number of fitted tiles).
     Timelines: ``frame``, and ``time`` where the sequence has times.
     """
-    fitters: dict[object, TileFitter] = {}
+    fitter: TileFitter | None = None
     with _recording(path) as (rr, stream):
         for index, frame in enumerate(sequence):
             camera = frame.camera
-            if camera not in fitters:
-                fitters = {
-                    camera: TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
-                }
-            tiles = fitters[camera].fit(frame.depth)
+            if fitter is None or fitter.camera != camera:
+                fitter = TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
+            tiles = fitter.fit(frame.depth)
             _log_frame(rr, stream, index, frame)
             # In the axes of the image, the only ones that rerun's pinhole has.
             polygons = in_image(tile_polygons(tiles), camera)
