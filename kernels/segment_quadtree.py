@@ -46,7 +46,7 @@ def join_blocks(pyramid, noise, rules, state):
                     for c in range(2 * column, 2 * column + 2):
                         child = offsets[level - 1] + r * finer + c
                         if state[child] == 0:
-                            planar = -9
+                            planar = -9  # below 0 whatever the other three are
                         if state[child] != 1:
                             continue
                         planar += 1

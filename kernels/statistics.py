@@ -11,6 +11,7 @@ import numpy as np
 
 from . import chi_square, normal_distribution, variance_ratio
 from ._jit import kernel
+from .solve import ROUGH
 
 # Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
 # depth; variances; what follows from the number of pixels.
@@ -50,9 +51,9 @@ OF_RESULTS = np.array(
 @kernel(reduction=True)
 def assess(
     moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, limits, start, stop,
-    status, rough, results,
+    status, results,
 ):  # fmt: skip
-    """Give status ``rough`` to tiles whose residual is larger than noise explains; what noise makes of the planes.
+    """Give status ROUGH to tiles whose residual is larger than noise explains; what noise makes of the planes.
 
     Of tiles ``start`` to ``stop`` of a frame, counted row by row.
 
@@ -118,7 +119,7 @@ def assess(
             mark = all_status[first:last]
             for i in range(last - first):
                 if room[RATIO, i] > room[LIMIT, i]:
-                    mark[i] = rough
+                    mark[i] = ROUGH
         if everything:
             if noise[INVERSE_FREEDOM] > 0.0:
                 variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, BLOCK)

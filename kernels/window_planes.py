@@ -130,4 +130,5 @@ def needed_pixels(row, left, half, height, width, max_missing, needed):
     for i in range(needed.shape[0]):
         column = left + i
         pixels = rows * (min(column + half, width - 1) - max(column - half, 0) + 1)
+        # The small term keeps a share such as 0.3 of 10 pixels what it says it is.
         needed[i] = max(3, pixels - math.floor(pixels * max_missing + 1e-9))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
-from rgbd_planes.kernels import solve, statistics
+from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.residual_statistics import inverse_freedom
 from rgbd_planes.threads import Work
@@ -225,6 +225,6 @@ class Assessment:
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first.reshape(counts.shape)
-            statistics.assess(*fits, index, tables, *settings, start, stop, status, solve.ROUGH, results)
+            statistics.assess(*fits, index, tables, *settings, start, stop, status, results)
 
         return assess
