@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.fitting import ray_tables, solve_planes, valid_needed
+from rgbd_planes.fitting import solve_planes, valid_needed
 from rgbd_planes.kernels import naive, summed_area
 from rgbd_planes.plane_fits import allocate
+from rgbd_planes.window_moments import ray_tables
 
 WINDOW = 50
 """Side in pixels of the paper's subsets: 2500 points."""

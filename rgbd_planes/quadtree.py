@@ -13,12 +13,13 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.fitting import METHODS, Arrays, WindowMoments, solve_planes, valid_needed
+from rgbd_planes.fitting import METHODS, Arrays, solve_planes, valid_needed
 from rgbd_planes.kernels.merging import merge_by_four
 from rgbd_planes.merging import merge
 from rgbd_planes.plane_fits import TileStatus, allocate
 from rgbd_planes.tile_grid import grid_shape, tile_windows
 from rgbd_planes.tiles import TileFitter
+from rgbd_planes.window_moments import WindowMoments
 from rgbd_planes.windows import WindowPlanes
 from rgbd_planes.wording import counted
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 Indices = npt.NDArray[np.int64]
 # Writes the moments of the elements of one level, at some rows and columns of its grid, into arrays.
-Source = Callable[[int, Indices, Indices, Indices, Arrays], None]
+WriteMoments = Callable[[int, Indices, Indices, Indices, Arrays], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,13 +149,14 @@ class QuadtreeFitter:
     def fit(self, depth: npt.ArrayLike) -> QuadtreePlanes:
         """Fit the elements of a frame, splitting where the residual is too large."""
         with announced(("quadtree", self.method, self.implementation)):
-            source, total = self._direct(depth) if self.implementation == "direct" else self._integral(depth)
+            prepare = self._direct if self.implementation == "direct" else self._integral
+            write_moments, total = prepare(depth)
             row, column = (index.ravel() for index in np.indices(self._windows[0].shape[:2]))
             leaves: list[dict[str, npt.NDArray[np.generic]]] = []
             for level, squares in enumerate(self._windows):
                 windows = squares[row, column]
                 arrays = allocate((), (len(windows),))
-                source(level, row, column, windows, arrays)
+                write_moments(level, row, column, windows, arrays)
                 needed = valid_needed(windows[:, 2] * windows[:, 3], self._max_missing)
                 solve_planes(self.method, arrays, needed, self._max_error, 0, len(windows), total)
                 split = (arrays["status"] == TileStatus.ROUGH) & (level + 1 < len(self._windows))
@@ -192,15 +194,15 @@ class QuadtreeFitter:
         inside = (row < rows) & (column < columns)
         return row[inside], column[inside]
 
-    def _integral(self, depth: npt.ArrayLike) -> tuple[Source, float]:
+    def _integral(self, depth: npt.ArrayLike) -> tuple[WriteMoments, float]:
         source = self._tables.prepare(as_depth_frame(depth, self.camera))
 
-        def moments_of(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
+        def write(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
             source(windows, self._full[level][:, row, column], 0, len(windows), arrays["_moments"])
 
-        return moments_of, source.total
+        return write, source.total
 
-    def _direct(self, depth: npt.ArrayLike) -> tuple[Source, float]:
+    def _direct(self, depth: npt.ArrayLike) -> tuple[WriteMoments, float]:
         finest = self._finest.fit(depth)
         levels = [(finest._moments, finest._reference)]
         for windows in self._windows[-2::-1]:
@@ -209,12 +211,12 @@ class QuadtreeFitter:
             levels.append(wider)
         levels.reverse()
 
-        def moments_of(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
+        def write(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
             moments, reference = levels[level]
             arrays["_moments"][:] = moments[:, row, column]
             arrays["_reference"][:] = reference[:, row, column]
 
-        return moments_of, 0.0
+        return write, 0.0
 
 
 def _squares(camera: Camera, size: int) -> Indices:

@@ -21,7 +21,6 @@ from rgbd_planes.fitting import (
     METHODS,
     SOLVES,
     Arrays,
-    WindowMoments,
     flat,
     solve_planes,
     valid_needed,
@@ -31,6 +30,7 @@ from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_windows
 from rgbd_planes.tile_planes import TilePlanes
+from rgbd_planes.window_moments import WindowMoments
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
 
