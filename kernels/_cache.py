@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
@@ -26,30 +26,33 @@ class CacheFiles:
     Parameters
     ----------
     folder : path
+        Where files are saved.
+    installed : path
+        Where files are looked for, too: whoever installed the kernels may have compiled them, and others may only read.
     base : str
         What the names of a kernel's files begin with.
     """
 
-    def __init__(self, folder: Any, base: str) -> None:
-        self._folder, self._base = Path(folder), base
+    def __init__(self, folder: Any, installed: Any, base: str) -> None:
+        self._folder, self._installed, self._base = Path(folder), Path(installed), base
 
-    def _path(self, key: Any) -> Path:
-        name = hashlib.sha256(repr((numba.__version__, key)).encode()).hexdigest()[:16]
-        return self._folder / f"{self._base}.{name}.nbc"
+    def _name(self, key: Any) -> str:
+        return f"{self._base}.{hashlib.sha256(repr((numba.__version__, key)).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
         """What was saved, or None."""
-        try:
-            content = self._path(key).read_bytes()
-        except OSError:
-            return None
-        size = hashlib.sha256().digest_size
-        digest, data = content[:size], content[size:]
-        return pickle.loads(data) if hashlib.sha256(data).digest() == digest else None
+        name, size = self._name(key), hashlib.sha256().digest_size
+        for folder in (self._folder, self._installed):
+            with contextlib.suppress(OSError):
+                content = (folder / name).read_bytes()
+                digest, data = content[:size], content[size:]
+                if hashlib.sha256(data).digest() == digest:
+                    return pickle.loads(data)
+        return None
 
     def save(self, key: Any, compiled: Any) -> None:
         """Save, or replace, what a kernel was compiled to."""
-        path, data = self._path(key), dumps(compiled)
+        path, data = self._folder / self._name(key), dumps(compiled)
         beside = path.with_name(f"{path.name}.{uuid.uuid4().hex[:16]}")
         try:
             beside.write_bytes(hashlib.sha256(data).digest() + data)
@@ -63,6 +66,22 @@ class CacheFiles:
             path.unlink(missing_ok=True)
 
 
+class InstalledLocator(InTreeCacheLocator):
+    """Beside the sources, although nothing can be saved there, nor elsewhere."""
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> Any:
+        """Return None where there is nothing to read, either."""
+        locator = cls(function, file)
+        return locator if os.path.isdir(locator.get_cache_path()) else None
+
+
+class Compiled(CompileResultCacheImpl):
+    """Numba's places for compiled kernels, and one to read from."""
+
+    _locator_classes = (*CompileResultCacheImpl._locator_classes, InstalledLocator)
+
+
 class Cache(FunctionCache):
     """Numba's cache on disk, from which a kernel loads in a sixth of the time.
 
@@ -71,10 +90,18 @@ class Cache(FunctionCache):
     NumPy function like sum or max would bring SciPy again. A compilation fetches the rest itself.
     """
 
+    _impl_class = Compiled
+
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        installed = Path(function.__code__.co_filename).with_name("__pycache__")
         with contextlib.suppress(AttributeError):  # a later Numba's inside is another: its own files then
-            self._cache_file = CacheFiles(self._cache_path, self._impl.filename_base)
+            self._cache_file = CacheFiles(self._cache_path, installed, self._impl.filename_base)
+
+    @property
+    def saves(self) -> bool:
+        """Whether there is a place where compiled kernels can be saved."""
+        return not isinstance(self._impl.locator, InstalledLocator)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for these types, or None."""

@@ -64,13 +64,13 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
+        global has_cache
+        dispatcher = numba.njit(**options)(function)
         try:
-            dispatcher = numba.njit(cache=True, **options)(function)
-        except RuntimeError:  # no place for a cache
-            global has_cache
+            dispatcher._cache = Cache(function)
+            has_cache &= dispatcher._cache.saves
+        except RuntimeError:  # nor a place to read from
             has_cache = False
-            return cast(Function, numba.njit(**options)(function))
-        dispatcher._cache = Cache(function)
         return cast(Function, dispatcher)
 
     return compile_lazily

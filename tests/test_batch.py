@@ -472,7 +472,8 @@ def test_memory_does_not_grow_with_the_sequence(tmp_path, monkeypatch):
         return size
 
     peak(810)  # what is made once
-    assert peak(3200) < 1.4 * peak(800)  # 800 frames' rows are 15 MB
+    # 800 frames' rows are 15 MB. How many parts are there at a time depends on the threads.
+    assert peak(3200) < peak(800) + 5e6
 
 
 @pytest.mark.parametrize(("segments", "most"), [(False, 512), (True, 64)])

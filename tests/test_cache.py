@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba.core.caching import FunctionCache
+from numba import config
+from numba.core.caching import FunctionCache, InTreeCacheLocator, UserWideCacheLocator
 
 from rgbd_planes.kernels import _jit
 
@@ -83,6 +84,30 @@ def test_processes_that_compile_at_a_time_lose_nothing(of_a_process, monkeypatch
     twice = of_a_process()
     assert (twice(3), twice(0.25)) == (6, 0.5)
     assert loaded(twice) == (2, 0)
+
+
+@pytest.mark.parametrize("elsewhere", [True, False])
+def test_who_cannot_write_reads_what_the_installation_has(
+    of_a_process, files, tmp_path, monkeypatch, elsewhere
+):
+    """As of a container's image, whose kernels its administrator has compiled."""
+    monkeypatch.setattr(_jit, "has_cache", True)
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "own") if elsewhere else "")
+    monkeypatch.setattr(UserWideCacheLocator, "from_function", lambda *_: None)
+    monkeypatch.setattr(InTreeCacheLocator, "ensure_cache_path", refuse)
+    twice = of_a_process()
+    assert twice(3) == 6
+    assert twice(0.25) == 0.5
+    assert loaded(twice) == (1, 1)
+    assert _jit.has_cache == elsewhere
+    assert len(list(files[0].parent.glob("doubling.twice*"))) == 1
+    again = of_a_process()
+    assert again(0.25) == 0.5
+    assert loaded(again) == ((1, 0) if elsewhere else (0, 1))
+
+
+def refuse(*_: Any) -> None:
+    raise OSError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def test_a_full_disk_is_no_error(of_a_process, monkeypatch):
