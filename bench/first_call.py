@@ -1,7 +1,8 @@
 """What the first frame costs, in fresh processes: ``python -m bench.first_call``.
 
 Each process imports NumPy and makes a frame, imports the library and calls it once; another imports NumPy and Numba and
-nothing else. They take turns, with kernels that an earlier process has compiled. For each call two processes compile.
+nothing else. They take turns, with kernels that an earlier process has compiled. For each call two processes compile,
+each in an installation of its own.
 """
 
 import argparse
@@ -10,9 +11,13 @@ import os
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
+from shutil import copytree, ignore_patterns
 from typing import Any
 
 import numpy as np
+
+import rgbd_planes
 
 # The processes print the seconds that each step takes.
 STEPS = """
@@ -51,13 +56,13 @@ CALLS = {
 }
 
 
-def run(code: str, **environment: str) -> dict[str, float]:
-    """The seconds of each step of a fresh process."""
+def run(code: str, folder: str | None = None) -> dict[str, float]:
+    """The seconds of each step of a fresh process, with the installation that is in ``folder``."""
     # As installed packages are, this one is imported from compiled Python.
     inherited = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     done = subprocess.run(
         [sys.executable, "-c", STEPS.format(code=code)],
-        capture_output=True, text=True, check=True, env=inherited | environment,
+        capture_output=True, text=True, check=True, env=inherited, cwd=folder,
     )  # fmt: skip
     return dict(json.loads(done.stdout))
 
@@ -79,8 +84,10 @@ def measure(rounds: int = 15, compiling: bool = True) -> dict[str, Any]:
         result["compiling"] = {name: [] for name in CALLS}
         for _ in range(2):
             for name, taken in result["compiling"].items():
-                with tempfile.TemporaryDirectory() as empty:
-                    taken.append(run(codes[name], NUMBA_CACHE_DIR=empty)["first call"])
+                with tempfile.TemporaryDirectory() as folder:
+                    source = Path(rgbd_planes.__file__).parent
+                    copytree(source, Path(folder, source.name), ignore=ignore_patterns("__pycache__"))
+                    taken.append(run(codes[name], folder)["first call"])
     return result
 
 
