@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
@@ -66,20 +66,41 @@ class CacheFiles:
             path.unlink(missing_ok=True)
 
 
-class InstalledLocator(InTreeCacheLocator):
-    """Beside the sources, although nothing can be saved there, nor elsewhere."""
+class Installed:
+    """The place of compiled kernels that is beside their sources, to read from: what Numba asks of a place.
+
+    Not one of Numba's own, whose names its versions change.
+    """
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._line, self._folder = function.__code__.co_firstlineno, Path(file).with_name("__pycache__")
 
     @classmethod
-    def from_function(cls, function: Callable[..., Any], file: str) -> Any:
-        """Return None where there is nothing to read, either."""
-        locator = cls(function, file)
-        return locator if os.path.isdir(locator.get_cache_path()) else None
+    def from_function(cls, function: Callable[..., Any], file: str) -> "Installed | None":
+        """Return None where there is nothing to read."""
+        place = cls(function, file)
+        return place if place._folder.is_dir() else None
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> None:
+        """Return what tells stale files, whose names do here."""
+
+    def get_disambiguator(self) -> str:
+        """Return what tells functions of one name apart in a file: as of Numba's places."""
+        return str(self._line)
+
+    def ensure_cache_path(self) -> None:
+        """Refuse to save."""
+        raise PermissionError(f"{self._folder} cannot be written")
 
 
 class Compiled(CompileResultCacheImpl):
     """Numba's places for compiled kernels, and one to read from."""
 
-    _locator_classes = (*CompileResultCacheImpl._locator_classes, InstalledLocator)
+    _locator_classes = (*CompileResultCacheImpl._locator_classes, Installed)
 
 
 class Cache(FunctionCache):
@@ -94,14 +115,14 @@ class Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        installed = Path(function.__code__.co_filename).with_name("__pycache__")
+        installed = Installed(function, function.__code__.co_filename).get_cache_path()
         with contextlib.suppress(AttributeError):  # a later Numba's inside is another: its own files then
             self._cache_file = CacheFiles(self._cache_path, installed, self._impl.filename_base)
 
     @property
     def saves(self) -> bool:
         """Whether there is a place where compiled kernels can be saved."""
-        return not isinstance(self._impl.locator, InstalledLocator)
+        return not isinstance(self._impl.locator, Installed)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for these types, or None."""
