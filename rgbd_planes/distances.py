@@ -25,7 +25,7 @@ def warn_of_distances(frame: DepthFrame, camera: Camera) -> None:
         return
     step = max(1, max(camera.shape) // _SAMPLES)
     x, y = (_windows(tangents[::step, ::step]) for tangents in (camera.tan_x, camera.tan_y))
-    q = _windows(frame.inverse_depth[::step, ::step])
+    q = _windows(frame._replace(raw=frame.raw[::step, ::step]).inverse_depth)
     telling = np.isfinite(q).all(axis=1) & (np.ptp(q, axis=1) > 0.0)  # a sky has the same number everywhere
     q, x, y = q[telling], x[telling], y[telling]
     if len(q) < _FEWEST:

@@ -197,9 +197,7 @@ def _read_pgm(path: Path) -> Frame:
             values = np.array(content[header.end() :].split(), dtype=dtype)
         except (ValueError, OverflowError):
             raise ValueError(f"{path}: expected numbers from 0 to {largest} in the PGM image") from None
-    if len(values) < height * width:
-        raise ValueError(f"{path}: truncated PGM image: {len(values)} of {height * width} pixels")
-    return values[: height * width].astype(dtype).reshape(height, width)
+    return _rows(path, "PGM", values, height, width).astype(dtype)
 
 
 _PFM_HEADER = re.compile(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)\s")
@@ -217,9 +215,7 @@ def _read_pfm(path: Path) -> Frame:
     values = _pixels(
         content, header.end(), np.dtype("<f4" if scale.startswith(b"-") else ">f4"), height * width
     )
-    if len(values) < height * width:
-        raise ValueError(f"{path}: truncated PFM image: {len(values)} of {height * width} pixels")
-    return values.reshape(height, width)[::-1].astype(np.float32)  # the lowest row comes first
+    return _rows(path, "PFM", values, height, width)[::-1].astype(np.float32)  # the lowest row comes first
 
 
 def _pixels(content: bytes, start: int, dtype: np.dtype[Any], count: int) -> Frame:
@@ -228,6 +224,13 @@ def _pixels(content: bytes, start: int, dtype: np.dtype[Any], count: int) -> Fra
     if content[start - 1 : start + 1] == b"\r\n" and len(content) - start > count * dtype.itemsize:
         start += 1
     return np.frombuffer(content, dtype, min(count, (len(content) - start) // dtype.itemsize), start)
+
+
+def _rows(path: Path, kind: str, values: Frame, height: int, width: int) -> Frame:
+    """The image of the first of some numbers, if these are enough."""
+    if len(values) < height * width:
+        raise ValueError(f"{path}: truncated {kind} image: {len(values)} of {height * width} pixels")
+    return values[: height * width].reshape(height, width)
 
 
 def _read_npy(path: Path) -> Frame:
