@@ -30,7 +30,7 @@ def tails(work, count):
         size = min(abs(deviate[i]), 37.0)
         # exp(-z²/2) = 2^(r - k)
         square = size * size * (0.5 / LN_2)
-        k = math.floor(square + 0.5)
+        k = np.floor(square + 0.5)  # not math.floor, which as plain Python takes no NaN
         power[i] = k - square
         exponent[i] = (WHOLE + OF_EXPONENT) - k
     bits = exponent.view(np.int64)

@@ -168,7 +168,7 @@ def pixel_variance(in_range_space, noise, count, room):
             position = room[MEAN_Q, i] * scale
             inside = position if position > 0.0 else 0.0  # also of NaN
             inside = inside if inside < last else last
-            room[SHARED, i] = math.floor(inside)
+            room[SHARED, i] = np.floor(inside)
             room[POSITION, i] = position
         # Neighbours in the table stay neighbours here: one load and one store for both.
         found = room[FOUND : FOUND + 2].reshape(2 * BLOCK)

@@ -56,7 +56,7 @@ def deviates(inverse_freedom, work, count):
     for i in range(count):
         guess_bits[i] = (bits[i] >> 32) | WHOLE_BITS
     for i in range(count):
-        guess[i] = math.floor((guess[i] - WHOLE) * (1.0 / 3.0) + OF_ROOT) + WHOLE
+        guess[i] = np.floor((guess[i] - WHOLE) * (1.0 / 3.0) + OF_ROOT) + WHOLE
     for i in range(count):
         guess_bits[i] = guess_bits[i] << 32
     for i in range(count):
