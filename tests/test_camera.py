@@ -511,6 +511,15 @@ def test_from_realsense_models(model, expected):
     assert (camera.distortion_model, camera.distortion) == (expected, KINECT)
 
 
+def test_from_realsense_without_a_lens():
+    assert Camera.from_realsense(realsense(model=0)) == Camera.from_realsense(
+        realsense()
+    )  # RS2_DISTORTION_NONE
+    for unknown in (-1, 6):
+        with pytest.raises(ValueError, match="model"):
+            Camera.from_realsense(realsense(model=unknown))
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

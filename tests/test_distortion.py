@@ -126,6 +126,11 @@ def test_unfolded_looks_at_the_way_not_only_at_the_end():
     a, b, c, d = distortion_jacobian(x, np.zeros(3), lens)
     assert (a * d - b * c > 0).tolist()[2]
     assert unfolded(x, np.zeros(3), lens).tolist() == [True, False, False]
+    # Beyond the pole of 1 / (1 - 4 r²), at r = 0.5, whichever way one goes.
+    lens = (0, 0, 0, 0, 0, -4.0, 0, 0)
+    for turn in np.linspace(0.0, 2.0 * np.pi, 16):
+        r = np.array([0.45, 0.6])
+        assert unfolded(r * np.cos(turn), r * np.sin(turn), lens).tolist() == [True, False]
 
 
 def test_nothing_in_nothing_out():

@@ -60,6 +60,13 @@ def test_hoover_chooses_the_better_of_two_readings() -> None:
     assert counts(row((1, 9), (2, 1), (2, 5)), row((1, 10), (0, 5)), 0.8) == (1, 0, 0, 0, 1)
 
 
+def test_hoover_parts_must_make_up_the_whole() -> None:
+    # Two regions lie wholly in one, of which they are half: none of the three is found.
+    cut, whole = row((1, 5), (2, 5), (0, 10)), row((1, 20))
+    assert counts(cut, whole, 0.8) == (0, 0, 0, 1, 2)
+    assert counts(whole, cut, 0.8) == (0, 0, 0, 2, 1)
+
+
 @pytest.mark.parametrize("tolerance", [0.5, 1.01, float("nan")])
 def test_hoover_refuses_other_tolerances(tolerance: float) -> None:
     with pytest.raises(ValueError, match=r"tolerance must be above 0\.5"):
@@ -86,6 +93,10 @@ def test_detection_below_one_half_matches_as_many_as_it_can() -> None:
     predicted = row((1, 4), (2, 3), (1, 3), (0, 1), (2, 3))
     scores = compare_labels(predicted, truth).detection(0.25)
     assert scores.pairs.tolist() == [[1, 2], [2, 1]]
+    # Two halves each have exactly one half of a region, which is matched once.
+    halves = compare_labels(row((1, 5), (2, 5)), row((1, 10))).detection(0.5)
+    assert len(halves.pairs) == 1
+    assert (halves.precision, halves.recall) == (0.5, 1.0)
 
 
 def test_scores_where_one_side_or_both_are_empty() -> None:

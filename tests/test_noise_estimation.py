@@ -8,6 +8,7 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
+from rgbd_planes.noise_samples import WINDOW, Samples
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
@@ -137,6 +138,23 @@ def test_a_bias_wider_than_any_surface():
     wanted -= planar @ np.linalg.lstsq(planar, wanted, rcond=None)[0]
     assert np.std(found[known] - wanted) < 0.4 * np.std(wanted)
     assert 0.8 < found[known] @ wanted / (wanted @ wanted) < 1.1
+
+
+def test_tilts_are_those_of_the_pixels_that_are_there(rng):
+    """Of an even, whole tile x and y are not correlated: a corner is missing from each."""
+    camera = rp.Camera(72, 48, 60.0, 60.0, 35.5, 23.5)
+    q = 0.4 + 0.1 * camera.tan_x - 0.2 * camera.tan_y + 1e-3 * rng.standard_normal(camera.shape)
+    corner = np.add.outer(np.arange(8), np.arange(8)) < 3
+    depth = np.where(np.tile(corner, (6, 9)), 0.0, 1.0 / q)
+    small, windows = (rp.TileFitter(camera, size).fit_batch([depth]) for size in (8, WINDOW))
+    found = Samples.of(small, np.ones(windows.shape, bool), windows)
+    assert len(found.tilt_square) == 54
+    u, v = np.broadcast_arrays(camera.tan_x, camera.tan_y)
+    for _, row, column, tilt_square in zip(*found.place, found.tilt_square, strict=True):
+        d_u, d_v, _ = small.alpha[0, row, column] - windows.alpha[0, row // 3, column // 3]
+        here = slice(8 * row, 8 * row + 8), slice(8 * column, 8 * column + 8)
+        rise = (d_u * u[here] + d_v * v[here])[~corner]
+        assert tilt_square == pytest.approx(0.5 * np.sum((rise - rise.mean()) ** 2))
 
 
 def test_frames_without_anything_flat(rng):

@@ -31,7 +31,11 @@ def test_repr_says_what_there_is(tiles):
         assert (f"{count} {status.name}" in text) == (count > 0)
 
 
-def test_save_and_load(tiles, tmp_path):
+@pytest.mark.parametrize("frames", [None, 1, 3])
+def test_save_and_load(tiles, frames, tmp_path, rng):
+    if frames is not None:
+        fitter = rp.TileFitter(tiles.camera, tiles.tile, tiles.method)
+        tiles = fitter.fit_batch([make_depth(tiles.camera, rng) for _ in range(frames)])
     tiles.save(tmp_path / "planes.npz")
     loaded = rp.TilePlanes.load(tmp_path / "planes.npz")
     assert loaded.camera == tiles.camera

@@ -691,6 +691,7 @@ def test_leading_shapes_that_do_not_broadcast():
     for call in (
         lambda: rp.uncertainty.same_plane(alpha, np.eye(3), alpha[:1, :2], np.eye(3)),
         lambda: rp.uncertainty.point_distance(np.ones((5, 3)), planes, eye),
+        lambda: rp.uncertainty.point_distance(np.ones(3), planes, eye, np.ones((5, 3, 3))),
         lambda: rp.uncertainty.angle_between(planes, eye, planes[0, :2], eye),
         lambda: rp.uncertainty.transform_planes(planes, eye, np.stack([eye, eye])),
         lambda: rp.uncertainty.transform_planes(plane, np.stack([eye] * 2), eye, np.ones((3, 6, 6))),
