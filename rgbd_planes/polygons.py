@@ -228,28 +228,20 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
         parts.append([outer, *(hole for hole in holes if polygon([hole]).area >= least)])
     areas = np.array([polygon(rings).area for rings in parts])
     kept = np.flatnonzero(areas >= least) if areas.max() >= least else [areas.argmax()]
-    first = np.array([left - 1, top - 1])
-    outline = shapely.MultiPolygon(
-        [polygon([_with_corners(ring, framed, first) for ring in parts[i]]) for i in kept]
-    )
+    outline = shapely.MultiPolygon([polygon([_with_corners(ring) for ring in parts[i]]) for i in kept])
     return _multi(outline.simplify(tolerance) if tolerance > 0.0 else outline, outline)
 
 
-def _with_corners(ring: Floats, framed: Floats, first: NDArray[np.int_]) -> Floats:
+def _with_corners(ring: Floats) -> Floats:
     """A contour's ring with the right angles that it cuts off, and from one of them on.
 
     Simplifying keeps the first corner and moves none: without them it would take half a pixel off straight edges.
-    ``first`` is the (x, y) of the first pixel of ``framed``.
     """
     sides = np.diff(ring, axis=0)
     cut = (sides != 0.0).all(axis=1)
     # Between two straight sides; several cuts in a row are a slanted edge.
     alone = np.flatnonzero(cut & ~np.roll(cut, 1) & ~np.roll(cut, -1))
     corners = ring[alone] + 0.5 * sides[alone - 1]
-    # Where two pixels touch at the corner, so would their outlines.
-    x, y = (np.floor(corners).astype(int) - first).T
-    pixels = framed[y, x] + framed[y, x + 1] + framed[y + 1, x] + framed[y + 1, x + 1]
-    alone, corners = alone[pixels != 2.0], corners[pixels != 2.0]
     if not len(alone):
         return ring
     ring, start = np.insert(ring, alone + 1, corners, axis=0), alone[0] + 1

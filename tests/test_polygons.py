@@ -130,14 +130,24 @@ def test_a_rectangle_of_pixels_is_one(size: tuple[int, int], tolerance: float) -
     assert own.image.area == pytest.approx(height * width - 36)
 
 
-def test_rectangles_that_touch_at_a_corner_stay_apart() -> None:
+@pytest.mark.parametrize("tolerance", [0.0, 1.0])
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("joined", [False, True])
+def test_rectangles_that_touch_at_a_corner_keep_their_edges(
+    joined: bool, mirrored: bool, tolerance: float
+) -> None:
+    """Also where they are one part, by a way around."""
     found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
     found.labels[:] = 0
-    found.labels[20:40, 20:40] = found.labels[40:60, 40:60] = 1
-    for tolerance in (0.0, 1.0):
-        (own,) = plane_polygons(found, tolerance=tolerance)
-        assert own.image.is_valid
-        assert own.image.area == pytest.approx(800.0, abs=1.0 + 10.0 * tolerance)
+    labels = found.labels[:, ::-1] if mirrored else found.labels
+    labels[20:40, 20:40] = labels[40:60, 40:60] = 1
+    if joined:
+        labels[10:20, 20:70] = labels[10:60, 60:70] = 1
+    (own,) = plane_polygons(found, tolerance=tolerance)
+    assert own.image.is_valid
+    assert own.metric.is_valid
+    assert len(own.image.geoms) == (1 if joined else 2)
+    assert own.image.area == pytest.approx(np.count_nonzero(labels))
 
 
 def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:

@@ -700,6 +700,17 @@ def test_leading_shapes_that_do_not_broadcast():
             call()
 
 
+def test_same_plane_takes_every_correlation(rng):
+    """Of whole tiles the two slopes have next to none."""
+    factors = rng.standard_normal((2, 200, 3, 3))
+    one, other = factors @ np.swapaxes(factors, -1, -2)
+    alpha, other_alpha = 3.0 * rng.standard_normal((2, 200, 3))
+    delta = alpha - other_alpha
+    statistic = np.einsum("ki,kij,kj->k", delta, np.linalg.inv(one + other), delta)
+    found = rp.uncertainty.same_plane(alpha, one, other_alpha, other)
+    np.testing.assert_allclose(found, stats.chi2.sf(statistic, 3), rtol=1e-8)
+
+
 def test_models_have_their_published_sigma_and_show_it():
     noise = rp.noise
     assert repr(noise.kinect_v1()) == "<NoiseModel: sigma 0.36 mm at 0.5 m, 1.4 mm at 1 m, 5.7 mm at 2 m>"
