@@ -1,5 +1,7 @@
 """ROS bags made for tests."""
 
+import sqlite3
+from contextlib import closing
 from types import SimpleNamespace
 
 import numpy as np
@@ -41,7 +43,10 @@ def messages(store, frames, encoding="16UC1", padding=0, big_endian=False):
 
 
 def write_bag(path, topics):
-    """A bag of {topic: [(nanoseconds, message), ...]}: ROS 1 where the name ends in .bag, ROS 2 elsewhere."""
+    """A bag of {topic: [(nanoseconds, message), ...]}: ROS 1 where the name ends in .bag, ROS 2 elsewhere.
+
+    As ROS 2 Humble wrote them, without the definitions of messages, where "humble" is in the name.
+    """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
@@ -60,6 +65,12 @@ def write_bag(path, topics):
             connection = writer.add_connection(topic, kind, typestore=store)
             for time, message in timed:
                 writer.write(connection, time, serialize(message, kind))
+    if "humble" in path.name:
+        with closing(sqlite3.connect(next(path.glob("*.db3")))) as database:
+            database.execute("DROP TABLE message_definitions")
+            database.execute("ALTER TABLE topics DROP COLUMN type_description_hash")
+            database.execute("UPDATE schema SET schema_version = 3")
+            database.commit()
 
 
 def type_store(path):

@@ -207,6 +207,10 @@ def test_sens_that_is_damaged(tmp_path, frames):
     path = tmp_path / "a.sens"
     write_sens(path, frames)
     whole = path.read_bytes()
+    write_sens(path, frames[:0], stamps=())
+    with pytest.raises(ValueError, match=r"a\.sens: expected depth frames, found none"):
+        rp.open_sequence(path)
+    path.write_bytes(whole)
     start = rp.open_sequence(path).entries[1].location.offset
     for content, message in (
         (whole[:5], "truncated: 5 bytes end in the header"),
@@ -381,7 +385,7 @@ RAW = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, distortion=(0.01, 0, 0, 0, 0), depth_s
 RECTIFIED = rp.Camera(8, 6, 7.1, 7.6, 3.5, 2.5, depth_scale=1000.0)
 
 
-@pytest.mark.parametrize("name", ["ros1.bag", "ros2", "mcap"])
+@pytest.mark.parametrize("name", ["ros1.bag", "ros2", "ros2_humble", "mcap"])
 def test_rosbag_frames_come_with_camera_info_and_stamps(tmp_path, frames, name):
     pytest.importorskip("rosbags")
     path = tmp_path / name
