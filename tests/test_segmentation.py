@@ -21,7 +21,7 @@ from rgbd_planes import (
 )
 from rgbd_planes.depth import as_depth_frame, step_of
 from rgbd_planes.kernels import segment_blocks, segment_inside, segment_shape
-from rgbd_planes.kernels.segment_noise_estimation import quantile
+from rgbd_planes.kernels.segment_noise_estimation import quantile, varied_squares
 from rgbd_planes.kernels.segment_records import Planes, Rays
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
@@ -902,6 +902,18 @@ def test_a_quantile_is_numpys(values, share):
     )
 
 
+def blocks_and_squares(depth, camera):
+    """Inverse depth, moments and planes of blocks and squares, largest inverse depth."""
+    frame, rays = as_depth_frame(depth, camera), segmentation_workspace.rays_of(camera)
+    work = segmentation_workspace.Workspace(camera)
+    nearest = segment_blocks.block_moments(
+        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
+        rays, work.inverse_depth, work.pyramid,
+    )  # fmt: skip
+    segment_blocks.sum_by_fours(work.pyramid, rays)
+    return work.inverse_depth, work.pyramid, nearest
+
+
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
 def test_moments_of_blocks_and_squares(distortion):
     # 83 blocks in a row: the second stretch that is worked on together lies beyond the frame.
@@ -910,14 +922,7 @@ def test_moments_of_blocks_and_squares(distortion):
     depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(
         np.uint16
     )
-    frame, rays = as_depth_frame(depth, camera), segmentation_workspace.rays_of(camera)
-    work = segmentation_workspace.Workspace(camera)
-    q = work.inverse_depth
-    nearest = segment_blocks.block_moments(
-        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        rays, q, work.pyramid,
-    )  # fmt: skip
-    segment_blocks.sum_by_fours(work.pyramid, rays)
+    q, pyramid, nearest = blocks_and_squares(depth, camera)
     expected = np.divide(1000.0, depth, out=np.zeros(camera.shape), where=depth > 0)
     np.testing.assert_allclose(q, expected, rtol=1e-6)
     assert nearest == q.max()
@@ -926,7 +931,7 @@ def test_moments_of_blocks_and_squares(distortion):
     u, v = camera.tan_x, camera.tan_y
     q64 = q.astype(np.float64)
     pixels = np.stack([valid, u, v, q64, u * u, u * v, u * q64, v * v, v * q64, q64 * q64]) * valid
-    moments, rss, _, offsets, shapes = work.pyramid
+    moments, rss, _, offsets, shapes = pyramid
     for level, (rows, columns) in enumerate(shapes):
         side = segment_blocks.BLOCK << level
         padded = np.zeros((10, rows * side, columns * side))
@@ -938,6 +943,25 @@ def test_moments_of_blocks_and_squares(distortion):
     rays = np.stack([first[1], first[2], first[0]], axis=1)
     residual = first[3] - rays @ np.linalg.lstsq(rays, first[3], rcond=None)[0]
     np.testing.assert_allclose(rss[0], residual @ residual, rtol=1e-6)
+
+
+def test_squares_with_a_constant_quarter_show_no_noise():
+    camera = Camera(256, 128, 300.0, 300.0, 127.5, 63.5, depth_scale=1000.0)
+    rng = np.random.default_rng(3)
+    flat = rng.random((32, 64)) < 0.1  # blocks, and squares of four
+    flat |= (rng.random((16, 32)) < 0.3).repeat(2, axis=0).repeat(2, axis=1)
+    depth = rng.integers(1000, 3000, camera.shape)
+    depth = np.where(flat.repeat(4, axis=0).repeat(4, axis=1), 1500, depth).astype(np.uint16)
+    _, pyramid, _ = blocks_and_squares(depth, camera)
+    found = varied_squares(pyramid).rss
+    for level, (rows, columns) in enumerate(pyramid.shapes):
+        here = slice(pyramid.offsets[level], pyramid.offsets[level + 1])
+        expected = pyramid.rss[here].copy()
+        if level > 0:
+            quarters = flat.reshape(rows, 2, columns, 2)
+            expected[quarters.any(axis=(1, 3)).ravel()] = -1.0
+            flat = quarters.all(axis=(1, 3))
+        np.testing.assert_array_equal(found[here], expected)
 
 
 def test_planes_of_a_room_are_the_fit_of_their_pixels(room):
