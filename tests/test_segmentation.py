@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.ndimage import convolve, gaussian_filter
+from scipy.ndimage import convolve, find_objects, gaussian_filter
 
 from rgbd_planes import (
     Camera,
@@ -20,9 +20,9 @@ from rgbd_planes import (
     segmentation_workspace,
 )
 from rgbd_planes.depth import as_depth_frame, step_of
-from rgbd_planes.kernels import segment_blocks, segment_inside, segment_shape
+from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
 from rgbd_planes.kernels.segment_noise_estimation import quantile, varied_squares
-from rgbd_planes.kernels.segment_records import Planes, Rays
+from rgbd_planes.kernels.segment_records import Planes, Rays, Runs
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation_noise import tolerance
@@ -962,6 +962,20 @@ def test_squares_with_a_constant_quarter_show_no_noise():
             expected[quarters.any(axis=(1, 3)).ravel()] = -1.0
             flat = quarters.all(axis=(1, 3))
         np.testing.assert_array_equal(found[here], expected)
+
+
+def test_boxes_of_labels_reach_to_the_edges():
+    rng = np.random.default_rng(4)
+    labels = np.kron(rng.integers(1, 9, (5, 7)), np.ones((3, 2), np.int32)).astype(np.int32)
+    starts = [np.flatnonzero(np.diff(row, prepend=0)) for row in labels]
+    first = np.cumsum([0, *map(len, starts)])
+    stops = [np.append(start[1:], labels.shape[1]) for start in starts]
+    values = [row[start] for row, start in zip(labels, starts, strict=True)]
+    some = [np.concatenate(of).astype(np.int32) for of in (starts, stops, values)]
+    box = np.zeros((9, 4), np.int64)
+    segment_gaps.label_boxes(Runs(first.astype(np.int32), *some, *some), box)
+    for label, (down, across) in enumerate(find_objects(labels), start=1):
+        assert box[label].tolist() == [down.start, down.stop, across.start, across.stop]
 
 
 def test_planes_of_a_room_are_the_fit_of_their_pixels(room):
