@@ -164,6 +164,8 @@ def test_ros_messages_survive_serialisation(tiles, depth):
     beyond = export.to_ros_points(depth, CAMERA, "camera", 1e300)["header"]
     assert beyond["stamp"] == {"sec": 0, "nanosec": 0}
     assert (cloud.height, cloud.width, cloud.is_dense) == (60, 80, False)
+    assert (cloud.row_step, cloud.is_bigendian) == (len(cloud.data) // 60, False)
+    assert [field.count for field in cloud.fields] == [1, 1, 1]
     dtype = np.dtype(
         {
             "names": [field.name for field in cloud.fields],

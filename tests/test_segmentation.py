@@ -822,15 +822,15 @@ def test_covariance_of_correlated_noise_is_honest(camera, pixels):
 
 
 def test_a_models_slow_waves_are_in_the_covariance():
-    # Errors that reach over 20 pixels: squares of 32 show little of them, a model that knows them says so.
+    # Errors that reach over 40 pixels: squares of 32 show little of them, a model that knows them says so. Without it
+    # the mean squared error is four times the covariance.
     rng = np.random.default_rng(19)
     truth = np.array([0.1, 0.0, 0.6])
-    model = NoiseModel(
-        (1e-3,), correlation=((1.0, 10.0 * 2.0**0.5),)
-    )  # of noise that is smoothed over 10 pixels
+    pixels = 20.0  # over which noise is smoothed
+    model = NoiseModel((1e-3,), correlation=((1.0, pixels * 2.0**0.5),))
     errors = []
     for _ in range(25):
-        noise = gaussian_filter(rng.normal(size=CAMERA.shape), 10.0)
+        noise = gaussian_filter(rng.normal(size=CAMERA.shape), pixels)
         q = truth[0] * CAMERA.tan_x + truth[2] + 1e-3 * noise / noise.std()
         found = segment(1.0 / q, CAMERA, noise=model)
         assert len(found) == 1
