@@ -50,7 +50,7 @@ def test_help_is_legible():
     shown += [value for module in modules for value in vars(module).values()]
     shown += [value for kind in shown if inspect.isclass(kind) for value in vars(kind).values()]
     for value in filter(inspect.isfunction, shown):
-        assert "_array_like" not in str(inspect.signature(value)), value
+        assert "_SupportsArray" not in str(inspect.signature(value)), value
 
 
 def test_kernels_from_the_cache_leave_compilation_alone():

@@ -93,15 +93,14 @@ class _OpenBag:
     """A bag that is open for reading."""
 
     def __init__(self, path: Path) -> None:
-        with needs("rosbags", "ros"):
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-
         self.path = path
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise ValueError(f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none")
         if not path.is_dir():
             existing_file(path)
+        with needs("rosbags", "ros"):
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
         self.identity = identity(path)
         # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
         with readable(self.path, _BAG):
