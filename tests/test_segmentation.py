@@ -854,6 +854,23 @@ def test_plane_covariance_is_that_of_alpha_carried_over(room):
         np.testing.assert_allclose(found.plane_covariance[i], expected, atol=1e-6 * expected.max())
 
 
+def test_share_and_residual_in_metres_are_those_of_the_pixels():
+    q, _ = two_planes(CAMERA, 0.05)
+    depth = 1.0 / (q + np.random.default_rng(6).normal(0.0, 1e-3, q.shape))
+    depth[60:180, 100:140] = np.nan
+    depth[20:30, 20:30] = 0.4  # a speck, which is no plane
+    depth[22:28:2, 22:28] = 0.7
+    found = segment(depth, CAMERA, min_size=120)
+    measured = np.isfinite(depth)
+    assert found.share == np.count_nonzero(found.labels[measured]) / measured.sum() < 1.0
+    z = np.where(measured, depth, 0.0)
+    points = np.stack([CAMERA.tan_x * z, CAMERA.tan_y * z, z], axis=-1)
+    for label, plane in enumerate(found.planes, start=1):
+        own = inside(found.labels, found.reason != Reason.MISSING) & (found.labels == label)
+        off = points[own] @ plane[:3] + plane[3]
+        assert found.rmse_metric[label - 1] == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.05)
+
+
 def test_fitted_depth_is_where_rays_meet_planes(room):
     _, depth = room
     found = segment(depth, CAMERA)

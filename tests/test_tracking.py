@@ -54,6 +54,35 @@ def test_a_plane_that_was_covered_comes_back_under_its_id() -> None:
     assert ids == [[1, 2], [1], [1], [1, 3]]
 
 
+def test_what_is_in_sight_goes_before_what_was_covered() -> None:
+    """Boards left and right, of which the left one is the larger; then the right one alone; then one over both."""
+
+    def frame(*boards: tuple[int, int]) -> np.ndarray:
+        depth = np.full(CAMERA.shape, 2.0)
+        for left, right in boards:
+            depth[30:70, left:right] = 1.5
+        return depth
+
+    frames = [frame((10, 55), (80, 110)), frame((80, 110)), frame((10, 110))]
+    _, second, third = (tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA))
+    assert len(second) == len(third) == 2
+    assert third == second
+    again = segment_sequence([frames[0], frames[2]], CAMERA)
+    assert [tracked.ids.tolist() for tracked in again] == [[1, 2, 3], [1, 2]]  # both in sight: the larger one
+
+
+def test_noise_and_the_least_size_are_those_of_each_frame() -> None:
+    q = np.full(CAMERA.shape, 0.5)
+    q[30:70, 40:90] += 0.02
+    q[5:15, 5:15] = 1.0
+    depth = 1.0 / (q + np.random.default_rng(3).normal(0.0, 1e-3, q.shape))
+    for settings in ({}, {"noise": 0.02}, {"min_size": 200}):
+        (tracked,) = segment_sequence([depth], CAMERA, **settings)
+        expected = segment(depth, CAMERA, **settings)
+        np.testing.assert_array_equal(tracked.segmentation.labels, expected.labels)
+        assert len(tracked.ids) == (3 if not settings else 2)
+
+
 def test_what_is_forgotten_takes_no_room() -> None:
     tracker = Tracker(memory=2)
     for i in range(12):
