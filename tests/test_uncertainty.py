@@ -426,7 +426,7 @@ def test_limits_of_the_default_level():
     """The numbers that are there are those that SciPy gives, and the quantiles of chi-square."""
     limits = fit_statistics._limits(fit_statistics.DEFAULT_SIGNIFICANCE, 0.0)
     made = fit_statistics._made_limits(fit_statistics.DEFAULT_SIGNIFICANCE)
-    np.testing.assert_allclose(limits, made, rtol=1e-9)
+    np.testing.assert_allclose(limits, made, rtol=1e-7)  # a fit, whose last digits are the processor's
     freedom = np.geomspace(1.0, 1e5, 200)
     p = stats.chi2.sf(np.polynomial.Polynomial(limits)(freedom**-0.5) * freedom, freedom)
     np.testing.assert_allclose(p, fit_statistics.DEFAULT_SIGNIFICANCE, atol=2e-5)
