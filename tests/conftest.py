@@ -17,6 +17,19 @@ def rng():
     return np.random.default_rng(20170331)
 
 
+@pytest.fixture
+def link():
+    """Make a symbolic link of the first path to the second, or skip the test where that may not be, as on Windows."""
+
+    def make(path, target):
+        try:
+            path.symlink_to(target)
+        except OSError as error:
+            pytest.skip(f"symbolic links cannot be made here: {error}")
+
+    return make
+
+
 def real_frames():
     """(name, depth path, camera path) of every real frame there is; empty where there are none."""
     return [

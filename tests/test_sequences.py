@@ -87,12 +87,12 @@ def test_tum_frames_come_with_camera_and_times(tmp_path, frames, number):
     assert repr(rp.open_sequence(root)).startswith("<FrameSequence: 3 frames, 640 x 480 pixels, depth/")
 
 
-def test_tum_by_a_link(tmp_path, frames):
+def test_tum_by_a_link(tmp_path, frames, link):
     """The calibration is known by the name of a link, or by that of the folder that it leads to."""
-    for folder, link in (("volume", "freiburg2_desk"), ("freiburg2_xyz", "frames")):
+    for folder, name in (("volume", "freiburg2_desk"), ("freiburg2_xyz", "frames")):
         write_tum(tmp_path / folder, frames)
-        (tmp_path / link).symlink_to(folder)
-        assert rp.open_sequence(tmp_path / link).camera == presets.tum_freiburg2()
+        link(tmp_path / name, folder)
+        assert rp.open_sequence(tmp_path / name).camera == presets.tum_freiburg2()
 
 
 @pytest.mark.parametrize("name", ["freiburg1", "a.sens", "a.bag"])
@@ -330,10 +330,10 @@ def test_folder_of_images_needs_a_camera(tmp_path, frames):
     same(times, frames[[1, 0]], CAMERA, times=[0.5, 1.5])
 
 
-def test_a_frame_that_is_a_link_to_nowhere_keeps_its_place(tmp_path, frames):
+def test_a_frame_that_is_a_link_to_nowhere_keeps_its_place(tmp_path, frames, link):
     for i in (0, 2):
         images.write_png(tmp_path / f"{i}.png", frames[i])
-    (tmp_path / "1.png").symlink_to("gone.png")
+    link(tmp_path / "1.png", "gone.png")
     (tmp_path / "3.png").mkdir()
     sequence = sequences.folder(tmp_path, CAMERA)
     assert sequence.names == ("0.png", "1.png", "2.png")
@@ -582,11 +582,11 @@ def test_every_real_set_is_a_folder():
 
 
 @pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
-def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path):
+def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path, link):
     source = real_data.FOLDER / "kinect1_7scenes_seq" / "depth"
     files = sorted(source.glob("*.png"))[:5]
     for i, file in enumerate(files):
-        (tmp_path / f"frame-{i:06d}.depth.png").symlink_to(file)
+        link(tmp_path / f"frame-{i:06d}.depth.png", file)
     sequence = rp.open_sequence(tmp_path)
     assert sequence.camera == presets.seven_scenes()
     for frame, file in zip(sequence, files, strict=True):
@@ -597,7 +597,7 @@ def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path):
     source = next((real_data.FOLDER / "tum_fr1_distorted" / "depth").glob("*.png"))
     root = tmp_path / "rgbd_dataset_freiburg1_desk"
     root.mkdir()
-    (root / "depth").symlink_to(source.parent)
+    link(root / "depth", source.parent)
     (root / "depth.txt").write_text(f"1305031103.027881 depth/{source.name}\n")
     frame = rp.open_sequence(root)[0]
     assert frame.timestamp == 1305031103.027881
