@@ -9,24 +9,17 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.merging import merge
-from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.tile_planes import TilePlanes
-from rgbd_planes.tiles import TileFitter
-from rgbd_planes.uncertainty import same_plane
+from rgbd_planes.large_planes import TILE, LargePlanes
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 CELL = 8
 """Side in pixels of the cells of the flatness map."""
-_TILE = 16  # of the planes of the flatness map, and how many tiles make a large one
-_LARGE = 60
-_BIAS, _BIAS_LENGTH = 1.0, 48.0  # that is expected, in standard deviations of a pixel, and in pixels
 _STEPS = 300
 
 
-def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Floats, Indices]:
+def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera) -> tuple[Floats, Indices]:
     """The bias over the image, and how many pixels each cell's is from: see `NoiseEvidence`.
 
     A plane that sees a part of the image takes up what of the bias is planar there. So bias and planes are found
@@ -38,16 +31,12 @@ def flatness(frames: Sequence[Any], camera: Camera) -> tuple[Floats, Indices]:
     cell_of = (np.arange(camera.height) // CELL * shape[1])[:, None] + np.arange(camera.width) // CELL
     noise = camera.noise
     assert noise is not None
-    # Without it what the bias bends most would be no plane, and the map empty there.
-    wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
-    fitter = TileFitter(replace(camera, noise=wavy), _TILE, significance=1e-3)
     numbers = np.zeros(cells, np.int64)
     planes, parts = 0, []
-    # Errors that the pixels of a cell share are one error of the cell.
-    together = max(float(noise.statistics(CELL * CELL).offset) / (1.0 + noise.floor**2), 1.0)
-    for depth in frames:
-        labels, alpha = _large_planes(fitter.fit(depth))
-        pixels = labels.repeat(_TILE, axis=0).repeat(_TILE, axis=1)[: camera.height, : camera.width]
+    # Random errors that the pixels of a cell share are one error of the cell; the floor is what is looked for.
+    together = max(float(replace(noise, floor=0.0).statistics(CELL * CELL).offset), 1.0)
+    for depth, (labels, alpha, *_) in zip(frames, large, strict=True):
+        pixels = labels.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
         a, b, c = np.moveaxis(np.vstack([np.full((1, 3), np.nan), alpha])[pixels], -1, 0)
         fitted = a * camera.tan_x + b * camera.tan_y + c
         residual = as_depth_frame(depth, camera).inverse_depth - fitted
@@ -117,48 +106,3 @@ def _bias(
     seen = np.full(cells, np.nan)
     seen[some] = bias[some] - centre @ planar
     return seen
-
-
-def _large_planes(tiles: TilePlanes) -> tuple[Indices, Floats]:
-    """(R, C) which of the large planes that are seen each tile is of, from 1, 0 for none; their α, (K, 3)."""
-    labels = _connected(tiles)
-    merged = merge(tiles, labels)
-    # Links from tile to tile can lead around a bend: what is not on the common plane is left out.
-    on_plane = labels > 0
-    of = labels[on_plane] - 1
-    on_plane[on_plane] = (
-        same_plane(
-            tiles.alpha[on_plane],
-            tiles.alpha_covariance[on_plane],
-            merged.alpha[of],
-            merged.alpha_covariance[of],
-        )
-        > 1e-3
-    )
-    labels[~on_plane] = 0
-    merged = merge(tiles, labels, significance=1e-3)
-    large = np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:] >= _LARGE
-    large &= merged.status == TileStatus.OK
-    number = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
-    return number[labels], merged.alpha[large]
-
-
-def _connected(tiles: TilePlanes) -> Indices:
-    """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    flat = tiles.status == TileStatus.OK
-    alpha, covariance = tiles.alpha, tiles.alpha_covariance
-    index = np.arange(flat.size).reshape(flat.shape)
-    links = []
-    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        same = same_plane(alpha[a], covariance[a], alpha[b], covariance[b]) > 0.05
-        same &= flat[a] & flat[b]
-        links.append((index[a][same], index[b][same]))
-    first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
-    graph = coo_array((np.ones(len(first)), (first, second)), shape=(flat.size, flat.size))
-    component = connected_components(graph, directed=False)[1].reshape(flat.shape)
-    labels = np.zeros(flat.shape, np.int64)
-    labels[flat] = np.unique(component[flat], return_inverse=True)[1] + 1
-    return labels

@@ -21,6 +21,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
+from rgbd_planes.large_planes import TILE, LargePlanes, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise_evidence import evidence_of
 from rgbd_planes.noise_samples import (
@@ -44,8 +45,8 @@ SIZES = (6, 8, 12, 24, 48, 96)
 """Sides of the tiles that are compared: they divide a window, or are two or four of them."""
 LENGTHS = (1.0, 2.0, 4.0, 8.0)
 """Correlation lengths, in pixels, among which the random error is shared out."""
-FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0)
-"""Candidates for the length of the systematic error, up to half of the largest tile."""
+FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0)
+"""Candidates for the length of the systematic error, up to half of the largest tile or plane."""
 LATERALS = np.linspace(0.0, 1.2, 25)
 """Candidates for the lateral error, in pixels."""
 SPREADS = np.linspace(0.0, 1.5, 61)
@@ -54,6 +55,8 @@ _TAIL = 0.95  # quantile at which the spread is matched: above are also tiles th
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
 _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
 _UNEVEN = 3.0  # of windows that are as they should be: 1.1 to 1.6 with real sensors
+_BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
+_WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: of the few waves that it has room for
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
@@ -135,6 +138,9 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
+    # Biases over hundreds of pixels are nearly planar on any tile, and make little residual.
+    model = _fit_reach(reaching, model, large_planes(opened, replace(camera, noise=model)))
+    model = _fit_scale(samples[REFERENCE], model)
     if model.spread >= SPREADS[-1] or unevenness(tiles[WINDOW], tiles[8], flat) > _UNEVEN:
         warn_caller(
             "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
@@ -184,9 +190,9 @@ def _alone(part: tuple[float, float]) -> NoiseModel:
     return NoiseModel(correlation=(part,) if part[1] else ())
 
 
-def _per_pixel(part: tuple[float, float], sizes: npt.NDArray[np.int64]) -> Floats:
+def _per_pixel(part: tuple[float, float], sizes: Any) -> Floats:
     """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
-    return np.asarray(_alone(part).statistics(sizes**2).expected / sizes**2)
+    return np.asarray(_alone(part).statistics(np.square(sizes)).expected / np.square(sizes))
 
 
 def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Floats:
@@ -195,8 +201,12 @@ def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int)
     return np.asarray(_alone(part).statistics(sizes**2).tilt_x - shared)
 
 
-def _fit_reach(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
+def _fit_reach(
+    samples: dict[int, Samples], model: NoiseModel, large: Sequence[LargePlanes] = ()
+) -> NoiseModel:
     """How the variance is shared out over correlation lengths, from how residuals and slopes change with size.
+
+    And from how far large planes are bent, if there are any.
 
     By least squares of errors relative to what is seen and to what chance makes of it, no share below 0. There is a
     floor only if that brings the model nearer by more than chance would: of tiles smaller than its length little of it
@@ -214,18 +224,30 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel) -> NoiseModel:
     of_one = np.append(1.25 * np.sqrt(2.0 / (sizes**2 - 3.0)), np.full(len(small), 1.0 / np.log(2.0)))
     chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
+    sides, bends, planes = bends_by_side(large)
+    values = np.append(values, bends)
+    # Independent errors alone make 3 / TILE² of it, almost.
+    scale = np.append(scale, np.maximum(bends, 3.0 / TILE**2) * np.hypot(_WAVES / np.sqrt(planes), _INEXACT))
+
+    def bent(part: tuple[float, float]) -> Floats:
+        return _per_pixel(part, sides) - _per_pixel(part, TILE)
 
     def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Floats]:
-        terms = [np.append(_per_pixel(part, sizes), _tilts(part, small, window)) for part in parts]
+        terms = [
+            np.concatenate([_per_pixel(part, sizes), _tilts(part, small, window), bent(part)])
+            for part in parts
+        ]
         shares, distance = nnls(np.stack(terms, axis=1) / scale[:, None], values / scale, maxiter=1000)
         return distance**2, np.asarray(shares)
 
     random_parts = [(0.0, 0.0), *((1.0, length) for length in LENGTHS)]
     error, shares = shared_out(random_parts)
+    of_random = np.array([bent(part) for part in random_parts]).T @ shares
+    if not (bends > _BENT * of_random).any():
+        error -= _EVIDENT
     shares, floor_length = np.append(shares, 0.0), FLOOR_LENGTHS[0]
-    error -= _EVIDENT
     for length in FLOOR_LENGTHS:
-        if 2 * length <= max(sizes.max(), 2 * FLOOR_LENGTHS[0]):
+        if 2 * length <= max(*sizes, *sides, 2 * FLOOR_LENGTHS[0]):
             with_floor, candidate = shared_out([*random_parts, (1.0, length)])
             if with_floor < error:
                 error, shares, floor_length = with_floor, candidate, length

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.flatness import flatness
+from rgbd_planes.large_planes import TILE, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.noise_samples import REFERENCE, Samples, bins_of
 from rgbd_planes.residual_statistics import deviate_of
@@ -29,10 +30,10 @@ class NoiseEvidence:
     windows : int
         Number of flat windows, of 24 x 24 pixels.
     sizes : (S,) int64
-        Sides of tiles.
+        Sides of tiles; then, if there are any, of squares as large as the large planes of a frame.
     residuals, expected : (S,) float64
-        Median of the root mean square residual of the flat tiles of each size, as a multiple of the model's
-        σq, and the same by the model.
+        Median of the root mean square residual of the flat tiles of each size, or of such planes, as a multiple of
+        the model's σq, and the same by the model.
     inverse_depth, sigma, sigma_fit : (K,) float64
         By depth: root mean square residual of the tiles of 12 pixels there, and the model's.
     p_values : (T,) float64
@@ -92,14 +93,22 @@ def evidence_of(
     ratio = chosen.rss / expected
     bins = bins_of(chosen.q, 60)
     sizes = np.array(list(samples))
+    wide = replace(camera, noise=model)
+    large = large_planes(frames, wide)
+    sides, bends, _ = bends_by_side(large)
+    residuals = np.append(
+        [some.typical(model)[0] for some in samples.values()],
+        bends + float(model.statistics(TILE * TILE).expected) / TILE**2,
+    )
+    sizes = np.append(sizes, np.rint(sides).astype(np.int64))
     sums, numbers = np.zeros(tiles[size].shape[1:]), np.zeros(tiles[size].shape[1:])
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
     np.add.at(numbers, chosen.place[1:], 1.0)
-    bias, count = flatness(frames, replace(camera, noise=model))
+    bias, count = flatness(frames, large, wide)
     return NoiseEvidence(
         windows=windows,
         sizes=sizes,
-        residuals=np.sqrt([max(some.typical(model)[0], 0.0) for some in samples.values()]),
+        residuals=np.sqrt(np.maximum(residuals, 0.0)),
         expected=np.sqrt(model.statistics(sizes**2).expected) / sizes,
         inverse_depth=np.array([np.median(chosen.q[some]) for some in bins]),
         sigma=np.sqrt([np.median((chosen.rss / chosen.count)[some]) for some in bins]),

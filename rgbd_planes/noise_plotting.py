@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.noise_samples import REFERENCE
 from rgbd_planes.plotting import NotebookFigure
 
 if TYPE_CHECKING:
@@ -57,17 +58,20 @@ def _draw_depth(axes: "Axes", evidence: "NoiseEvidence") -> None:
 
 
 def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
-    axes.plot(evidence.sizes, evidence.residuals, "o", color=_SEEN, label="flat tiles (median)")
+    axes.plot(
+        evidence.sizes, evidence.residuals, "o", color=_SEEN, label="flat tiles and large planes (median)"
+    )
     axes.plot(evidence.sizes, evidence.expected, color=_MODEL, label="model")
     independent = np.sqrt(1.0 - 3.0 / evidence.sizes**2)
-    middle = len(evidence.sizes) // 2
-    independent *= evidence.residuals[middle] / independent[middle]
+    reference = int(np.argmin(np.abs(evidence.sizes - REFERENCE)))
+    independent *= evidence.residuals[reference] / independent[reference]
     axes.plot(evidence.sizes, independent, "--", color=_PLAIN, label="if pixels were independent")
     axes.set_xscale("log", base=2)
-    axes.set_xticks(evidence.sizes, [str(size) for size in evidence.sizes])
+    ticks = [size for size in (6, 8, 12, 24, 48, 96, 192, 384, 768) if size <= 1.2 * evidence.sizes.max()]
+    axes.set_xticks(ticks, [str(size) for size in ticks])
     axes.set_ylim(0.0, 1.25 * max(evidence.residuals.max(), evidence.expected.max()))
     title = "How far errors reach (rounding and lateral error apart)"
-    _finish(axes, title, "side of the tile, pixels", "rms residual / σq")
+    _finish(axes, title, "side of the tile or plane, pixels", "rms residual / σq")
 
 
 def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:

@@ -121,6 +121,30 @@ def test_shows_a_bias_over_the_image(rng):
     assert "\n" not in repr(evidence)
 
 
+@pytest.mark.parametrize("floor", [0.0, 1.0])
+def test_planes_larger_than_tiles_show_how_far_a_bias_reaches(floor, rng):
+    """Tiles of 96 pixels are as flat with it as without. The errors of large planes are what the covariance says."""
+    bias = floor * 1.4e-3 * smooth(rng, 100.0)
+    seen = []
+    for i, view in enumerate(VIEWS):
+        q = 1.0 / rendering(*view).measure(seed=i, quantise=False) + bias
+        seen.append(1.0 / q)
+    model = rp.estimate_noise(seen, CAMERA)
+    assert model.floor == pytest.approx(floor, abs=0.4 if floor else 0.1)
+    assert model.evidence.sizes[-1] > 150
+    np.testing.assert_allclose(model.evidence.residuals, model.evidence.expected, rtol=0.15)
+    camera, squares = replace(CAMERA, noise=model), []
+    for depth, view in zip(seen, VIEWS, strict=True):
+        scene = rendering(*view)
+        fits = rp.fit_labels(depth, camera, scene.labels)
+        true = -scene.planes[:, :3] / scene.planes[:, 3:]
+        for i in np.flatnonzero(fits.valid_count > 15000):
+            error = fits.alpha[i] - true[i]
+            squares.append(error @ np.linalg.solve(fits.alpha_covariance[i], error) / 3.0)
+    assert len(squares) > 8
+    assert 0.2 < np.median(squares) < 3.0
+
+
 def test_a_bias_wider_than_any_surface():
     """Each sees a part of it, which is nearly planar: only together do they show it, and its size."""
     bend = 4e-3 * (CAMERA.tan_x**2 + CAMERA.tan_y**2)

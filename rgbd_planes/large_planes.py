@@ -1,0 +1,124 @@
+"""The planes that a frame shows large: what a sensor's slow errors are seen on."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.merging import merge
+from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise_samples import bins_of
+from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.residual_statistics import like_rectangles
+from rgbd_planes.tile_planes import TilePlanes
+from rgbd_planes.tiles import TileFitter
+from rgbd_planes.uncertainty import same_plane
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+TILE = 16
+"""Side in pixels of the tiles of which large planes consist."""
+_LARGE = 60  # tiles that make a large plane
+_ENOUGH = 8  # planes, of which the median is taken
+_BIAS, _BIAS_LENGTH = 1.0, 48.0  # that is expected, in standard deviations of a pixel, and in pixels
+
+
+class LargePlanes(NamedTuple):
+    """The K large planes of a frame.
+
+    Attributes
+    ----------
+    labels : (R, C) int64
+        Which of them each tile is of, from 1; 0 for none.
+    alpha : (K, 3) float64
+    side : (K,) float64
+        Pixels, of a square as large as the rectangle in which the plane lies.
+    bend : (K,) float64
+        Mean square residual beyond that of the tiles about planes of their own, in σq² of the errors of which
+        rounding and the lateral error are no part: how far the plane is not flat over more than a tile.
+    """
+
+    labels: Indices
+    alpha: Floats
+    side: Floats
+    bend: Floats
+
+
+def large_planes(frames: Sequence[Any], camera: Camera) -> list[LargePlanes]:
+    """Find those of each frame, and how far they are bent, by the camera's noise."""
+    noise = camera.noise
+    assert noise is not None
+    # Without a bias what is bent most would be no plane, and nothing seen there.
+    wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
+    fitter = TileFitter(replace(camera, noise=wavy), TILE, significance=1e-3)
+    return [_of_frame(fitter.fit(depth), noise) for depth in frames]
+
+
+def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]:
+    """Medians of ``side`` and of ``bend`` of planes of similar sides, and of how many planes they are."""
+    side, bend = np.concatenate([np.empty((2, 0)), *((of.side, of.bend) for of in large)], axis=1)
+    bins = [some for some in bins_of(side, _ENOUGH) if len(some)]
+    sides, bends = ([float(np.median(of[some])) for some in bins] for of in (side, bend))
+    return np.array(sides), np.array(bends), np.array([len(some) for some in bins], np.float64)
+
+
+def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
+    labels = _connected(tiles)
+    merged = merge(tiles, labels)
+    # Links from tile to tile can lead around a bend: what is not on the common plane is left out.
+    on_plane = labels > 0
+    of = labels[on_plane] - 1
+    on_plane[on_plane] = (
+        same_plane(
+            tiles.alpha[on_plane],
+            tiles.alpha_covariance[on_plane],
+            merged.alpha[of],
+            merged.alpha_covariance[of],
+        )
+        > 1e-3
+    )
+    labels[~on_plane] = 0
+    merged = merge(tiles, labels, significance=1e-3)
+    many = np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:]
+    large = (many >= _LARGE) & (merged.status == TileStatus.OK)
+
+    on_plane, number = labels > 0, labels[labels > 0] - 1
+    count = tiles.valid_count[on_plane]
+    q = tiles._reference[2, on_plane] + tiles._moments[3, on_plane] / count
+    squares = count * noise._along(q) ** 2, count * tiles.rmse[on_plane] ** 2, noise._rounding(q)
+    along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
+    pitch = np.array([1.0 / tiles.camera.fx, 1.0 / tiles.camera.fy])
+    slope_square = np.sum((merged.alpha[:, :2] * pitch) ** 2, axis=1)
+    # Each tile has three coefficients, which take up as much of what is independent.
+    independent = (
+        3.0 * (1.0 - 1.0 / np.maximum(many, 1)) * (rounding + many * noise.lateral**2 * slope_square)
+    )
+    bend = (merged.valid_count * merged.rmse**2 - within - independent)[large] / along[large]
+    numbers = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
+    side = np.sqrt(like_rectangles(merged._footprint).prod(axis=1))
+    return LargePlanes(numbers[labels], merged.alpha[large], side[large], bend)
+
+
+def _connected(tiles: TilePlanes) -> Indices:
+    """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    flat = tiles.status == TileStatus.OK
+    alpha, covariance = tiles.alpha, tiles.alpha_covariance
+    index = np.arange(flat.size).reshape(flat.shape)
+    links = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        same = same_plane(alpha[a], covariance[a], alpha[b], covariance[b]) > 0.05
+        same &= flat[a] & flat[b]
+        links.append((index[a][same], index[b][same]))
+    first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(flat.size, flat.size))
+    component = connected_components(graph, directed=False)[1].reshape(flat.shape)
+    labels = np.zeros(flat.shape, np.int64)
+    labels[flat] = np.unique(component[flat], return_inverse=True)[1] + 1
+    return labels
