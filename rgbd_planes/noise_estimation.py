@@ -146,7 +146,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
             "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
             "are surfaces in the frames flat over 50 pixels or more?"
         )
-    return replace(model, evidence=evidence_of(opened, camera, model, samples, tiles, count))
+    return replace(model, evidence=evidence_of(opened, camera, model, samples, count))
 
 
 def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:

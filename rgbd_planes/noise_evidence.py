@@ -11,9 +11,8 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.flatness import flatness
 from rgbd_planes.large_planes import TILE, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.noise_samples import REFERENCE, Samples, bins_of
+from rgbd_planes.noise_samples import REFERENCE, WINDOW, Samples, bins_of
 from rgbd_planes.residual_statistics import deviate_of
-from rgbd_planes.tile_planes import TilePlanes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,7 +38,7 @@ class NoiseEvidence:
     p_values : (T,) float64
         Of those tiles; uniform if the model is right.
     noise_map : (R, C) float64
-        Their residual over the model's, by place in the image; NaN where no frame is flat.
+        Their residual over the model's, by place in the image, as far as whole windows go; NaN where no frame is flat.
     flatness : (H / 8, W / 8) float64
         The sensor's own bias over the image in 1/m, in cells of 8 pixels: what all large planes of all frames
         have in common. NaN where none was seen. A part that is itself planar over the image does not show.
@@ -81,10 +80,9 @@ def evidence_of(
     camera: Camera,
     model: NoiseModel,
     samples: dict[int, Samples],
-    tiles: dict[int, TilePlanes],
     windows: int,
 ) -> NoiseEvidence:
-    """What the samples of these tiles of frames say for and against a model."""
+    """What the flat tiles of frames, by size, say for and against a model."""
     from scipy.special import ndtr
 
     size = REFERENCE
@@ -101,7 +99,8 @@ def evidence_of(
         bends + float(model.statistics(TILE * TILE).expected) / TILE**2,
     )
     sizes = np.append(sizes, np.rint(sides).astype(np.int64))
-    sums, numbers = np.zeros(tiles[size].shape[1:]), np.zeros(tiles[size].shape[1:])
+    inside = camera.height // WINDOW * WINDOW // size, camera.width // WINDOW * WINDOW // size
+    sums, numbers = np.zeros(inside), np.zeros(inside)
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
     np.add.at(numbers, chosen.place[1:], 1.0)
     bias, count = flatness(frames, large, wide)
