@@ -32,8 +32,10 @@ LIMITS = 11
 # tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. One over the degrees of
 # freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the variance of q of
 # the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
+# Within a tile it is a power of q; where that would be a higher one than STEEPEST the table jumps.
 LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, SCALE = 0, 1, 2, 3, 4, 5
 VARIANCES = np.uintp(6)
+STEEPEST = 8.0
 ONE = np.uintp(1)
 
 # Rows of the results.
@@ -181,13 +183,13 @@ def pixel_variance(in_range_space, noise, count, room):
             variance, step = found[2 * i], found[2 * i + 1] - found[2 * i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
-            # Averaged over the tile as a power of q is: this is its exponent times the variance.
-            power = position * step
+            # Averaged over the tile as this power of q is.
+            power = min(max(position * step / max(variance, 1e-300), -STEEPEST), STEEPEST)
             mean_w = room[3, i] * room[SHARE, i]
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
             spread = room[9, i] * room[SHARE, i] - mean_w * mean_w
             w = room[W_0, i] + mean_w
-            room[SHARED, i] = variance + 0.5 * power * (power - variance) / (variance * (w * w)) * spread
+            room[SHARED, i] = variance * (1.0 + 0.5 * power * (power - 1.0) / (w * w) * spread)
     x, y = noise[LATERAL_X], noise[LATERAL_Y]
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
     if x > 0.0 or depth > 0.0:

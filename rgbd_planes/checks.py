@@ -80,17 +80,21 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     return np.asarray(values)
 
 
+LARGEST_NOISE = 1e150  # 1/m: what a square leaves finite
+
+
 def check_noise(
     sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True
 ) -> NDArray[np.float64]:
     """Return a standard deviation at inverse depths, one for each, as floats: 0 or more, except where q is 0."""
     made = for_each(sigma, inverse_depth)
-    bad = ~(made >= 0.0) | (finite & np.isinf(made))
+    bad = ~(made >= 0.0) | (finite & (made > LARGEST_NOISE))
     bad &= inverse_depth > 0.0  # no function need be defined at 0
     if bad.any():
         first = bad.argmax()
         raise ValueError(
-            f"expected noise of 0 or more at all inverse depths, got {made[first]:g} at {inverse_depth[first]:g} 1/m"
+            f"expected noise of 0 to {LARGEST_NOISE:g} 1/m at all inverse depths, "
+            f"got {made[first]:g} at {inverse_depth[first]:g} 1/m"
         )
     return made
 

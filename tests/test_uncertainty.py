@@ -596,6 +596,43 @@ def test_noise_by_depth_is_as_right_as_documented(depth, error):
     np.testing.assert_allclose(deviations[0], deviations[1], rtol=error)
 
 
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.NoiseModel((0.0, 0.0, 0.0), step=1e-3),
+        rp.noise.NoiseModel(formula=lambda q: np.where(q > 1.0, 1e-3, 0.0), step=1e-3),
+    ],
+    ids=["nowhere", "near"],
+)
+def test_where_there_is_no_noise_but_rounding(noise):
+    """p-values and covariances are those of a model that has none but rounding."""
+    frame = np.rint(1e3 / (0.5 + 0.02 * CAMERA_OF_ROUNDING.tan_x)) / 1e3
+    steps = frame + 0.2 * (np.arange(48) % 2)[:, None]
+    wanted = rp.noise.NoiseModel((0.0,), step=1e-3)
+    for depth, status in ((frame, rp.TileStatus.OK), (steps, rp.TileStatus.ROUGH)):
+        by_depth, alone = (
+            rp.fit_tiles(depth, replace(CAMERA_OF_ROUNDING, noise=model)) for model in (noise, wanted)
+        )
+        assert (by_depth.status == status).all()
+        np.testing.assert_allclose(by_depth.p_value, alone.p_value, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(by_depth.alpha_covariance, alone.alpha_covariance, rtol=1e-6)
+
+
+def test_a_jump_of_the_noise_is_one_from_the_lower_to_the_higher():
+    noise = rp.noise.function(lambda q: np.where(q > 1.0, 2e-3, 2e-4))
+    camera = replace(CAMERA_OF_ROUNDING, noise=noise)
+    for q in (0.9999, 1.0001):  # in the middle
+        depth = 1.0 / (q + 0.2 * camera.tan_x + 0.1 * camera.tan_y)
+        with_noise = rp.fit_tiles(depth, camera, camera.shape)
+        without = rp.fit_tiles(depth, replace(camera, noise=rp.noise.NoiseModel((1.0,))), camera.shape)
+        sigma = with_noise.angle_std / without.angle_std
+        assert sigma.min() > 1.9e-4
+        assert sigma.max() < 2.2e-3
+
+
+CAMERA_OF_ROUNDING = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5)
+
+
 @pytest.fixture
 def two_planes(rng):
     """Planes with covariances, and draws of both from them."""
@@ -805,7 +842,8 @@ def test_model_goes_with_the_camera(model, tmp_path, rng):
         (lambda: rp.noise.NoiseModel((1e-3, np.nan)), ValueError, "coefficients as a finite number, got nan"),
         (lambda: rp.noise.NoiseModel(2e-3), TypeError, "coefficients as a sequence of numbers, got 0.002"),
         (lambda: rp.noise.NoiseModel(spread="a"), TypeError, "spread as a number, got 'a'"),
-        (lambda: rp.noise.axial(-1e-3), ValueError, "noise of 0 or more at all inverse depths"),
+        (lambda: rp.noise.axial(-1e-3), ValueError, r"noise of 0 to 1e\+150 1/m at all inverse depths"),
+        (lambda: rp.noise.NoiseModel((1e200,)), ValueError, r"got 1e\+200 at 0.0012207 1/m"),
         (lambda: rp.noise.time_of_flight(1e-3, -0.01), ValueError, "got -1.22055e-05 at 0.0012207 1/m"),
         (lambda: rp.noise.function(lambda q: q * np.nan), ValueError, "got nan at 0.0012207 1/m"),
         (lambda: rp.noise.function(lambda q: np.where(q < 2.0, q, np.inf)), ValueError, "got inf at 2.00195 1/m"),
