@@ -26,7 +26,8 @@ from rgbd_planes.batch_digest import UNKNOWN, digests
 from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
 from rgbd_planes.batch_rows import Columns
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_num_threads
+from rgbd_planes.checks import check_num_threads, warn_caller
+from rgbd_planes.distances import SAYING
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, write_beside
 from rgbd_planes.sequences.frames import FrameSequence
@@ -145,9 +146,18 @@ def fit_sequence(
         pyarrow, or distributed with a scheduler, is not installed.
     BlockingIOError
         Another call is writing into `out`. (Not on Windows.)
+    NotADirectoryError
+        `out` is a file.
+    OSError
+        No Dask scheduler answers, or `out` cannot be written.
     TypeError, ValueError
         `out` holds another table, or one that cannot be told from another, or something else; or an argument
         cannot be used.
+
+    Warns
+    -----
+    UserWarning
+        A frame's surfaces, without noise, are bent as depth and flat as distances along the ray.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
@@ -185,8 +195,12 @@ def fit_sequence(
         report.seconds.clear()
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
+        warned = False
         for task, part in workers.run(sequence, settings, columns, missing, folder):
             report.add(part)
+            if part.distances and not warned:
+                warn_caller(f"{part.distances}: {SAYING}")
+                warned = True
             if progress is not None:
                 progress(Progress(task[2] - task[1], part.problems))
     report.problems.sort(key=lambda problem: problem.frame)

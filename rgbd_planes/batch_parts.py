@@ -14,6 +14,8 @@ import numpy as np
 from rgbd_planes.batch_rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
+from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.distances import are_distances
 from rgbd_planes.files import write_beside
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
@@ -96,12 +98,16 @@ class Problem(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some frames' rows: the content of a Parquet file, unless that is written already, and what is in it."""
+    """Some frames' rows: the content of a Parquet file, unless that is written already, and what is in it.
+
+    And the name of the first frame that could be fitted, if it holds distances along the ray.
+    """
 
     content: bytes
     status: dict[str, int]
     problems: tuple[Problem, ...]
     seconds: dict[str, float]
+    distances: str = ""
 
     @classmethod
     def of_file(cls, path: Path) -> "Part | None":
@@ -149,6 +155,8 @@ def fit_part(
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
     rows = empty_rows(columns, len(sequence) * settings.rows_of_frame(sequence.camera))
     add = _add_segments if settings.segments else _TileAdder(settings)
+    distances = ""
+    asked = settings.segments and where is not None  # segment warns by itself, but not from another machine
     for i, entry in enumerate(sequence.entries):
         if stopped():
             raise StoppedError
@@ -157,6 +165,9 @@ def fit_part(
             frame = sequence[i]
             middle = time.perf_counter()
             add(frame, i, rows)
+            if not asked and are_distances(as_depth_frame(frame.depth, frame.camera), frame.camera):
+                distances = entry.name
+            asked = True
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
@@ -176,7 +187,7 @@ def fit_part(
             file = pyarrow.OSFile(os.fspath(beside), "wb")
             rows.write(file, first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
-    return Part(content, status, tuple(problems), seconds)
+    return Part(content, status, tuple(problems), seconds, distances)
 
 
 def _reason(error: Exception, name: str) -> str:

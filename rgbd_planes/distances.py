@@ -16,31 +16,39 @@ _CLEARLY, _FEWEST = 100.0, 5
 _ROUNDING = 1e-6  # residuals below this share of 1/Z tell nothing
 
 
+SAYING = (
+    "this frame's surfaces are bent as depth along the optical axis, and flat as distances along the ray: if "
+    "it holds distances, divide it by np.sqrt(1 + camera.tan_x**2 + camera.tan_y**2)"
+)
+
+
 def warn_of_distances(frame: DepthFrame, camera: Camera) -> None:
-    """Warn where surfaces are flat if the numbers are distances, and bent if they are depth.
+    """Warn of a frame of `are_distances`."""
+    if are_distances(frame, camera):
+        warn_caller(SAYING)
+
+
+def are_distances(frame: DepthFrame, camera: Camera) -> bool:
+    """Whether surfaces are flat if the numbers are distances, and bent if they are depth.
 
     Only frames of floats without noise tell, as renderers make them; all others pass.
     """
     if frame.is_disparity or frame.step > 0.0:
-        return
+        return False
     step = max(1, max(camera.shape) // _SAMPLES)
     x, y = (_windows(tangents[::step, ::step]) for tangents in (camera.tan_x, camera.tan_y))
     q = _windows(frame._replace(raw=frame.raw[::step, ::step]).inverse_depth)
     telling = np.isfinite(q).all(axis=1) & (np.ptp(q, axis=1) > 0.0)  # a sky has the same number everywhere
     q, x, y = q[telling], x[telling], y[telling]
     if len(q) < _FEWEST:
-        return
+        return False
     basis = np.linalg.qr(np.stack([x, y, np.ones_like(x)], axis=-1))[0]
     as_depth = _residual(basis, q)
     as_distance = _residual(basis, q * np.sqrt(1.0 + x * x + y * y))
     bent, flat = as_depth > _ROUNDING, as_distance > _ROUNDING
-    for_distance = np.count_nonzero(bent & (_CLEARLY * as_distance < as_depth))
-    for_depth = np.count_nonzero(flat & (_CLEARLY * as_depth < as_distance))
-    if for_distance >= _FEWEST and for_depth == 0:
-        warn_caller(
-            "this frame's surfaces are bent as depth along the optical axis, and flat as distances along the ray: if "
-            "it holds distances, divide it by np.sqrt(1 + camera.tan_x**2 + camera.tan_y**2)"
-        )
+    for_distance = int(np.count_nonzero(bent & (_CLEARLY * as_distance < as_depth)))
+    for_depth = int(np.count_nonzero(flat & (_CLEARLY * as_depth < as_distance)))
+    return for_distance >= _FEWEST and for_depth == 0
 
 
 def _windows(image: Floats) -> Floats:

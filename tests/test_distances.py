@@ -106,3 +106,62 @@ def test_the_commands_say_so(tmp_path, monkeypatch, capsys):
             assert cli.main([command, f"{name}.tif", "--camera", "camera.json"]) == 0
             said = capsys.readouterr().err
             assert said.count("flat as distances along the ray") == (name == "distance")
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("options", [[], ["--segments"]], ids=["tiles", "segments"])
+def test_the_batch_command_says_so(tmp_path, capsys, options):
+    pytest.importorskip("pyarrow")
+    command = ["batch", str(frames_of_distances(tmp_path / "frames")), "--out", str(tmp_path / "out")]
+    assert cli.main([*command, *options]) == 1  # for the damaged frame
+    assert capsys.readouterr().err.count("flat as distances along the ray") == 1
+
+
+def frames_of_distances(path, count=12):
+    """A folder of frames of distances along the ray, the first of which is damaged."""
+    camera = CAMERAS["small"]
+    path.mkdir()
+    camera.save(path / "camera.json")
+    for i in range(count):
+        np.save(path / f"{i}.npy", scenes.room((0.02 * i, -1.5, -0.2)).render(camera).depth * ray(camera))
+    (path / "0.npy").write_bytes(b"")
+    return path
+
+
+def batch_says(sequence, out, **options):
+    """The names of the frames that a batch warns of."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        rp.fit_sequence(sequence, out, **options)
+    assert all(warning.filename == __file__ for warning in caught)
+    names, sayings = zip(*(str(warning.message).split(": ", 1) for warning in caught), strict=True)
+    assert all(saying.startswith("this frame's surfaces are bent") for saying in sayings)
+    return list(names)
+
+
+def test_a_batch_says_so_once_a_call(tmp_path):
+    pytest.importorskip("pyarrow")
+    sequence = rp.open_sequence(frames_of_distances(tmp_path / "frames"))
+    out = tmp_path / "out"
+    assert batch_says(sequence, out, num_threads=1) == ["1.npy"]
+    assert rp.fit_sequence(sequence, out).resumed == 12  # nothing is done, and nothing is said
+    (out / "part-000002.parquet").unlink()
+    assert batch_says(sequence, out, num_threads=1) == ["8.npy"]
+    np.save(
+        tmp_path / "frames" / "0.npy", scenes.room().render(CAMERAS["small"]).depth * ray(CAMERAS["small"])
+    )
+    assert batch_says(sequence, out, num_threads=1, retry=True) == ["0.npy"]
+
+
+@pytest.mark.filterwarnings("ignore:this frame")
+def test_a_worker_elsewhere_says_so_of_its_part(tmp_path):
+    pytest.importorskip("pyarrow")
+    from rgbd_planes.batch_parts import fit_part
+    from rgbd_planes.batch_rows import Columns
+
+    sequence = rp.open_sequence(frames_of_distances(tmp_path / "frames", 3))
+    for segments in (False, True):
+        settings, columns = rp.FitSettings(segments=segments), Columns(segments, False, False)
+        assert fit_part(sequence, 0, settings, columns).distances == "1.npy"
+        here = fit_part(sequence, 0, settings, columns, tmp_path / "part.parquet")
+        assert here.distances == ("" if segments else "1.npy")  # where segment itself has warned
