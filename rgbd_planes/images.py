@@ -52,6 +52,8 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     frame = reader(file)
     if frame.ndim != 2 or 0 in frame.shape:
         raise ValueError(f"{path}: expected one depth image (height, width), got shape {frame.shape}")
+    if frame.dtype.kind not in "uif":
+        raise ValueError(f"{path}: expected a depth image of integers or floats, got dtype {frame.dtype}")
     return frame
 
 

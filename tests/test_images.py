@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import re
 import struct
 import threading
 import zlib
@@ -246,6 +247,17 @@ def test_arrays_come_back_as_they_were_stored(tmp_path, dtype):
         read = images.read_depth(tmp_path / name)
         assert read.dtype == dtype
         assert np.array_equal(read, frame)
+
+
+@pytest.mark.parametrize("dtype", [bool, complex, "U1", "S1", "M8[s]", "m8[s]", "V8", [("z", "f4")]])
+def test_arrays_of_no_numbers_of_depth_are_refused(tmp_path, dtype):
+    frame = np.zeros((3, 4), dtype)
+    np.save(tmp_path / "depth.npy", frame)
+    np.savez(tmp_path / "depth.npz", frame)
+    for name in ("depth.npy", "depth.npz"):
+        expected = f"{name}: expected a depth image of integers or floats, got dtype {frame.dtype}"
+        with pytest.raises(ValueError, match=re.escape(expected)):
+            images.read_depth(tmp_path / name)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, ">u2"])
