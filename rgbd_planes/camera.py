@@ -337,7 +337,15 @@ class Camera:
             return cls.from_dict(values)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the camera to a JSON file; the file appears whole or not at all."""
+        """Write the camera to a JSON file; the file appears whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            The noise model is a function.
+        OSError
+            It cannot be written there.
+        """
         with write_beside(path) as beside:
             beside.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 

@@ -120,6 +120,15 @@ def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
     path : path
     tiles : TilePlanes
         Of one frame; what is written is their `to_dict`.
+
+    Raises
+    ------
+    TypeError
+        They are no `TilePlanes`.
+    ValueError
+        They are those of a batch, or the camera's noise model is a function.
+    OSError
+        It cannot be written there.
     """
     with write_beside(path) as beside:
         beside.write_text(json.dumps(to_dict(tiles), allow_nan=False) + "\n", encoding="utf-8")

@@ -58,7 +58,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers of this shape, or masked, or ``fits`` are those of a batch: merge ``fits[i]``.
+        The labels are not integers of this shape, or masked, or ``fits`` are those of a batch: merge ``fits[i]``; or
+        ``significance`` is none, or the camera has no noise model for it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")

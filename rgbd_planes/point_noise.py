@@ -38,8 +38,9 @@ def measurement_noise(
 
     Raises
     ------
-    ValueError
-        ``sigma_inverse_depth`` is negative or not finite; or the frame is none of this camera's.
+    TypeError, ValueError
+        ``camera`` is no `Camera`; ``sigma_inverse_depth`` is no number, negative or not finite; or the frame is none of
+        this camera's.
 
     Notes
     -----

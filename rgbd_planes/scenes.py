@@ -278,6 +278,11 @@ def box(name: str, foot: Sequence[float], size: Sequence[float], turn: float = 0
         Width (x), height (y) and depth (z) in metres, before it is turned.
     turn : float
         Rotation about the vertical axis in degrees.
+
+    Raises
+    ------
+    ValueError
+        A side has no length, or a number is not finite; or there are not three of them.
     """
     width, height, depth = size
     cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
@@ -304,13 +309,18 @@ def room(eye: Sequence[float] = (0.35, -1.5, -0.2), target: Sequence[float] = (-
     """A furnished room: the scene of the demo, the tests and the benchmarks.
 
     Floor, ceiling, three walls, a desk with a screen, a cabinet, cartons and a leaning board, all within
-    a Kinect's range. No two surfaces lie in one plane.
+    a Kinect's range. No two surfaces that can be seen lie in one plane.
 
     Parameters
     ----------
     eye, target : (3,) float
         Where the camera stands and what it looks at, in metres: x right, y down from the floor (so
         heights are negative), z into the room. Move the eye for a sequence of frames.
+
+    Raises
+    ------
+    ValueError
+        The camera would look straight up or down, or nowhere.
     """
     shell = (
         _whole_plane("floor", np.array([0.0, -1.0, 0.0]), 0.0),

@@ -82,6 +82,15 @@ def write_json(
     path : path
     segmentation, polygons
         As in `to_dict`, which is what is written.
+
+    Raises
+    ------
+    TypeError
+        It is no `Segmentation`.
+    ValueError
+        The camera's noise model is a function, or the polygons are not those of this segmentation.
+    OSError
+        It cannot be written there.
     """
     with write_beside(path) as beside:
         text = json.dumps(to_dict(segmentation, polygons), allow_nan=False)
@@ -97,6 +106,15 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
         Ends in .png.
     segmentation : Segmentation
         Of at most 65535 planes.
+
+    Raises
+    ------
+    TypeError
+        It is no `Segmentation`.
+    ValueError
+        There are more than 65535 planes, or the path has another suffix.
+    OSError
+        It cannot be written there.
     """
     _check(segmentation)
     if len(segmentation) > 65535:

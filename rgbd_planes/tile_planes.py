@@ -140,7 +140,15 @@ class TilePlanes(PlacedFits):
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file, camera included, that `load` reads; whole or not at all."""
+        """Write an NPZ file, camera included, that `load` reads; whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            The camera's noise model is a function.
+        OSError
+            It cannot be written there.
+        """
         arrays = {name.lstrip("_"): getattr(self, name) for name in ARRAYS}
         about = json.dumps({"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method})
         with write_beside(path) as beside, open(beside, "wb") as file:

@@ -39,6 +39,11 @@ def warmup(
         Of the frames to come.
     segment : bool
         Compile `rgbd_planes.segment`, too.
+
+    Raises
+    ------
+    TypeError, ValueError
+        ``camera`` is no `Camera`, there is no such method, or a dtype is neither integer nor floating point.
     """
     given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
     check_camera(given)

@@ -54,6 +54,8 @@ def rosbag(
     ------
     ModuleNotFoundError
         rosbags is not installed.
+    FileNotFoundError
+        There is no such file.
     ValueError
         It is no bag, or damaged; it has no depth, or several topics of depth; it has no CameraInfo for them.
     """

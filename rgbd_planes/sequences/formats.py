@@ -61,7 +61,11 @@ def open_sequence(
     Raises
     ------
     FileNotFoundError, NotADirectoryError
-        There is nothing at `path`.
+        There is nothing at `path`, or a file where the format is that of a folder.
+    ModuleNotFoundError
+        rosbags, for a bag, or PyAV, for a Matroska recording, is not installed.
+    TypeError
+        `camera` is no `Camera`.
     ValueError
         It is of no known format, or damaged.
     """

@@ -47,6 +47,8 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     ------
     ModuleNotFoundError
         PyAV is not installed.
+    FileNotFoundError
+        There is no such file.
     ValueError
         It is no recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
     """
