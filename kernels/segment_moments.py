@@ -12,7 +12,7 @@ import numpy as np
 
 from ._jit import kernel
 
-# Where the smaller eigenvalue of the pixels' spread is below this share of the larger, they are a line.
+# Where 1 less the squared correlation of u and v is no more than this, or one of them is constant, pixels are a line.
 COLLINEAR = 1e-6
 
 

@@ -40,7 +40,7 @@ def variance(m, alpha, noise):
     """Variance of one pixel about its plane: the sensor's at the mean inverse depth, and the slope's.
 
     A pixel sees its surface somewhere within itself; where the inverse depth changes across a pixel, that
-    is noise too (the paper's σX, σY).
+    is noise too.
     """
     return (
         sensor_variance(m[3] / m[0], noise.sigma)
