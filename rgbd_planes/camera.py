@@ -399,7 +399,7 @@ class Camera:
         ------
         TypeError, ValueError
             Something that is needed is missing, or cannot be; or the distortion model is another than plumb_bob and
-            rational_polynomial.
+            rational_polynomial, with coefficients other than zero: where all are zero, the lens is taken for a pinhole.
 
         Notes
         -----

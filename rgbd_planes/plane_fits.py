@@ -59,7 +59,8 @@ class PlaneFits:
         ``range_explicit``, metres along the optical axis for ``standard_explicit`` and along the normal
         for ``standard_pca``; the implicit methods' is the algebraic distance for coefficients of norm 1.
     rmse_metric : S float64
-        The same in metres along the normal; d·Z̄·rmse, to first order, in range space.
+        The same in metres along the normal; d·Z̄·rmse, to first order, in range space: at the mean inverse depth, where
+        a part spans a range of depths.
     valid_count : S int32
         Number of valid pixels.
     status : S uint8

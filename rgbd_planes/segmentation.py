@@ -63,8 +63,9 @@ def segment(
     camera : Camera
     noise : float, callable or noise model, optional
         Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
-        or what has such a function as ``sigma``: a noise model. Of a model its ``lateral`` error, in pixels, is
-        taken, too, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
+        or what has such a function as ``sigma``: a noise model. It counts as no less than 0.04 % of the inverse
+        depth, and the lateral error that the frame shows is added. Of a model its own ``lateral`` error, in pixels, is
+        taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
         share their errors, that counts. By default ``camera.noise``; without either the frame tells the noise.
     min_size : int
         Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on changes no other one.
@@ -91,8 +92,8 @@ def segment(
     Blocks of 4x4 pixels, joined by fours where they are one plane, are merged by what joining adds to the
     sum of squared residuals in inverse depth, which moments give exactly (Papadakis and Willis 2017 split
     squares in the same space, from above). Then each pixel goes to the plane it fits, the planes are fitted
-    anew to the pixels they own, and this is done again until it has settled. The same bits come out for
-    the same frame, always.
+    anew to the pixels they own, and this is done three times, after which hardly a pixel changes. The same bits
+    come out for the same frame, always.
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)

@@ -99,7 +99,11 @@ class Segmentation:
 
     @property
     def rmse_metric(self) -> Floats:
-        """(N,) float64: `rmse` in metres along the normal, d·Z̄·rmse, to first order."""
+        """(N,) float64: `rmse` in metres along the normal, d·Z̄·rmse, to first order.
+
+        At the plane's mean inverse depth: for a plane that spans a range of depths, as a long floor, it is smaller than
+        the root mean square of the points' distances, which grow with depth.
+        """
         return self.planes[:, 3] * self.mean_depth * self.rmse
 
     @property
