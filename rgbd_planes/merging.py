@@ -59,7 +59,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     ------
     TypeError, ValueError
         The labels are not integers of this shape, or masked, or ``fits`` are those of a batch: merge ``fits[i]``; or
-        ``significance`` is none, or the camera has no noise model for it.
+        ``significance`` is not from 0 to below 1, or the camera has no noise model for it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
