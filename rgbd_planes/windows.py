@@ -72,8 +72,8 @@ def fit_windows(
     Summed-area tables, built once for the frame, make the cost of a window independent of its size (the
     paper's section on integral images). They differ from the fits of `fit_tiles` only by float64's rounding, which is
     that of differences of sums over the whole frame. In those of the standard methods a depth of thousands of
-    kilometres, as simulators give for none, leaves nothing of the others: windows get DEGENERATE, until the camera's
-    ``depth_range`` or ``invalid_values`` leave it out.
+    kilometres, as simulators give for none, leaves nothing of the others, and in range space one of micrometres:
+    windows get DEGENERATE, until the camera's ``depth_range`` or ``invalid_values`` leave it out.
 
     Parameters
     ----------

@@ -1,5 +1,7 @@
 """Windows of any size and place, also overlapping, against the oracle."""
 
+from dataclasses import replace
+
 import numpy as np
 import oracle
 import pytest
@@ -80,6 +82,30 @@ def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     assert oracle.angle(fits.planes[both, :3], expected.planes[both, :3]).max(initial=0.0) < 1.0
     assert not np.isnan(fits.planes[fits.fitted]).any()
     assert method.startswith("standard") or both.sum() > 0.8 * len(windows)
+
+
+@pytest.mark.parametrize("near", [1e-4, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("method", ["range_explicit", "range_implicit"])
+def test_what_a_near_pixel_leaves_of_the_sums_is_no_plane(method, near, rng):
+    """Of sums of 1/Z². Windows before it, and all windows if it is not too near, have their planes."""
+    camera = replace(rp.presets.primesense(), depth_scale=None, noise=rp.noise.kinect_v1())
+    depth = rp.scenes.room().render(camera).measure(quantise=False, seed=1)
+    depth[200, 300] = near
+    corner = rng.integers(0, (464, 624), (500, 2))
+    windows = np.column_stack([corner, np.full((500, 2), 16)])
+    sums, pixels = (
+        rp.fit_windows(depth, camera, windows, method, implementation=implementation)
+        for implementation in ("integral", "naive")
+    )
+    without = (corner > (200, 300)).any(axis=1) | (corner + 16 <= (200, 300)).any(axis=1)
+    after = (corner + 16 > (200, 300)).all(axis=1)
+    lost = without & after & (near < 1e-5)
+    assert (sums.status[lost] == rp.TileStatus.DEGENERATE).all()
+    assert (sums.fitted[~lost] == pixels.fitted[~lost]).all()
+    assert np.isnan(rp.merge(sums, np.where(lost, 1, 0)).planes).all()
+    both = sums.fitted & pixels.fitted
+    np.testing.assert_allclose(sums.planes[both], pixels.planes[both], atol=1e-3)
+    np.testing.assert_allclose(sums.rmse[both], pixels.rmse[both], rtol=1e-2, atol=1e-5)
 
 
 def test_no_windows_no_planes():
