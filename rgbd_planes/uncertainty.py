@@ -25,16 +25,17 @@ def same_plane(
 
     Parameters
     ----------
-    alpha, other_alpha : (..., 3) array_like
-        As ``alpha`` of a fit: -n / d.
-    covariance, other_covariance : (..., 3, 3) array_like
-        As ``alpha_covariance`` of a fit.
+    alpha, other_alpha : (..., 3) or (..., 4) array_like
+        As ``alpha`` of a fit, -n / d; or planes (n, d), as of `transform_planes`, both in the same frame.
+    covariance, other_covariance : (..., 3, 3) or (..., 4, 4) array_like
+        As ``alpha_covariance``, or as ``plane_covariance``.
 
     Returns
     -------
     (...) float64
         P-value of δᵀ(Σ + Σ')⁻¹δ, chi-square with 3 degrees of freedom: small for two planes, NaN where one is
-        missing.
+        missing. Of (n, d) δ is the difference of d and of the normals, across their mean; normals that point to
+        opposite sides have 0.
 
     Examples
     --------
@@ -43,15 +44,26 @@ def same_plane(
     >>> a, c = tiles.alpha, tiles.alpha_covariance
     >>> p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
     """
-    first, second = _array("alpha", alpha, (3,)), _array("other_alpha", other_alpha, (3,))
-    first_covariance = _array("covariance", covariance, (3, 3))
-    second_covariance = _array("other_covariance", other_covariance, (3, 3))
+    entries = 4 if np.shape(alpha)[-1:] == (4,) else 3
+    first, second = _array("alpha", alpha, (entries,)), _array("other_alpha", other_alpha, (entries,))
+    first_covariance = _array("covariance", covariance, (entries, entries))
+    second_covariance = _array("other_covariance", other_covariance, (entries, entries))
     shape = _leading(
         alpha=first.shape[:-1],
         covariance=first_covariance.shape[:-2],
         other_alpha=second.shape[:-1],
         other_covariance=second_covariance.shape[:-2],
     )
+    opposite = np.zeros(shape, bool)
+    if entries == 4:
+        opposite |= np.sum(first[..., :3] * second[..., :3], axis=-1) < 0.0
+        axes = _axes_across(first[..., :3] + second[..., :3])
+        turned = np.swapaxes(axes, -1, -2)
+        first, second = (np.sum(axes * plane[..., None, :], axis=-1) for plane in (first, second))
+        first_covariance, second_covariance = (
+            axes @ first_covariance @ turned,
+            axes @ second_covariance @ turned,
+        )
 
     def flat(array: Floats, entries: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray(np.broadcast_to(array, (*shape, *entries))).reshape(-1, *entries)
@@ -64,7 +76,7 @@ def same_plane(
         flat(second_covariance, (3, 3)),
         p_value.reshape(-1),
     )
-    return p_value
+    return np.where(opposite, 0.0, p_value)
 
 
 def point_distance(
@@ -222,6 +234,18 @@ def transform_planes(
         slope[..., 3, 3:] = -normal
         moved_covariance = moved_covariance + slope @ pose @ np.swapaxes(slope, -1, -2)
     return moved, moved_covariance
+
+
+def _axes_across(normal: Floats) -> Floats:
+    """(..., 3, 4): what of (n, d) lies along two directions across a normal, and d."""
+    with np.errstate(invalid="ignore"):  # of opposite normals
+        unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    least = np.eye(3)[np.argmin(np.abs(np.nan_to_num(unit)), axis=-1)]
+    across = np.cross(unit, least)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    axes = np.zeros((*normal.shape[:-1], 3, 4))
+    axes[..., 0, :3], axes[..., 1, :3], axes[..., 2, 3] = across, np.cross(unit, across), 1.0
+    return axes
 
 
 def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Floats:

@@ -576,6 +576,21 @@ def test_same_plane_is_uniform_on_one_plane_and_small_on_two(rng):
         < 1e-6
     )
     assert np.isnan(rp.uncertainty.same_plane(np.full(3, np.nan), c[0, 0], a[0, 0], c[0, 0]))
+    # In the frame of the plane itself, where d is 0 and α infinite, it is the same test.
+    x, y = np.linalg.svd(tiles.planes[0, 0, :3][None])[2][1:]
+    motion = np.eye(4)
+    motion[:3, :3] = np.stack([x, y, np.cross(x, y)])
+    motion[:3, 3] = motion[:3, :3] @ (tiles.planes[0, 0, 3] * tiles.planes[0, 0, :3])
+    planes, covariance = rp.uncertainty.transform_planes(tiles.planes, tiles.plane_covariance, motion)
+    left, right = np.s_[:, :-1:2], np.s_[:, 1::2]
+    moved = rp.uncertainty.same_plane(planes[left], covariance[left], planes[right], covariance[right])
+    assert abs(planes[0, 0, 3]) < 1e-12
+    np.testing.assert_allclose(moved, p, atol=0.03)
+    assert stats.kstest(moved.ravel(), "uniform").pvalue > 1e-4
+    assert rp.uncertainty.same_plane(planes[0, 0], covariance[0, 0], -planes[0, 0], covariance[0, 0]) == 0.0
+    assert rp.uncertainty.same_plane(planes[0, 0], covariance[0, 0], planes[0, 0], covariance[0, 0]) == 1.0
+    missing = np.full(4, np.nan)
+    assert np.isnan(rp.uncertainty.same_plane(missing, covariance[0, 0], planes[0, 0], covariance[0, 0]))
     with pytest.raises(ValueError, match=r"covariance of shape \(..., 3, 3\)"):
         rp.uncertainty.same_plane(a, c[..., 0], a, c)
 
