@@ -26,6 +26,10 @@ _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float3
 
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
+_NEARER_THAN_ANY = (
+    0.02  # metres: no sensor measures this; metres that are taken for millimetres do not reach it
+)
+_FEW_PIXELS = 800  # of which nothing can be said
 _LARGEST = 65535  # of 16 bits; no sensor measures it, some write it for what they did not measure
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
@@ -106,8 +110,9 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     -----
     UserWarning
         A frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
-        farther says that it is not. A frame of 8 bits that ends before 1 m: most likely a picture, unless
-        `depth_range` ends before that, too.
+        farther says that it is not. A frame whose depths are all below 2 cm: most likely metres that were taken
+        for millimetres. A frame of 8 bits that ends before 1 m: most likely a picture. Of both a `depth_range`
+        that ends before that says that they are not.
         A frame of 16 bits in which 65535 counts as depth and is more than a stray: most likely missing.
 
     Notes
@@ -137,9 +142,10 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         raw = np.require(array, dtype, ["C", "A"])
     depth_scale = camera.depth_scale if kind in "ui" else 1.0
     disparity = camera.disparity
+    sample = some_of(raw)
     if disparity is None:
         assert depth_scale is not None
-        _warn_of_units(raw, array.dtype, depth_scale, camera.depth_range)
+        _warn_of_units(sample, array.dtype, depth_scale, camera.depth_range)
     lowest, highest, holes, missing = _validity(
         dtype.char,
         depth_scale if disparity is None else None,
@@ -148,7 +154,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         camera.invalid_values,
     )
     if disparity is None and highest == _LARGEST and raw.dtype == np.uint16:
-        _warn_of_the_largest(raw)
+        _warn_of_the_largest(sample)
     if holes:
         raw, lowest, highest = _without(raw, holes, lowest, highest, missing)
     raw = raw.view()
@@ -193,9 +199,10 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
 
 
 def _warn_of_units(
-    raw: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
+    sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
 ) -> None:
     """Warn of a frame that is most likely not in the units that it is said to be in."""
+    _warn_of_the_nearest(sample, dtype, depth_scale, depth_range)
     farthest = _PLAINLY_NOT_METRES * depth_scale
     if dtype == np.uint16 and 2.0 * farthest > 65535:
         return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
@@ -207,7 +214,6 @@ def _warn_of_units(
         )
     if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
         return
-    sample = some_of(raw)
     far = np.count_nonzero((sample > farthest) & (sample < np.inf))
     if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf))):
         return
@@ -223,9 +229,31 @@ def _warn_of_units(
         )
 
 
-def _warn_of_the_largest(raw: NDArray[Any]) -> None:
+def _warn_of_the_nearest(
+    sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
+) -> None:
+    nearest = _NEARER_THAN_ANY * depth_scale
+    if sample.size < _FEW_PIXELS or (sample[::64] >= nearest).any():  # mostly one of a few says it
+        return
+    measured = sample[(sample > 0) & (sample < np.inf)]
+    if not len(measured) or measured.max() >= nearest:
+        return
+    if depth_range is not None and depth_range[1] <= _NEARER_THAN_ANY:
+        return
+    said = (
+        "float depth is in metres"
+        if dtype.kind == "f"
+        else f"with a depth_scale of {depth_scale:g} per metre"
+    )
+    warn_caller(
+        f"{said}, but all of this frame is nearer than {_NEARER_THAN_ANY:g} m: is it in other units, "
+        "or metres that were divided by 1000 or made integers?"
+    )
+
+
+def _warn_of_the_largest(sample: NDArray[Any]) -> None:
     """Warn of a number that most likely means missing, and would count as a far plane."""
-    if np.count_nonzero(some_of(raw) == _LARGEST) > 10:  # a hundredth
+    if np.count_nonzero(sample == _LARGEST) > 10:  # a hundredth
         warn_caller(
             f"many pixels are {_LARGEST}, the largest number of 16 bits: are they missing? A camera with "
             f"invalid_values=({_LARGEST},) says so, or with a depth_range that ends before"

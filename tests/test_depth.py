@@ -247,6 +247,23 @@ def test_integers_in_unlikely_units_draw_a_warning():
         as_depth_frame(np.full((480, 640), 65534, np.uint16), camera((480, 640), depth_scale=1000.0))
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.uint16, np.int32])
+def test_metres_that_are_taken_for_millimetres_draw_a_warning(dtype):
+    metres = np.linspace(1.0, 9.5, 480 * 640).reshape(480, 640)
+    metres[::3] = 0.0
+    divided = metres / 1000.0 if dtype in (np.float32, np.float64) else metres
+    said = "float depth is in metres" if divided is not metres else "with a depth_scale of 1000 per metre"
+    with pytest.warns(UserWarning, match=f"{said}, but all of this frame is nearer than 0.02 m") as caught:
+        as_depth_frame(divided.astype(dtype), camera((480, 640), depth_scale=1000.0))
+    assert (len(caught), caught[0].filename) == (1, __file__)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_depth_frame(divided.astype(dtype), camera((480, 640), depth_scale=1000.0, depth_range=(0.0, 0.02)))
+        as_depth_frame(np.zeros((480, 640), dtype), camera((480, 640), depth_scale=1000.0))
+        divided[1::2] *= 25.0  # a sensor that sees something near
+        as_depth_frame(divided.astype(dtype), camera((480, 640), depth_scale=1000.0))
+
+
 def test_the_largest_number_of_16_bits_is_most_likely_missing():
     depth = np.full((480, 640), 1500, np.uint16)
     depth[40:80, 200:500] = 65535
