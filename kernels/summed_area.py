@@ -329,7 +329,7 @@ def standard_window_moments(tables, missing, windows, full, start, stop, moments
     """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; the arguments as above.
 
     ``missing`` is that of `missing_table`, empty for a frame without holes. All but the number of pixels
-    depends on the frame: nothing of ``full`` is of use.
+    depends on the frame: nothing of ``full`` is of use. Where hardly a digit is left, ΣXX is NaN.
     """
     moments[9, start:stop] = math.nan
     for i in range(start, stop):
@@ -339,3 +339,8 @@ def standard_window_moments(tables, missing, windows, full, start, stop, moments
             moments[0, i] -= window_sum(missing, window, 0)
         for channel in range(tables.shape[2]):
             moments[channel + 1, i] = window_sum(tables, window, channel)
+        corner = tables[window[0] + window[2], window[1] + window[3]]
+        if moments[0, i] > 0.0 and tables.shape[2] == 9:
+            own = moments[4, i] + moments[7, i] + moments[9, i]
+            if own < LOST * (corner[3] + corner[6] + corner[8]):
+                moments[4, i] = math.nan

@@ -81,6 +81,10 @@ def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     both = fits.fitted & expected.fitted
     assert oracle.angle(fits.planes[both, :3], expected.planes[both, :3]).max(initial=0.0) < 1.0
     assert not np.isnan(fits.planes[fits.fitted]).any()
+    unions = np.arange(len(windows)) // 4 + 1
+    union, wanted = rp.merge(fits, unions), rp.merge(expected, unions)
+    joined = union.fitted & wanted.fitted
+    assert oracle.angle(union.planes[joined, :3], wanted.planes[joined, :3]).max(initial=0.0) < 0.1
     assert method.startswith("standard") or both.sum() > 0.8 * len(windows)
 
 
