@@ -1,10 +1,10 @@
 """A sensor's noise from ordinary frames: whatever in them is flat shows it.
 
-Flat tiles of several sizes are all that is used. How their mean square residual changes with depth gives σq, how it
-changes with the slope of the surface the lateral error. How it grows with the size of the tile, and how much more
-the slopes of tiles differ from their surroundings' than independent errors would make them, says how far errors
-reach: independent errors leave all sizes alike, a bias that bends over 50 pixels shows in large tiles only. How
-unequal the tiles are gives the spread.
+Flat tiles of several sizes are used, and large planes. How the tiles' mean square residual changes with depth gives
+σq, how it changes with the slope of the surface the lateral error. How it grows with the size of the tile, and how
+much more the slopes of tiles differ from their surroundings' than independent errors would make them, says how far
+errors reach: independent errors leave all sizes alike, a bias that bends over 50 pixels shows in large tiles only,
+and one over hundreds of pixels in how far large planes are bent. How unequal the tiles are gives the spread.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     Parameters
     ----------
     frames : (F, H, W) array or sequence of (H, W), or one (H, W)
-        With surfaces that are flat over 50 pixels or more, at the depths that matter. The more frames and the
-        more places, the better; one can be enough.
+        With surfaces that are flat over 50 pixels or more, at the depths that matter; for the covariances of large
+        planes, with such planes. The more frames and the more places, the better; one can be enough.
     camera : Camera
         Its ``noise`` is not looked at.
 
