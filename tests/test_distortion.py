@@ -57,7 +57,7 @@ def test_undistort_inverts_distort(lens):
 
 @given(
     lens=st.tuples(
-        st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-1, 1)
+        st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-1, 1)
     )
 )
 @example(lens=(-0.792, 3.7834, -0.4998, -0.6386, -0.9645))  # plain Newton steps miss 1 in 30 of these
