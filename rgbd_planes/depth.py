@@ -26,9 +26,7 @@ _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float3
 
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
-_NEARER_THAN_ANY = (
-    0.02  # metres: no sensor measures this; metres that are taken for millimetres do not reach it
-)
+_NEARER_THAN_ANY = 0.02  # metres; those that are taken for millimetres do not reach it
 _FEW_PIXELS = 800  # of which nothing can be said
 _LARGEST = 65535  # of 16 bits; no sensor measures it, some write it for what they did not measure
 
@@ -232,6 +230,7 @@ def _warn_of_units(
 def _warn_of_the_nearest(
     sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
 ) -> None:
+    """Warn of a frame that ends nearer than sensors begin."""
     nearest = _NEARER_THAN_ANY * depth_scale
     if sample.size < _FEW_PIXELS or (sample[::64] >= nearest).any():  # mostly one of a few says it
         return

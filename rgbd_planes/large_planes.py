@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.merging import merge
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.noise_samples import bins_of
+from rgbd_planes.noise_samples import bins_of, mean_depth
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.tile_planes import TilePlanes
@@ -67,6 +67,7 @@ def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]
 
 
 def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
+    """Find those among a frame's tiles."""
     labels = _connected(tiles)
     merged = merge(tiles, labels)
     # Links from tile to tile can lead around a bend: what is not on the common plane is left out.
@@ -88,7 +89,7 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
 
     on_plane, number = labels > 0, labels[labels > 0] - 1
     count = tiles.valid_count[on_plane]
-    q = tiles._reference[2, on_plane] + tiles._moments[3, on_plane] / count
+    q = 1.0 / mean_depth(tiles)[on_plane]
     squares = count * noise._along(q) ** 2, count * tiles.rmse[on_plane] ** 2, noise._rounding(q)
     along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
     pitch = np.array([1.0 / tiles.camera.fx, 1.0 / tiles.camera.fy])

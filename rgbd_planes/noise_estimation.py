@@ -190,7 +190,7 @@ def _alone(part: tuple[float, float]) -> NoiseModel:
     return NoiseModel(correlation=(part,) if part[1] else ())
 
 
-def _per_pixel(part: tuple[float, float], sizes: Any) -> Floats:
+def _per_pixel(part: tuple[float, float], sizes: npt.ArrayLike) -> Floats:
     """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
     return np.asarray(_alone(part).statistics(np.square(sizes)).expected / np.square(sizes))
 

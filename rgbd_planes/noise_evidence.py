@@ -92,7 +92,7 @@ def evidence_of(
     bins = bins_of(chosen.q, 60)
     sizes = np.array(list(samples))
     wide = replace(camera, noise=model)
-    large = large_planes(frames, wide)
+    large = large_planes(frames, wide)  # once more, by the floor that they have shown
     sides, bends, _ = bends_by_side(large)
     residuals = np.append(
         [some.typical(model)[0] for some in samples.values()],

@@ -73,7 +73,7 @@ class Samples:
         if size > WINDOW and chosen.any():
             residual = planes.rmse[chosen]
             chosen[chosen] = residual < _CLUTTERED * np.median(residual)
-        q = 1.0 / _depth(planes)
+        q = 1.0 / mean_depth(planes)
         rss = planes.valid_count * planes.rmse**2
         # Slopes of small tiles are noise themselves, and larger where the residual is: those of windows are taken.
         place = frame, row, column = np.nonzero(chosen)
@@ -133,9 +133,10 @@ def all_samples(
     return {size: some for size, some in samples.items() if len(some.count) >= FEWEST_WINDOWS // 3}
 
 
-def _depth(planes: TilePlanes) -> Floats:
+def mean_depth(planes: TilePlanes) -> Floats:
     """Depth of tiles, where the mean inverse depth of their pixels is; NaN where there is none."""
-    mean = planes._reference[:, 2] + planes._moments[:, 3] / np.maximum(planes._moments[:, 0], 1.0)
+    count, sum_q = planes._moments[..., 0, :, :], planes._moments[..., 3, :, :]
+    mean = planes._reference[..., 2, :, :] + sum_q / np.maximum(count, 1.0)
     return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
 
 
@@ -196,7 +197,7 @@ def _varied(planes: TilePlanes) -> npt.NDArray[np.bool_]:
     """Tiles in which not all measurements are the same, as where there is one depth for all beyond the range."""
     n, sum_q, sum_qq = np.moveaxis(planes._moments, 1, 0)[[0, 3, 9]]
     spread = (sum_qq - sum_q**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
-    return np.asarray((planes.rmse > 0.0) & (spread * _depth(planes) ** 2 > EXACT**2))
+    return np.asarray((planes.rmse > 0.0) & (spread * mean_depth(planes) ** 2 > EXACT**2))
 
 
 def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -> npt.NDArray[np.bool_]:
