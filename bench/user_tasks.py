@@ -252,7 +252,7 @@ def measure():
     def honest(sigma):
         off = (rp.fit_tiles(depth, camera, 16).planes[..., 3] - distance)[tile_labels > 0]
         share = np.nanmean(np.abs(off) < 1.96 * sigma[tile_labels > 0]) if np.isfinite(off).any() else 0.0
-        return f"{share:.0%} of distances within 1.96 deviations"
+        return f"{share:.0%} of distances within 1.96 standard deviations"
 
     rows = []
     with tempfile.TemporaryDirectory() as name:
@@ -351,7 +351,12 @@ def short_table(result):
     shown = [f"| | {' | '.join(versions.values())} |", f"|---|{'---|' * len(versions)}"]
     for task in ("tiles", "segments", "normals"):
         rows = {row["with"]: row for row in result["rows"] if row["task"] == task}
-        cells = [f"{_times(rows[name]['ratio'])} x, {rows[name]['result']}" for name in versions]
+        cells = [
+            re.sub(
+                r" of \d+ planes", "", f"{_times(row['ratio'])} x, {row['result']} ({row['without_holes']})"
+            )
+            for row in (rows[name] for name in versions)
+        ]
         shown.append(f"| {NAMES[task]} | {' | '.join(cells)} |")
     return "\n".join(shown)
 

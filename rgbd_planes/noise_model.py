@@ -109,6 +109,9 @@ class NoiseModel:
             raise ValueError("expected noise above 0, or a step of rounding, got 0 at all inverse depths")
 
     def __repr__(self) -> str:
+        return f"<NoiseModel: {self._summary()}>"
+
+    def _summary(self) -> str:
         # No Greek: to print what stdout has no letters for is an error, as into a file on Windows.
         parts = ["sigma by a function"]
         if self.formula is None:
@@ -122,7 +125,7 @@ class NoiseModel:
             parts.append(f"floor {self.floor:.2g} sigma over {self.floor_length:g} pixels")
         if self.spread:
             parts.append(f"spread {self.spread:.2g}")
-        return f"<NoiseModel: {'; '.join(parts)}>"
+        return "; ".join(parts)
 
     def sigma(self, inverse_depth: ArrayLike) -> Floats:
         """Standard deviation of one pixel's inverse depth, quantisation included, in 1/m.

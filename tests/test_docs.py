@@ -37,6 +37,7 @@ def files(tmp_path_factory):
     camera = presets.primesense()
     depth = scenes.room().render(camera).measure(holes=0.05, patches=0.03, seed=1)
     images.write_png(root / "depth.png", depth)
+    images.write_png(root / "demo_depth.png", depth)
     camera.save(root / "camera.json")
     pinhole = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     info = {"width": camera.width, "height": camera.height, "K": pinhole, "D": [0.0] * 5}
@@ -60,6 +61,18 @@ def files(tmp_path_factory):
 
 def blocks(page):
     return BLOCK.findall(page.read_text(encoding="utf-8"))
+
+
+def test_the_readme_prints_what_it_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = dict(blocks(ROOT / "README.md"))
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        exec(compile(page["python"], "README.md", "exec"), {"__name__": "__main__"})
+    printed, said = (re.split(r"(\d+)", text.strip()) for text in (out.getvalue(), page["text"]))
+    assert printed[::2] == said[::2]
+    # Processors round differently: a tile more or less may be rough.
+    np.testing.assert_allclose(np.array(printed[1::2], int), np.array(said[1::2], int), atol=3)
+    assert (tmp_path / "planes.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda page: page.stem)

@@ -7,7 +7,8 @@ docstring is its help. It imports what it needs when it runs, so that ``--help``
 from rgbd_planes.commands.batch import batch
 from rgbd_planes.commands.demo import demo
 from rgbd_planes.commands.fit import fit
+from rgbd_planes.commands.noise import noise
 from rgbd_planes.commands.normals import normals
 from rgbd_planes.commands.segment import segment
 
-COMMANDS = (demo, fit, segment, normals, batch)
+COMMANDS = (demo, fit, segment, normals, noise, batch)

@@ -4,7 +4,7 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from rgbd_planes.camera import Camera
     from rgbd_planes.noise import NoiseModel
+    from rgbd_planes.sequences import FrameSequence
     from rgbd_planes.tile_planes import TilePlanes
 
 Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
@@ -52,7 +53,8 @@ def add_noise(parser: argparse.ArgumentParser, what_for: str, *, number_is_model
         type=noise_model if number_is_model else model_or_number,
         metavar="NAME or SIGMA",
         help="noise of the sensor, instead of the camera's own: kinect_v1, kinect_v1_nguyen, or the standard deviation "
-        f"of 1/Z in 1/m; {what_for}",
+        f"of 1/Z in 1/m; {what_for}. These take pixels for independent, which those of real sensors are not: "
+        "rgbd-planes noise finds a sensor's own",
     )
 
 
@@ -91,11 +93,11 @@ def tile_size(text: str) -> tuple[int, int]:
         raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None
 
 
-def check_outputs(arguments: argparse.Namespace, **suffixes: tuple[str, ...]) -> None:
+def check_outputs(arguments: argparse.Namespace, read: Iterable[Path], **suffixes: tuple[str, ...]) -> None:
     """Refuse now what could not be written after the work, or over what is read or written already."""
     from rgbd_planes.files import check_writable
 
-    taken = {os.path.realpath(arguments.depth), os.path.realpath(arguments.camera)}
+    taken = {os.path.realpath(path) for path in read}
     for name, allowed in suffixes.items():
         path: Path | None = getattr(arguments, name)
         if path is None:
@@ -143,6 +145,32 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
         file=sys.stderr,
     )
     return depth, camera, 1
+
+
+def add_sequence_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that `read_sequence` takes."""
+    parser.add_argument(
+        "--camera", type=Path, metavar="JSON", help="camera to use instead of the sequence's own"
+    )
+    parser.add_argument(
+        "--format",
+        metavar="NAME",
+        help="format of the sequence, if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, "
+        "scannet_sens, seven_scenes, tum",
+    )
+    parser.add_argument("--topic", help="topic of a ROS bag, if several have depth")
+
+
+def read_sequence(arguments: argparse.Namespace, path: Path) -> "FrameSequence":
+    """The frames of a data set or a recording."""
+    from rgbd_planes import Camera, open_sequence, sequences
+
+    camera = None if arguments.camera is None else Camera.load(arguments.camera)
+    if arguments.topic is None:
+        return open_sequence(path, camera, arguments.format)
+    if arguments.format not in (None, "rosbag"):
+        raise CommandError(f"--topic is for ROS bags, got it with --format {arguments.format}")
+    return sequences.rosbag(path, camera, arguments.topic)
 
 
 FIGURES = (".png", ".pdf", ".svg")

@@ -4,7 +4,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from rgbd_planes.commands.arguments import CommandError, Run, add_fit_options, add_noise
+from rgbd_planes.commands.arguments import (
+    Run,
+    add_fit_options,
+    add_noise,
+    add_sequence_options,
+    read_sequence,
+)
 
 _LISTED = 10  # ranges of skipped frames
 
@@ -22,16 +28,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="FOLDER", help="folder of the table, which is many files"
     )
-    parser.add_argument(
-        "--camera", type=Path, metavar="JSON", help="camera to use instead of the sequence's own"
-    )
-    parser.add_argument(
-        "--format",
-        metavar="NAME",
-        help="format of the sequence, if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, "
-        "scannet_sens, seven_scenes, tum",
-    )
-    parser.add_argument("--topic", help="topic of a ROS bag, if several have depth")
+    add_sequence_options(parser)
     parser.add_argument(
         "--segments",
         action="store_true",
@@ -51,19 +48,13 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument("--retry", action="store_true", help="try the frames again that were skipped before")
 
     def run(arguments: argparse.Namespace) -> int:
-        from rgbd_planes import Camera, FitSettings, fit_sequence, open_sequence, sequences
+        from rgbd_planes import FitSettings, fit_sequence
         from rgbd_planes.batch import Progress
         from rgbd_planes.extras import needs
 
         with needs("tqdm", "batch" if arguments.scheduler is None else "dask"):
             from tqdm import tqdm
-        camera = None if arguments.camera is None else Camera.load(arguments.camera)
-        if arguments.topic is None:
-            sequence = open_sequence(arguments.sequence, camera, arguments.format)
-        elif arguments.format not in (None, "rosbag"):
-            raise CommandError(f"--topic is for ROS bags, got it with --format {arguments.format}")
-        else:
-            sequence = sequences.rosbag(arguments.sequence, camera, arguments.topic)
+        sequence = read_sequence(arguments, arguments.sequence)
         if arguments.noise is not None:
             sequence = sequence.with_noise(arguments.noise)
         settings = FitSettings(

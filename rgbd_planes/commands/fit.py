@@ -37,7 +37,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import fit_tiles
 
-        check_outputs(arguments, out=(".npz",), figure=FIGURES)
+        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz",), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         if arguments.noise is not None:
             camera = replace(camera, noise=arguments.noise)

@@ -39,7 +39,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
         import rgbd_planes as rp
         from rgbd_planes.files import write_beside
 
-        check_outputs(arguments, out=(".npy",), figure=FIGURES)
+        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npy",), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         options = {
             "avoid_edges": arguments.avoid_edges,

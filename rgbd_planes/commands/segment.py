@@ -41,7 +41,13 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         from rgbd_planes.extras import needs
 
         check_outputs(
-            arguments, out=(".json",), labels=(".png",), figure=FIGURES, points=(".ply",), mesh=(".ply",)
+            arguments,
+            (arguments.depth, arguments.camera),
+            out=(".json",),
+            labels=(".png",),
+            figure=FIGURES,
+            points=(".ply",),
+            mesh=(".ply",),
         )
         if arguments.polygons and arguments.out is None:
             raise CommandError("--polygons goes into the JSON: give --out, too")

@@ -1,0 +1,99 @@
+"""``rgbd-planes noise``."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rgbd_planes.commands.arguments import (
+    FIGURES,
+    CommandError,
+    Run,
+    add_sequence_options,
+    check_outputs,
+    read_sequence,
+    write_figure,
+)
+
+if TYPE_CHECKING:
+    from rgbd_planes.sequences import FrameSequence
+
+
+def noise(parser: argparse.ArgumentParser) -> Run:
+    """Estimate a sensor's noise from frames of ordinary scenes, for the other commands to go by.
+
+    example: rgbd-planes noise frames --camera camera.json --out with_noise.json
+
+    The frames should show walls, floors or tables at the depths that matter.
+    """
+    parser.add_argument(
+        "frames",
+        type=Path,
+        nargs="+",
+        help="depth images, which need --camera; or one data set, folder of depth images, or recording",
+    )
+    add_sequence_options(parser)
+    parser.add_argument(
+        "--count",
+        type=int,
+        default=20,
+        metavar="N",
+        help="how many of the frames to take, evenly spread (20)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="JSON", help="write the camera with its noise, for --camera"
+    )
+    parser.add_argument(
+        "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw how the noise fits, and the sensor's bias"
+    )
+
+    def run(arguments: argparse.Namespace) -> None:
+        import numpy as np
+
+        from rgbd_planes import estimate_noise
+        from rgbd_planes.noise_samples import WINDOW
+
+        if arguments.count < 1:
+            raise CommandError(f"--count must be at least 1, got {arguments.count}")
+        read = [path for path in [*arguments.frames, arguments.camera] if path is not None]
+        check_outputs(arguments, read, out=(".json",), figure=FIGURES)
+        sequence = _sequence(arguments)
+        spread = np.linspace(0, len(sequence) - 1, min(arguments.count, len(sequence))).astype(int)
+        frames = [sequence[index] for index in spread]
+        camera, *others = {frame.camera for frame in frames}
+        if others:
+            raise CommandError(
+                f"expected frames of one camera, got {1 + len(others)}: give --camera, if one is right for all"
+            )
+        found = estimate_noise([frame.depth for frame in frames], camera)
+        evidence = found.evidence
+        assert evidence is not None
+        print(
+            f"{len(frames)} of {len(sequence)} frames, {evidence.windows} flat windows of {WINDOW} x {WINDOW} pixels."
+        )
+        print(f"Noise: {found._summary()}.")
+        print(
+            f"By it {np.mean(evidence.p_values < 0.01):.1%} of the flat tiles have a p-value below 1 %; 1 % should."
+        )
+        if arguments.out is not None:
+            replace(camera, noise=found).save(arguments.out)
+            print(f"Wrote {arguments.out}")
+        if arguments.figure is not None:
+            write_figure(evidence.plot(), arguments.figure)
+            print(f"Wrote {arguments.figure}")
+
+    return run
+
+
+def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
+    """The depth images that are named, or what the one data set or recording has."""
+    from rgbd_planes import Camera
+    from rgbd_planes.images import DEPTH_SUFFIXES
+    from rgbd_planes.sequences.frames import image_sequence
+
+    paths: list[Path] = arguments.frames
+    if len(paths) == 1 and paths[0].suffix.lower() not in DEPTH_SUFFIXES:
+        return read_sequence(arguments, paths[0])
+    if arguments.camera is None:
+        raise CommandError("depth images need --camera")
+    return image_sequence(paths, Camera.load(arguments.camera), Path())
