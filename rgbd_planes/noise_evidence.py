@@ -13,6 +13,7 @@ from rgbd_planes.large_planes import TILE, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.noise_samples import REFERENCE, WINDOW, Samples, bins_of
 from rgbd_planes.residual_statistics import deviate_of
+from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +60,8 @@ class NoiseEvidence:
     flatness_count: npt.NDArray[np.int64]
 
     def __repr__(self) -> str:
-        tiles = f"{len(self.p_values)} flat tiles, {np.mean(self.p_values < 0.01):.1%} of p-values below 1 %"
+        share = percent(float(np.mean(self.p_values < 0.01)))
+        tiles = f"{len(self.p_values)} flat tiles, {share} of p-values below 1 %"
         return f"<NoiseEvidence: {self.windows} flat windows, {tiles}>"
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":

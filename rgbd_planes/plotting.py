@@ -20,6 +20,7 @@ from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colour
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
+from rgbd_planes.wording import percent
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +107,7 @@ def depth_limits(depth: Floats) -> tuple[float, float]:
 
 def depth_note(depth: Floats) -> str:
     """What stands below the colour scale of a measured depth."""
-    return f"metres     (grey: missing, {100 * np.mean(~np.isfinite(depth)):.1f} % of the pixels)"
+    return f"metres     (grey: missing, {percent(float(np.mean(~np.isfinite(depth))))} of the pixels)"
 
 
 def _draw_depth(panel: Axes, legend: Axes, fits: PlacedFits, depth: Floats | None) -> None:

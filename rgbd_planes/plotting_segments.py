@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.wording import counted
+from rgbd_planes.wording import counted, percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,7 +88,8 @@ def plot_segments(
     axes = figure.add_subplot()
     axes.imshow(label_image(segmentation, depth), interpolation="nearest")
     _write_numbers(segmentation, axes)
-    axes.set_title(f"{counted(len(segmentation), 'plane')}, {segmentation.share:.0%} of the measured pixels")
+    share = f"{percent(segmentation.share)} of the measured pixels"
+    axes.set_title(f"{counted(len(segmentation), 'plane')}, {share}")
     axes.set_xlabel("grey: on no plane     white: not measured", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])

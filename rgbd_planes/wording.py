@@ -6,6 +6,11 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+def percent(share: float) -> str:
+    """A share of 1 in per cent, to one decimal."""
+    return f"{100.0 * share:.1f} %"
+
+
 def counted(count: int, what: str) -> str:
     """So many of something, whose plural ends in s."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"

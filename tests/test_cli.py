@@ -197,7 +197,7 @@ BAD_INPUT = {
     "no scale": (camera(depth_scale=None), [], "depth_scale .* disparity"),
     "unknown key": (camera(focal=3.0), [], "focal"),
     "lacking key": (camera(fx="none"), [], "fx"),
-    "tile too large": (None, ["--tile", "61"], "60 x 80"),
+    "tile too large": (None, ["--tile", "61"], r"\(60, 80\)"),
     "tile too small": (None, ["--tile", "1"], "at least 2"),
     "tile no number": (None, ["--tile", "16y12"], "16 or 12x20, got '16y12'"),
     "tile half a size": (None, ["--tile", "16x"], "16 or 12x20, got '16x'"),
