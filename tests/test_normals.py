@@ -457,7 +457,7 @@ def test_labels_of_the_curvature_are_legible(low, high):
     depth = np.ones(camera.shape)
     figure = plot_surfaces(depth, camera, rp.normals(depth, camera), curvature.reshape(camera.shape))
     figure.draw_without_rendering()
-    axis = figure.axes[-1].xaxis
+    (axis,) = (axes.xaxis for below in figure.axes for axes in below.child_axes if "var" in axes.get_xlabel())
     least, most = axis.get_view_interval()
     ticks = sorted([*axis.get_major_ticks(), *axis.get_minor_ticks()], key=lambda tick: tick.get_loc())
     boxes = [
