@@ -45,6 +45,8 @@ class NoiseEvidence:
         have in common. NaN where none was seen. A part that is itself planar over the image does not show.
     flatness_count : (H / 8, W / 8) int64
         How many pixels each cell's mean is of.
+    flatness_std : (H / 8, W / 8) float64
+        Standard deviation in 1/m that random errors alone, with what neighbouring pixels share of them, give each cell.
     """
 
     windows: int
@@ -58,6 +60,7 @@ class NoiseEvidence:
     noise_map: Floats
     flatness: Floats
     flatness_count: npt.NDArray[np.int64]
+    flatness_std: Floats
 
     def __repr__(self) -> str:
         share = percent(float(np.mean(self.p_values < 0.01)))
@@ -105,7 +108,7 @@ def evidence_of(
     sums, numbers = np.zeros(inside), np.zeros(inside)
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
     np.add.at(numbers, chosen.place[1:], 1.0)
-    bias, count = flatness(frames, large, wide)
+    bias, count, deviation = flatness(frames, large, wide)
     return NoiseEvidence(
         windows=windows,
         sizes=sizes,
@@ -118,4 +121,5 @@ def evidence_of(
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
         flatness=bias,
         flatness_count=count,
+        flatness_std=deviation,
     )

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.noise_samples import REFERENCE
 from rgbd_planes.plotting import NotebookFigure
-from rgbd_planes.wording import percent
+from rgbd_planes.wording import percent, two_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from rgbd_planes.noise_evidence import NoiseEvidence
 
+_PALE = 6.0  # standard deviations of chance that the colours of the bias reach at least
 _SEEN, _MODEL, _PLAIN = "#2f6fb0", "#c8442e", "#8a8a8a"
 
 
@@ -42,10 +43,17 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     title = "Noise over the image, as a multiple of the model's"
     _draw_map(maps[0], evidence.noise_map, title, cmap="viridis", vmin=0.5, vmax=2.0)
     bias = 1e3 * np.where(evidence.flatness_count >= 16, evidence.flatness, np.nan)
-    seen = np.abs(bias[np.isfinite(bias)])
-    limit = float(np.quantile(seen, 0.98)) if len(seen) else 1.0
+    some = np.isfinite(bias)
     title = "Bias over the image, of 1/Z: what all large planes have in common, 1e-3 / m"
-    _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    if some.any():
+        chance = 1e3 * float(np.median(evidence.flatness_std[some]))
+        # So wide that what is chance alone stays pale.
+        limit = max(float(np.quantile(np.abs(bias[some]), 0.98)), _PALE * chance)
+        _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+        note = f"     chance alone: ±{two_digits(chance)}e-3 / m (standard deviation)"
+        maps[1].set_xlabel(maps[1].get_xlabel() + note, fontsize=9)
+    else:
+        _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     return figure
 
 
