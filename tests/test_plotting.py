@@ -83,14 +83,9 @@ def test_normals_have_one_legend():
             if [text.get_text() for text in axes.texts] == ["up", "down", "facing left", "facing right"]
         )
         colours = image_of(ball)[:, :, :3]
-        for row, column, normal in (
-            (100, 100, (0, 0, -1)),
-            (100, 199, (0.99, 0, -0.141)),
-            (1, 100, (0, -0.99, -0.141)),
-        ):
-            np.testing.assert_allclose(
-                colours[row, column], plotting.normal_colours(np.array(normal)), atol=0.01
-            )
+        facing, right, up = colours[100, 100], colours[100, 199], colours[1, 100]
+        normals = np.array([[0.0, 0.0, -1.0], [0.99, 0.0, -0.141], [0.0, -0.99, -0.141]])
+        np.testing.assert_allclose([facing, right, up], plotting.normal_colours(normals), atol=0.01)
 
 
 def test_without_a_frame_the_planes_own_depth_is_drawn():
