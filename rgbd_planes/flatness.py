@@ -19,8 +19,10 @@ CELL = 8
 _STEPS = 300
 
 
-def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera) -> tuple[Floats, Indices]:
-    """The bias over the image, and how many pixels each cell's is from: see `NoiseEvidence`.
+def flatness(
+    frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera
+) -> tuple[Floats, Indices, Floats]:
+    """The bias over the image, how many pixels each cell's is from, and its deviation by chance: see `NoiseEvidence`.
 
     A plane that sees a part of the image takes up what of the bias is planar there. So bias and planes are found
     together, as the least squares of q = α·m + bias(cell) over all pixels of all large planes. A bias is expected
@@ -56,12 +58,15 @@ def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera
         planes += len(alpha)
     plane, cell, weight, residual, x, y = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not len(plane):
-        return np.full(shape, np.nan), numbers.reshape(shape)
+        return np.full(shape, np.nan), numbers.reshape(shape), np.full(shape, np.nan)
     different, plane = np.unique(plane, return_inverse=True)  # of some no pixel may be near enough
     rays = np.stack([x, y, np.ones(len(x))], axis=1)
     prior = together * weight.sum() / numbers.sum()
     bias = _bias(plane, cell, weight, residual, rays, prior, len(different), cells)
-    return bias.reshape(shape), numbers.reshape(shape)
+    # The weights count the floor, which is no chance.
+    known = np.bincount(cell, weight, cells) * (1.0 + noise.floor**2)
+    deviation = np.sqrt(np.divide(1.0, known, out=np.full(cells, np.nan), where=known > 0.0))
+    return bias.reshape(shape), numbers.reshape(shape), deviation.reshape(shape)
 
 
 def _bias(

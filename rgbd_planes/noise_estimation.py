@@ -38,6 +38,7 @@ from rgbd_planes.noise_samples import (
 )
 from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tiles import TileFitter
+from rgbd_planes.wording import two_digits
 
 Floats = npt.NDArray[np.float64]
 
@@ -108,14 +109,15 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         warn_of_distances(as_depth_frame(depth, bare), bare)
     if WINDOW not in tiles:
         raise ValueError(
-            f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.height} x {camera.width}"
+            f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
         )
     flat = flat_windows(tiles[WINDOW], tiles[8])
     count = int(np.count_nonzero(flat))
     if count < FEWEST_WINDOWS:
         whole = tiles[WINDOW].valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
         missing = np.mean(whole < (1.0 - MOST_MISSING) * WINDOW * WINDOW)
-        reason = f": of most windows more than {MOST_MISSING:.0%} of the pixels are missing"
+        most = two_digits(100.0 * MOST_MISSING)
+        reason = f": of most windows more than {most} % of the pixels are missing"
         raise ValueError(
             f"expected frames with at least {FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
             f"found {count} in {len(opened)} frames{reason if missing > 0.5 else ''}"

@@ -13,6 +13,7 @@ from rgbd_planes.large_planes import TILE, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.noise_samples import REFERENCE, WINDOW, Samples, bins_of
 from rgbd_planes.residual_statistics import deviate_of
+from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +45,8 @@ class NoiseEvidence:
         have in common. NaN where none was seen. A part that is itself planar over the image does not show.
     flatness_count : (H / 8, W / 8) int64
         How many pixels each cell's mean is of.
+    flatness_std : (H / 8, W / 8) float64
+        Standard deviation in 1/m that random errors alone, with what neighbouring pixels share of them, give each cell.
     """
 
     windows: int
@@ -57,9 +60,11 @@ class NoiseEvidence:
     noise_map: Floats
     flatness: Floats
     flatness_count: npt.NDArray[np.int64]
+    flatness_std: Floats
 
     def __repr__(self) -> str:
-        tiles = f"{len(self.p_values)} flat tiles, {np.mean(self.p_values < 0.01):.1%} of p-values below 1 %"
+        share = percent(np.mean(self.p_values < 0.01))
+        tiles = f"{len(self.p_values)} flat tiles, {share} of p-values below 1 %"
         return f"<NoiseEvidence: {self.windows} flat windows, {tiles}>"
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
@@ -103,7 +108,7 @@ def evidence_of(
     sums, numbers = np.zeros(inside), np.zeros(inside)
     np.add.at(sums, chosen.place[1:], np.minimum(ratio, 4.0))
     np.add.at(numbers, chosen.place[1:], 1.0)
-    bias, count = flatness(frames, large, wide)
+    bias, count, deviation = flatness(frames, large, wide)
     return NoiseEvidence(
         windows=windows,
         sizes=sizes,
@@ -116,4 +121,5 @@ def evidence_of(
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
         flatness=bias,
         flatness_count=count,
+        flatness_std=deviation,
     )

@@ -120,7 +120,7 @@ class NoiseModel:
         if self.lateral:
             parts.append(f"lateral {self.lateral:.2g} pixels")
         for share, length in self.correlation:
-            parts.append(f"{two_digits(100.0 * share)}% correlated over {length:g} pixels")
+            parts.append(f"{two_digits(100.0 * share)} % correlated over {length:g} pixels")
         if self.floor:
             parts.append(f"floor {self.floor:.2g} sigma over {self.floor_length:g} pixels")
         if self.spread:

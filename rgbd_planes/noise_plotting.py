@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.noise_samples import REFERENCE
 from rgbd_planes.plotting import NotebookFigure
+from rgbd_planes.wording import percent, two_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from rgbd_planes.noise_evidence import NoiseEvidence
 
+_PALE = 6.0  # standard deviations of chance that the colours of the bias reach at least
 _SEEN, _MODEL, _PLAIN = "#2f6fb0", "#c8442e", "#8a8a8a"
 
 
@@ -41,10 +43,17 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     title = "Noise over the image, as a multiple of the model's"
     _draw_map(maps[0], evidence.noise_map, title, cmap="viridis", vmin=0.5, vmax=2.0)
     bias = 1e3 * np.where(evidence.flatness_count >= 16, evidence.flatness, np.nan)
-    seen = np.abs(bias[np.isfinite(bias)])
-    limit = float(np.quantile(seen, 0.98)) if len(seen) else 1.0
+    some = np.isfinite(bias)
     title = "Bias over the image, of 1/Z: what all large planes have in common, 1e-3 / m"
-    _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    if some.any():
+        chance = 1e3 * float(np.median(evidence.flatness_std[some]))
+        # So wide that what is chance alone stays pale.
+        limit = max(float(np.quantile(np.abs(bias[some]), 0.98)), _PALE * chance)
+        _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+        note = f"     chance alone: ±{two_digits(chance)}e-3 / m (standard deviation)"
+        maps[1].set_xlabel(maps[1].get_xlabel() + note, fontsize=9)
+    else:
+        _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     return figure
 
 
@@ -78,8 +87,8 @@ def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
     density = axes.hist(evidence.p_values, bins=20, range=(0.0, 1.0), density=True, color=_SEEN, alpha=0.8)[0]
     axes.set_ylim(0.0, 1.25 * max(1.0, float(np.max(density))))  # the legend above the bars
     axes.axhline(1.0, color=_MODEL, label="if the model were exact")
-    share = np.mean(evidence.p_values < 0.01)
-    title = f"p-values of flat tiles: {share:.1%} below 1 %"
+    share = percent(np.mean(evidence.p_values < 0.01))
+    title = f"p-values of flat tiles: {share} below 1 %"
     _finish(axes, title, "p-value", "density")
 
 

@@ -5,13 +5,16 @@ when something is drawn, since matplotlib takes a while.
 """
 
 import io
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
@@ -20,6 +23,7 @@ from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colour
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
+from rgbd_planes.wording import percent
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +31,7 @@ STATUS_MEANINGS = {
     TileStatus.OK: "plane fitted",
     TileStatus.TOO_FEW: "too many pixels missing",
     TileStatus.DEGENERATE: "pixels determine no plane",
-    TileStatus.ROUGH: "plane fitted, residual too large",
+    TileStatus.ROUGH: "residual too large",
 }
 _LIGHT = np.array([-0.35, -0.65, -0.67])  # from above, over the camera's left shoulder
 PANEL_INCHES = 5.2  # wide
@@ -74,26 +78,39 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     height, width = fits.camera.shape
     if depth_metres is not None and depth_metres.shape != (height, width):
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
-    if figure is None:
-        figure = NotebookFigure(
-            (3 * PANEL_INCHES, panel_height(PANEL_INCHES, fits.camera) + _LEGEND_INCHES + 0.35),
-            layout="constrained",
-        )
-
-    panel_share = PANEL_INCHES * height / width
-    panels = figure.subplots(
-        2, 3, gridspec_kw={"height_ratios": [panel_share, _LEGEND_INCHES], "hspace": 0.0, "wspace": 0.03}
+    figure, panels, legends = panels_with_legends(3, fits.camera, figure)
+    if depth_metres is None:
+        _draw_fitted_depth(panels[0], legends[0], fits)
+    else:
+        draw_measured_depth(panels[0], legends[0], depth_metres)
+    panels[1].imshow(
+        _to_pixels(normal_colours(in_image(fits.planes[..., :3], fits.camera)), fits, MISSING),
+        interpolation="nearest",
     )
-    _draw_depth(panels[0, 0], panels[1, 0], fits, depth_metres)
-    _draw_normals(panels[0, 1], panels[1, 1], fits)
-    _draw_status(panels[0, 2], panels[1, 2], fits)
-    for panel in panels.flat:
+    panels[1].set_title("Normals of the planes")
+    draw_legend_of_normals(legends[1])
+    _draw_status(panels[2], legends[2], fits)
+    return figure
+
+
+def panels_with_legends(
+    count: int, camera: Camera, figure: Figure | None
+) -> tuple[Figure, list[Axes], list[Axes]]:
+    """A figure, a new one for None, with so many panels for images, and the places below them for legends."""
+    if figure is None:
+        height = panel_height(PANEL_INCHES, camera) + _LEGEND_INCHES + 0.35
+        figure = NotebookFigure((count * PANEL_INCHES, height), layout="constrained")
+    shares = [PANEL_INCHES * camera.height / camera.width, _LEGEND_INCHES]
+    rows = figure.subplots(
+        2, count, squeeze=False, gridspec_kw={"height_ratios": shares, "hspace": 0.0, "wspace": 0.03}
+    )
+    for panel in rows.flat:
         panel.set_xticks([])
         panel.set_yticks([])
         panel.set_anchor("N")
         for side in panel.spines.values():
             side.set_visible(False)
-    return figure
+    return figure, list(rows[0]), list(rows[1])
 
 
 def depth_limits(depth: Floats) -> tuple[float, float]:
@@ -104,30 +121,38 @@ def depth_limits(depth: Floats) -> tuple[float, float]:
     return float(nearest), float(max(farthest, nearest + 1e-3))
 
 
-def depth_note(depth: Floats) -> str:
-    """What stands below the colour scale of a measured depth."""
-    return f"metres     (grey: missing, {100 * np.mean(~np.isfinite(depth)):.1f} % of the pixels)"
+def draw_measured_depth(panel: Axes, legend: Axes, metres: Floats) -> None:
+    """Draw a frame's depth in colours, grey where it is missing, and the scale of the colours."""
+    shown = np.where(metres > 0.0, metres, np.nan)
+    missing = percent(np.mean(~np.isfinite(shown)))
+    _draw_depth(panel, legend, shown, f"metres     (grey: missing, {missing} of the pixels)")
+    panel.set_title("Measured depth")
 
 
-def _draw_depth(panel: Axes, legend: Axes, fits: PlacedFits, depth: Floats | None) -> None:
-    fitted = depth is None
-    shown = _fitted_depth(fits) if depth is None else np.where(depth > 0.0, depth, np.nan)
+def _draw_fitted_depth(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
+    _draw_depth(panel, legend, _fitted_depth(fits), "metres")
+    panel.set_title("Depth of the fitted planes")
+
+
+def _draw_depth(panel: Axes, legend: Axes, shown: Floats, label: str) -> None:
     nearest, farthest = depth_limits(shown)
     colours = colormaps["viridis_r"].with_extremes(bad=MISSING)
     image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=farthest)
-    panel.set_title("Depth of the fitted planes" if fitted else "Measured depth")
-    bar = legend.inset_axes((0.1, 0.72, 0.8, 0.16))
-    legend.figure.colorbar(image, cax=bar, orientation="horizontal")
-    bar.tick_params(labelsize=9, length=2)
-    bar.ticklabel_format(useOffset=False)
-    bar.set_xlabel("metres" if fitted else depth_note(shown), fontsize=9)
+    draw_scale(legend, image, label).ax.ticklabel_format(useOffset=False)
 
 
-def _draw_normals(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
-    colours = normal_colours(in_image(fits.planes[..., :3], fits.camera))
-    panel.imshow(_to_pixels(colours, fits, MISSING), interpolation="nearest")
-    panel.set_title("Normals of the planes")
-    # The half ball of normals that face the camera, as the camera sees it.
+def draw_scale(legend: Axes, image: AxesImage, label: str) -> Colorbar:
+    """Draw the scale of an image's colours into the place for a legend."""
+    bar = legend.figure.colorbar(
+        image, cax=legend.inset_axes((0.1, 0.72, 0.8, 0.16)), orientation="horizontal"
+    )
+    bar.ax.tick_params(labelsize=9, length=2)
+    bar.ax.set_xlabel(label, fontsize=9)
+    return bar
+
+
+def draw_legend_of_normals(legend: Axes) -> None:
+    """Draw the half ball of normals that face the camera, as the camera sees it."""
     x, y = np.meshgrid(np.linspace(-1, 1, 201), np.linspace(-1, 1, 201))
     squared = x**2 + y**2
     z = -np.sqrt(np.maximum(1.0 - squared, 0.0))
@@ -154,12 +179,23 @@ def _draw_status(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
     _draw_outlines(panel, fits)
     panel.set_title(f"{fits._title}, {fits.method}")
 
+    styles = {status: {"color": colour} for status, colour in STATUS_COLOURS.items()}
+    draw_legend_of_statuses(legend, fits.status, styles, "light and dark: shaded by the normal")
+
+
+def draw_legend_of_statuses(
+    legend: Axes, statuses: NDArray[np.uint8], styles: Mapping[TileStatus, dict[str, Any]], title: str
+) -> None:
+    """Draw how many parts have each status, with its name and meaning, beside patches of these styles."""
     handles = [
-        Patch(color=STATUS_COLOURS[status], label=f"{np.count_nonzero(fits.status == status)}  {meaning}")
+        Patch(label=f"{np.count_nonzero(statuses == status)}  {status.name}: {meaning}", **styles[status])
         for status, meaning in STATUS_MEANINGS.items()
-        if (fits.status == status).any()
+        if (statuses == status).any()
     ]
-    legend.legend(handles=handles, loc="upper center", ncols=2, fontsize=9, frameon=False, borderaxespad=0.2)
+    legend.legend(
+        handles=handles, loc="upper center", fontsize=9, title=title, title_fontsize=9, alignment="left",
+        frameon=False, borderaxespad=0.0, borderpad=0.2, labelspacing=0.2,
+    )  # fmt: skip
 
 
 def _draw_outlines(panel: Axes, fits: PlacedFits) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.wording import counted
+from rgbd_planes.wording import counted, percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,14 +36,18 @@ def label_colours(count: int) -> Floats:
     )
 
 
-def label_image(segmentation: Segmentation, depth: ArrayLike | None = None) -> Floats:
+def label_image(
+    segmentation: Segmentation, depth: ArrayLike | None = None, ids: NDArray[np.int32] | None = None
+) -> Floats:
     """(H, W, 3) float64: each pixel in the colour of its plane, light and dark following the surface.
 
-    Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief.
+    Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief; with ``ids`` a plane has
+    the colour of its id instead of its label.
     """
     from rgbd_planes.segmentation_result import Reason
 
-    palette = np.vstack([[NO_PLANE], label_colours(len(segmentation))])
+    colours = label_colours(len(segmentation)) if ids is None else label_colours(ids.max(initial=0))[ids - 1]
+    palette = np.vstack([[NO_PLANE], colours])
     image = palette[segmentation.labels]
     if depth is not None:
         frame = as_depth_frame(depth, segmentation.camera)
@@ -64,7 +68,10 @@ def _relief(inverse_depth: Floats, sigma: float) -> Floats:
 
 
 def plot_segments(
-    segmentation: Segmentation, depth: ArrayLike | None = None, figure: Figure | None = None
+    segmentation: Segmentation,
+    depth: ArrayLike | None = None,
+    figure: Figure | None = None,
+    ids: NDArray[np.int32] | None = None,
 ) -> Figure:
     """Draw a segmentation.
 
@@ -75,6 +82,8 @@ def plot_segments(
         The frame that was segmented, for its relief.
     figure : matplotlib Figure or SubFigure, optional
         Drawn into; a new one by default, which `savefig` writes and a notebook shows.
+    ids : (N,) int32, optional
+        Numbers from 1 by which planes are coloured and called, instead of their labels.
 
     Returns
     -------
@@ -86,17 +95,18 @@ def plot_segments(
         size = 8.0, panel_height(8.0, segmentation.camera) + 0.4
         figure = NotebookFigure(size, layout="constrained")
     axes = figure.add_subplot()
-    axes.imshow(label_image(segmentation, depth), interpolation="nearest")
-    _write_numbers(segmentation, axes)
-    axes.set_title(f"{counted(len(segmentation), 'plane')}, {segmentation.share:.0%} of the measured pixels")
+    axes.imshow(label_image(segmentation, depth, ids), interpolation="nearest")
+    _write_numbers(segmentation, axes, np.arange(len(segmentation)) + 1 if ids is None else ids)
+    share = f"{percent(segmentation.share)} of the measured pixels"
+    axes.set_title(f"{counted(len(segmentation), 'plane')}, {share}")
     axes.set_xlabel("grey: on no plane     white: not measured", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
     return figure
 
 
-def _write_numbers(segmentation: Segmentation, axes: Axes) -> None:
-    """Write each large plane's label where most of the plane is around it."""
+def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.integer]) -> None:
+    """Write each large plane's number where most of the plane is around it."""
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)
     for i, box in enumerate(segmentation._boxes):
@@ -104,7 +114,7 @@ def _write_numbers(segmentation: Segmentation, axes: Axes) -> None:
             continue
         row, column = _middle(labels[box] == i + 1)
         axes.text(
-            box[1].start + column, box[0].start + row, str(i + 1),
+            box[1].start + column, box[0].start + row, str(numbers[i]),
             ha="center", va="center", fontsize=7, color="black",
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.6, "linewidth": 0},
         )  # fmt: skip

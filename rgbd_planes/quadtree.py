@@ -86,7 +86,7 @@ class QuadtreeSegmentation:
         return quadtree_html(self)
 
     def plot(self, depth: npt.ArrayLike, figure: Figure | None = None) -> Figure:
-        """Draw the depth and the elements as the paper does; see `quadtree_figure.plot_quadtree`.
+        """Draw the depth, and the elements as the paper does; see `quadtree_figure.plot_quadtree`.
 
         Parameters
         ----------

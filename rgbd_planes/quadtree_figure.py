@@ -1,4 +1,4 @@
-"""The paper's figure of a segmented frame: depth, depth in colours, and the elements outlined by status."""
+"""The paper's figure of a segmented frame: depth, and the elements outlined by status."""
 
 from typing import TYPE_CHECKING
 
@@ -6,21 +6,26 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting import PANEL_INCHES, NotebookFigure, panel_height
+from rgbd_planes.plotting import (
+    depth_limits,
+    draw_legend_of_statuses,
+    draw_measured_depth,
+    panels_with_legends,
+)
 
 if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
 
 # The colours of the paper's figure; it has none for pixels that determine no plane.
 OUTLINES = {
-    TileStatus.OK: ("#00a03c", "plane fitted, shaded by cluster"),
-    TileStatus.TOO_FEW: ("#e01b24", "too many missing pixels"),
-    TileStatus.DEGENERATE: ("#f5a623", "pixels determine no plane"),
-    TileStatus.ROUGH: ("#1c4fd8", "residual too large"),
+    TileStatus.OK: "#00a03c",
+    TileStatus.TOO_FEW: "#e01b24",
+    TileStatus.DEGENERATE: "#f5a623",
+    TileStatus.ROUGH: "#1c4fd8",
 }
 _SHADE = 0.55
 
@@ -28,7 +33,7 @@ _SHADE = 0.55
 def plot_quadtree(
     segmentation: "QuadtreeSegmentation", depth_metres: NDArray[np.float64], figure: Figure | None = None
 ) -> Figure:
-    """Draw a segmented frame: depth in grey, depth in colours, and the elements over the depth.
+    """Draw a segmented frame: its depth in colours, and the elements over its depth in grey.
 
     Parameters
     ----------
@@ -43,27 +48,19 @@ def plot_quadtree(
     matplotlib Figure
     """
     elements = segmentation.elements
-    if figure is None:
-        size = 3 * PANEL_INCHES, panel_height(PANEL_INCHES, elements.camera) + 0.8
-        figure = NotebookFigure(size, layout="constrained")
-    known = depth_metres[np.isfinite(depth_metres)]
-    nearest, farthest = np.percentile(known, [1.0, 99.0]) if known.size else (0.0, 1.0)
-    panels = figure.subplots(1, 3)
-    grey = colormaps["gray_r"].with_extremes(bad="black")
-    limits = {"vmin": nearest, "vmax": max(farthest, nearest + 1e-9)}
-    panels[0].imshow(depth_metres, cmap=grey, **limits)
-    panels[0].set_title("Depth")
-    panels[1].imshow(depth_metres, cmap=colormaps["turbo"].with_extremes(bad="black"), **limits)
-    panels[1].set_title(f"Depth, {nearest:.1f} m to {farthest:.1f} m")
+    figure, panels, legends = panels_with_legends(2, elements.camera, figure)
+    draw_measured_depth(panels[0], legends[0], depth_metres)
 
-    base = np.nan_to_num(grey(np.clip((depth_metres - nearest) / (limits["vmax"] - nearest), 0.0, 1.0)))
+    nearest, farthest = depth_limits(depth_metres)
+    grey = colormaps["gray_r"].with_extremes(bad="black")
+    base = np.nan_to_num(grey(np.clip((depth_metres - nearest) / (farthest - nearest), 0.0, 1.0)))
     palette = np.vstack([np.zeros(4), colormaps["tab20"](_palette_order(len(segmentation.planes)))])
     labels = segmentation.labels
     share = np.where(labels > 0, _SHADE, 0.0)[..., None]
-    panels[2].imshow((1.0 - share) * base[..., :3] + share * palette[labels][..., :3])
+    panels[1].imshow((1.0 - share) * base[..., :3] + share * palette[labels][..., :3])
     counts = {status: int(np.count_nonzero(elements.status == status)) for status in OUTLINES}
-    for status, (colour, _) in OUTLINES.items():
-        panels[2].add_collection(
+    for status, colour in OUTLINES.items():
+        panels[1].add_collection(
             PatchCollection(
                 # Inset by a pixel, so that neighbours' outlines do not cover each other.
                 [
@@ -75,16 +72,12 @@ def plot_quadtree(
                 linewidth=0.9,
             )
         )
-    panels[2].set_title(f"{counts[TileStatus.OK]} squares fitted, {len(segmentation.planes)} clusters")
-    for panel in panels:
-        panel.set_xticks([])
-        panel.set_yticks([])
-    handles = [
-        Patch(facecolor="none", edgecolor=colour, linewidth=2.0, label=f"{counts[status]}  {meaning}")
-        for status, (colour, meaning) in OUTLINES.items()
-        if counts[status]
-    ]
-    figure.legend(handles=handles, loc="outside lower right", ncols=len(handles), frameon=False)
+    panels[1].set_title(f"{counts[TileStatus.OK]} squares fitted, {len(segmentation.planes)} clusters")
+    styles = {
+        status: {"facecolor": "none", "edgecolor": colour, "linewidth": 2.0}
+        for status, colour in OUTLINES.items()
+    }
+    draw_legend_of_statuses(legends[1], elements.status, styles, "outlined by status, filled by cluster")
     return figure
 
 

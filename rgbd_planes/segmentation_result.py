@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.tile_grid import common_labels
-from rgbd_planes.wording import counted
+from rgbd_planes.wording import counted, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,9 +82,9 @@ class Segmentation:
         return len(self.planes)
 
     def __repr__(self) -> str:
-        height, width = self.labels.shape
-        share = f"{self.share:.0%} of the measured pixels"
-        return f"<Segmentation: {counted(len(self), 'plane')}, {share} of {height} x {width}>"
+        share = f"{percent(self.share)} of the measured pixels"
+        size = f"{self.camera.width} x {self.camera.height}"
+        return f"<Segmentation: {counted(len(self), 'plane')}, {share} of {size}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""

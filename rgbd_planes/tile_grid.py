@@ -17,9 +17,7 @@ def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int
     if height < 2 or width < 2:
         raise ValueError(f"tile must be at least 2 x 2 pixels, got {tile!r}")
     if height > frame[0] or width > frame[1]:
-        raise ValueError(
-            f"tile must fit into the frame of {frame[0]} x {frame[1]} pixels (height x width), got {tile!r}"
-        )
+        raise ValueError(f"tile must fit into the frame of (height, width) = {frame}, got {tile!r}")
     return height, width
 
 

@@ -17,6 +17,8 @@ from rgbd_planes.segmentation_result import Segmentation
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rgbd_planes.noise_model import NoiseModel
 
 SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
@@ -49,6 +51,20 @@ class TrackedSegmentation:
     def labels(self) -> NDArray[np.int32]:
         """(H, W) int32: the id of each pixel's plane, 0 for none."""
         return np.append(np.int32(0), self.ids)[self.segmentation.labels]
+
+    def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
+        """Draw the planes as `Segmentation.plot` does, coloured and numbered by their ids.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like, optional
+            The frame that was segmented, for its relief.
+        figure : matplotlib Figure, optional
+            Drawn into; a new one by default.
+        """
+        from rgbd_planes.plotting_segments import plot_segments
+
+        return plot_segments(self.segmentation, depth, figure, self.ids)
 
 
 def segment_sequence(

@@ -138,7 +138,7 @@ def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
         raise ValueError(
-            f"windows must lie inside the frame of {camera.height} x {camera.width} pixels (height x width), "
+            f"windows must lie inside the frame of (height, width) = {camera.shape}, "
             f"got {array[first].tolist()} (row, column, height, width) as window {first}"
         )
     return np.array(array, np.int64, order="C")

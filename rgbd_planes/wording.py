@@ -1,9 +1,16 @@
 """How results say numbers."""
 
+from typing import SupportsFloat
+
 
 def two_digits(value: float) -> str:
     """A number to two digits, 110 where the format .2g has 1.1e+02."""
     return f"{float(f'{value:.2g}'):g}"
+
+
+def percent(share: SupportsFloat) -> str:
+    """A share of 1 in per cent, to one decimal."""
+    return f"{100.0 * float(share):.1f} %"
 
 
 def counted(count: int, what: str) -> str:

@@ -243,7 +243,7 @@ BAD_INPUT = {
     "no scale": (camera(depth_scale=None), [], "depth_scale .* disparity"),
     "unknown key": (camera(focal=3.0), [], "focal"),
     "lacking key": (camera(fx="none"), [], "fx"),
-    "tile too large": (None, ["--tile", "61"], "60 x 80"),
+    "tile too large": (None, ["--tile", "61"], r"\(60, 80\)"),
     "tile too small": (None, ["--tile", "1"], "at least 2"),
     "tile no number": (None, ["--tile", "16y12"], "16 or 12x20, got '16y12'"),
     "tile half a size": (None, ["--tile", "16x"], "16 or 12x20, got '16x'"),
@@ -279,7 +279,7 @@ def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
     np.save("depth.npy", np.full((60, 80), np.nan))
     assert cli.main(["fit", "depth.npy", "--camera", "camera.json", "--figure", "p.png"]) == 1
     out, err = capsys.readouterr()
-    assert "20 TOO_FEW; 0% of the pixels are measured." in out
+    assert "20 TOO_FEW; 0.0 % of the pixels are measured." in out
     assert os.path.exists("p.png")
     assert err == "rgbd-planes fit: depth.npy: no pixel is a measurement: the values are nan to nan\n"
     replace(CAMERA, depth_range=(20.0, 30.0)).save("far.json")

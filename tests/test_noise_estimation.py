@@ -121,6 +121,28 @@ def test_shows_a_bias_over_the_image(rng):
     assert "\n" not in repr(evidence)
 
 
+@pytest.mark.parametrize("length", [0.0, 2.0])
+def test_without_a_bias_the_map_shows_what_chance_makes(length, rng):
+    """Its deviation is the one that is told, errors that neighbours share included, and its colours are pale."""
+    seen = []
+    for tilt in np.linspace(-0.3, 0.3, 6):
+        errors = smooth(rng, length) if length else rng.standard_normal(CAMERA.shape)
+        depth = rp.scenes.plane((tilt, 0.2, -1.0), 1.5).render(CAMERA).depth
+        seen.append(1.0 / (1.0 / depth + 1.4e-3 * errors))
+    evidence = rp.estimate_noise(seen, CAMERA).evidence
+    of_chance = evidence.flatness / evidence.flatness_std
+    assert np.sqrt(np.mean(of_chance**2)) == pytest.approx(1.0, abs=0.2)
+    independent = 1.4e-3 / np.sqrt(evidence.flatness_count)
+    apart = np.arange(8)[:, None] - np.arange(8)
+    shared = np.exp(-0.5 * (apart / length) ** 2).sum() / 8 if length else 1.0  # along a side of a cell
+    assert np.median(evidence.flatness_std / independent) == pytest.approx(shared, rel=0.1)
+    figure = evidence.plot()
+    (bias,) = (axes for axes in figure.axes if axes.get_title().startswith("Bias"))
+    least, most = bias.get_images()[0].get_clim()
+    assert -least == most >= 5e3 * np.median(evidence.flatness_std)
+    assert "chance alone: ±" in bias.get_xlabel()
+
+
 @pytest.mark.parametrize("floor", [0.0, 1.0])
 def test_planes_larger_than_tiles_show_how_far_a_bias_reaches(floor, rng):
     """Tiles of 96 pixels are as flat with it as without. The errors of large planes are what the covariance says."""
@@ -190,7 +212,7 @@ def test_frames_without_anything_flat(rng):
         rp.estimate_noise(depth[:, :64, :64], replace(CAMERA, width=64, height=64))
     with pytest.raises(ValueError, match="at least one frame, got none"):
         rp.estimate_noise([], CAMERA)
-    with pytest.raises(ValueError, match="at least 24 x 24 pixels, got 20 x 22"):
+    with pytest.raises(ValueError, match="at least 24 x 24 pixels, got 22 x 20"):
         rp.estimate_noise([np.ones((20, 22))], replace(CAMERA, width=22, height=20))
 
 
@@ -214,7 +236,7 @@ def test_what_may_be_outliers_is_doubted(rng, share):
 def test_missing_pixels_are_named():
     depth = rendering(*VIEWS[0]).measure(holes=0.3)
     with pytest.raises(
-        ValueError, match="found 0 in 1 frames: of most windows more than 10% of the pixels are missing"
+        ValueError, match="found 0 in 1 frames: of most windows more than 10 % of the pixels are missing"
     ):
         rp.estimate_noise(depth, CAMERA)
 

@@ -419,7 +419,7 @@ def test_command_writes_normals_and_a_figure(folder, capsys):
     np.testing.assert_array_equal(np.load("n.npy"), wanted)
     share = np.isfinite(wanted[..., 0]).mean()
     out = capsys.readouterr().out
-    assert f"64 x 48 pixels, windows of 9 x 9: normals at {share:.1%} of the pixels." in out
+    assert f"64 x 48 pixels, windows of 9 x 9: normals at {100 * share:.1f} % of the pixels." in out
     with Image.open("n.png") as picture:
         assert picture.width > 1000
         assert np.ptp(np.asarray(picture.convert("L"))) > 200
@@ -457,7 +457,7 @@ def test_labels_of_the_curvature_are_legible(low, high):
     depth = np.ones(camera.shape)
     figure = plot_surfaces(depth, camera, rp.normals(depth, camera), curvature.reshape(camera.shape))
     figure.draw_without_rendering()
-    axis = figure.axes[-1].xaxis
+    (axis,) = (axes.xaxis for below in figure.axes for axes in below.child_axes if "var" in axes.get_xlabel())
     least, most = axis.get_view_interval()
     ticks = sorted([*axis.get_major_ticks(), *axis.get_minor_ticks()], key=lambda tick: tick.get_loc())
     boxes = [

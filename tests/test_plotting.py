@@ -63,11 +63,29 @@ def test_panels_show_depth_normals_and_statuses_where_they_belong(tile, tmp_path
     ]
     present = np.unique(tiles.status)
     assert sorted(texts) == sorted(
-        f"{np.count_nonzero(tiles.status == s)}  {plotting.STATUS_MEANINGS[rp.TileStatus(s)]}"
+        f"{np.count_nonzero(tiles.status == s)}  {rp.TileStatus(s).name}: "
+        f"{plotting.STATUS_MEANINGS[rp.TileStatus(s)]}"
         for s in present
     )
     figure.savefig(tmp_path / "figure.png", dpi=40)
     assert (tmp_path / "figure.png").stat().st_size > 1000
+
+
+def test_normals_have_one_legend():
+    tiles, depth = fitted()
+    camera = tiles.camera
+    surfaces = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    for figure in (tiles.plot(depth), surfaces):
+        (ball,) = (
+            axes
+            for below in figure.axes
+            for axes in below.child_axes
+            if [text.get_text() for text in axes.texts] == ["up", "down", "facing left", "facing right"]
+        )
+        colours = image_of(ball)[:, :, :3]
+        facing, right, up = colours[100, 100], colours[100, 199], colours[1, 100]
+        normals = np.array([[0.0, 0.0, -1.0], [0.99, 0.0, -0.141], [0.0, -0.99, -0.141]])
+        np.testing.assert_allclose([facing, right, up], plotting.normal_colours(normals), atol=0.01)
 
 
 def test_without_a_frame_the_planes_own_depth_is_drawn():

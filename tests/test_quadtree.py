@@ -162,12 +162,17 @@ def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
 
     segmentation = rp.segment_quadtree(frame, camera)
     figure = segmentation.plot(frame)
-    outlines = [c for c in figure.axes[2].collections if isinstance(c, PatchCollection)]
+    outlines = [c for c in figure.axes[1].collections if isinstance(c, PatchCollection)]
     drawn = {tuple(c.get_edgecolor()[0]): len(c.get_paths()) for c in outlines if len(c.get_paths())}
     status = segmentation.elements.status
     assert drawn == {
-        to_rgba(OUTLINES[s][0]): np.count_nonzero(status == s) for s in OUTLINES if (status == s).any()
+        to_rgba(OUTLINES[s]): np.count_nonzero(status == s) for s in OUTLINES if (status == s).any()
     }
+    (legend,) = (axes.get_legend() for axes in figure.axes if axes.get_legend())
+    for text, patch in zip(legend.get_texts(), legend.get_patches(), strict=True):
+        count, name = text.get_text().split(":")[0].split()
+        assert patch.get_edgecolor() == to_rgba(OUTLINES[rp.TileStatus[name]])
+        assert int(count) == drawn[patch.get_edgecolor()]
 
 
 def test_real_frame_equals_oracle(real_frame):

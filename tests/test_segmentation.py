@@ -888,7 +888,9 @@ def test_plot_draws(room):
     figure = found.plot(room[1])
     assert figure._repr_png_().startswith(b"\x89PNG")
     (axes,) = figure.axes
-    assert f"{len(found)} planes" in axes.get_title()
+    share = f"{100.0 * found.share:.1f} % of the measured pixels"
+    assert axes.get_title() == f"{len(found)} planes, {share}"
+    assert repr(found) == f"<Segmentation: {axes.get_title()} of {CAMERA.width} x {CAMERA.height}>"
     assert axes.get_xlabel().startswith("grey: on no plane")
     assert len(axes.images) == 1
     for text in axes.texts:

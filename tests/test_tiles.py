@@ -310,7 +310,7 @@ def test_inputs_of_any_kind_are_the_same_frame(rng):
     [
         ({"tile": 0}, ValueError, "tile must be at least 2 x 2 pixels, got 0"),
         ({"tile": (1, 16)}, ValueError, r"got \(1, 16\)"),
-        ({"tile": 49}, ValueError, "fit into the frame of 48 x 64"),
+        ({"tile": 49}, ValueError, r"fit into the frame of \(height, width\) = \(48, 64\), got 49"),
         ({"tile": 16.5}, TypeError, "whole number of pixels"),
         ({"tile": (4, 4, 4)}, TypeError, "tile must be"),
         ({"tile": "16"}, TypeError, "tile must be"),

@@ -39,6 +39,27 @@ def test_ids_stay_with_the_planes() -> None:
     assert len(name_of) <= len(set(name_of.values())) + 4
 
 
+def test_a_plane_keeps_its_colour_and_number_in_the_figure() -> None:
+    colours: dict[int, np.ndarray] = {}
+    moved = False
+    frames = [depth for depth, _ in steps(4)]
+    for depth, tracked in zip(frames, segment_sequence(frames, CAMERA), strict=True):
+        found = tracked.segmentation
+        (axes,) = tracked.plot().axes
+        image = np.asarray(axes.get_images()[0].get_array())
+        for i, number in enumerate(tracked.ids):
+            seen = np.unique(image[found.labels == i + 1], axis=0)
+            assert len(seen) == 1
+            np.testing.assert_array_equal(seen[0], colours.setdefault(int(number), seen[0]))
+        for text in axes.texts:
+            column, row = np.rint(text.get_position()).astype(int)
+            assert int(text.get_text()) == tracked.labels[row, column]
+        assert tracked.plot(depth)._repr_png_().startswith(b"\x89PNG")
+        moved |= bool((tracked.ids != np.arange(len(found)) + 1).any())
+    assert moved  # else labels would do
+    assert len(np.unique(np.array(list(colours.values())), axis=0)) == len(colours)
+
+
 def wall_and_board(shown: bool) -> np.ndarray:
     depth = np.full(CAMERA.shape, 2.0)
     if shown:

@@ -768,13 +768,13 @@ def test_models_have_their_published_sigma_and_show_it():
     assert repr(noise.kinect_v1()) == "<NoiseModel: sigma 0.36 mm at 0.5 m, 1.4 mm at 1 m, 5.7 mm at 2 m>"
     assert "34 mm at 0.5 m, 140 mm at 1 m, 540 mm at 2 m" in repr(noise.axial(quadratic=0.135))
     for part in (
-        "30% correlated over 1.5 pixels",
+        "30 % correlated over 1.5 pixels",
         "floor 0.5 sigma over 20 pixels",
         "spread 0.2",
         "lateral 0.3 pixels",
     ):
         assert part in repr(replace(CORRELATED, spread=0.2, lateral=0.3))
-    assert "0.4% correlated over 8 pixels" in repr(rp.noise.NoiseModel(correlation=((0.004, 8.0),)))
+    assert "0.4 % correlated over 8 pixels" in repr(rp.noise.NoiseModel(correlation=((0.004, 8.0),)))
     assert "a function" in repr(noise.function(lambda q: 1e-3 * q))
     for model in (CORRELATED, noise.function(lambda q: 1e-3 * q)):
         assert repr(rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, noise=model)).isascii()

@@ -189,6 +189,7 @@ def describe_tiles(tiles: "TilePlanes") -> str:
     import numpy as np
 
     from rgbd_planes import TileStatus
+    from rgbd_planes.wording import percent
 
     height, width = tiles.tile
     counts = {status: np.count_nonzero(tiles.status == status) for status in TileStatus}
@@ -200,5 +201,5 @@ def describe_tiles(tiles: "TilePlanes") -> str:
         )
     else:
         measured = tiles.valid_count.sum() / (tiles.camera.width * tiles.camera.height)
-        line += f"; {measured:.0%} of the pixels are measured"
+        line += f"; {percent(measured)} of the pixels are measured"
     return line + "."

@@ -11,6 +11,7 @@ from rgbd_planes.commands.arguments import (
     add_sequence_options,
     read_sequence,
 )
+from rgbd_planes.wording import percent
 
 _LISTED = 10  # ranges of skipped frames
 
@@ -98,7 +99,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             print(f"{report.resumed} frames had been done before.")
         total = sum(report.seconds.values())
         if total > 0.0:
-            shares = ", ".join(f"{work} {seconds / total:.0%}" for work, seconds in report.seconds.items())
+            shares = ", ".join(
+                f"{work} {percent(seconds / total)}" for work, seconds in report.seconds.items()
+            )
             print(f"Of the work: {shares}.")
         print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
         for reason, frames in skipped.items():

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rgbd_planes.commands.arguments import Run, describe_tiles, tile_size, write_figure
+from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
     from rgbd_planes.scenes import Rendering
@@ -27,6 +28,8 @@ def demo(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument("--seed", type=int, default=1, help="seed of the noise and the missing pixels (1)")
 
     def run(arguments: argparse.Namespace) -> None:
+        import numpy as np
+
         from rgbd_planes import Camera, TileFitter, fit_tiles, noise, scenes
         from rgbd_planes.files import check_writable
         from rgbd_planes.images import write_png
@@ -49,7 +52,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         )
         print(
             f"Rendered a room of {len(rendering.planes)} planes, {camera.width} x {camera.height} pixels, "
-            f"Kinect noise, {(depth == 0).mean():.1%} of the pixels missing."
+            f"Kinect noise, {percent(np.mean(depth == 0))} of the pixels missing."
         )
 
         tiles = fitter.fit(depth)  # compiles, the first time

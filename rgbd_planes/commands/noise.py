@@ -14,6 +14,7 @@ from rgbd_planes.commands.arguments import (
     read_sequence,
     write_figure,
 )
+from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
     from rgbd_planes.sequences import FrameSequence
@@ -73,7 +74,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         )
         print(f"Noise: {found._summary()}.")
         print(
-            f"By it {np.mean(evidence.p_values < 0.01):.1%} of the flat tiles have a p-value below 1 %; 1 % should."
+            f"By it {percent(np.mean(evidence.p_values < 0.01))} of the flat tiles have a p-value below 1 %; 1 % should."
         )
         if arguments.out is not None:
             replace(camera, noise=found).save(arguments.out)

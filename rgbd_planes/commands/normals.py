@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import FIGURES, Run, add_frame, check_outputs, read_frame, write_figure
+from rgbd_planes.wording import percent
 
 
 def normals(parser: argparse.ArgumentParser) -> Run:
@@ -51,7 +52,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
         height, width = camera.shape
         print(
             f"{width} x {height} pixels, windows of {arguments.window} x {arguments.window}: "
-            f"normals at {share:.1%} of the pixels."
+            f"normals at {percent(share)} of the pixels."
         )
         if arguments.out is not None:
             with write_beside(arguments.out) as beside, open(beside, "wb") as file:

@@ -116,7 +116,7 @@ def read_sens_frame(location: SensLocation) -> NDArray[np.uint16]:
             raise ValueError(f"{file}: damaged depth frame at byte {offset} ({error})") from None
     if len(content) != expected:
         raise ValueError(
-            f"{file}: damaged depth frame at byte {offset}: expected {expected} bytes of {height} x {width} "
+            f"{file}: damaged depth frame at byte {offset}: expected {expected} bytes of {width} x {height} "
             f"pixels, got {'more' if len(content) > expected else len(content)}"
         )
     return np.frombuffer(content, "<u2").astype(np.uint16).reshape(height, width)
