@@ -73,9 +73,8 @@ def noise(parser: argparse.ArgumentParser) -> Run:
             f"{len(frames)} of {len(sequence)} frames, {evidence.windows} flat windows of {WINDOW} x {WINDOW} pixels."
         )
         print(f"Noise: {found._summary()}.")
-        print(
-            f"By it {percent(np.mean(evidence.p_values < 0.01))} of the flat tiles have a p-value below 1 %; 1 % should."
-        )
+        share = percent(np.mean(evidence.p_values < 0.01))
+        print(f"By it {share} of the flat tiles have a p-value below 1 %; 1 % should.")
         if arguments.out is not None:
             replace(camera, noise=found).save(arguments.out)
             print(f"Wrote {arguments.out}")
