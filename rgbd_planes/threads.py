@@ -7,6 +7,7 @@ bits for any number of threads, no threading layer of Numba's to choose, to lock
 import os
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -59,20 +60,32 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
         if threading.main_thread().is_alive():
             raise
         return lambda: work(*arguments)
-    return lambda: work(*arguments) if future.cancel() else future.result()
+
+    def result() -> Result:
+        if future.cancel():
+            return work(*arguments)
+        try:
+            return future.result()
+        except (
+            BaseException
+        ):  # also an interrupt while it waits: what the thread writes to is the caller's again
+            future.exception()
+            raise
+
+    return result
 
 
 def run_in_ranges(work: Work, count: int, num_threads: int) -> None:
-    """Call ``work(start, stop)`` for ranges that cover ``range(count)``, one a thread."""
+    """Call ``work(start, stop)`` for ranges that cover ``range(count)``, one a thread; all have ended on return."""
     num_threads = min(num_threads, count)
     if num_threads <= 1:
         work(0, count)
         return
     bounds = [count * i // num_threads for i in range(num_threads + 1)]
-    # This thread takes the last range itself, so that as many threads as asked for are at work.
-    results = [submit(work, num_threads - 1, bounds[i], bounds[i + 1]) for i in range(num_threads - 1)]
-    try:
+    with (
+        ExitStack() as waiting
+    ):  # calls the last one first, with which threads begin last, and each whichever fails
+        for i in range(num_threads - 1):
+            waiting.callback(submit(work, num_threads - 1, bounds[i], bounds[i + 1]))
+        # This thread takes the last range itself, so that as many threads as asked for are at work.
         work(bounds[-2], bounds[-1])
-    finally:
-        for result in reversed(results):  # those that threads begin with last
-            result()

@@ -3,6 +3,7 @@
 import gc
 import itertools
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -264,6 +265,41 @@ def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller(rng):
             list(fitter.fit_stream([good, bad]))
         with pytest.raises(ValueError, match="expected a depth frame of shape"):
             fitter.fit_batch([good, good, bad])
+
+
+@pytest.mark.parametrize("fails", [0, 1, 2])
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_ranges_have_all_ended_when_one_fails(fails, error):
+    """Before the caller may read, or give back, what they write to."""
+    begun, ended = threading.Barrier(3), []
+
+    def work(start, stop):
+        begun.wait()
+        if start == fails:
+            raise error
+        time.sleep(0.1 * (2 - start))
+        ended.append(start)
+
+    with pytest.raises(error):
+        threads.run_in_ranges(work, 3, 3)
+    assert sorted(ended) == sorted({0, 1, 2} - {fails})
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signal to a thread on this system")
+def test_ranges_have_all_ended_when_waiting_for_them_is_interrupted():
+    begun, ended = threading.Barrier(3), []
+
+    def work(start, stop):
+        begun.wait()
+        if start == 1:
+            time.sleep(0.2)  # until the caller waits for this range
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            time.sleep(0.2)
+        ended.append(start)
+
+    with pytest.raises(KeyboardInterrupt):
+        threads.run_in_ranges(work, 3, 3)
+    assert sorted(ended) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("method", METHODS)
