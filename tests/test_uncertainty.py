@@ -795,6 +795,17 @@ def test_models_have_their_published_sigma_and_show_it():
     assert (np.diff(CORRELATED.sample_share([4, 16, 64, 256, 1024])) < 0.0).all()
 
 
+def test_a_function_without_a_hash_is_a_noise(rng):
+    """As polynomials of NumPy are; models of different ones stay apart where something is kept for a model."""
+    camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5)
+    depth = 1.0 / rng.normal(0.5, 1.4e-3, camera.shape)
+    models = [rp.noise.function(np.polynomial.Polynomial([sigma, 0.0, 1e-4])) for sigma in (1.4e-3, 2.8e-3)]
+    assert models[0] != models[1] != rp.noise.function(np.poly1d([1e-4, 0.0, 2.8e-3]))
+    once, twice = (rp.fit_tiles(depth, replace(camera, noise=model), 8).angle_std for model in models)
+    ratio = models[1].sigma(0.5) / models[0].sigma(0.5)
+    np.testing.assert_allclose(twice / once, ratio, rtol=0.01)
+
+
 def test_rounding_alone_is_a_noise():
     for step in ({"step": 1e-3}, {"disparity_step": 1e-3}):
         np.testing.assert_allclose(rp.noise.NoiseModel((0.0,), **step).sigma(1.0), 1e-3 / np.sqrt(12.0))
