@@ -1,5 +1,8 @@
 """What cannot be used is refused at the door, with what was expected and what came."""
 
+from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +96,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.segment(DEPTH, CAMERA, min_size=np.nan), TypeError, "whole number of pixels, got nan"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=2), ValueError, "min_size must be at least 3, got 2"),
         (lambda: rp.segment(DEPTH, CAMERA, noise="kinect_v1"), TypeError, "a NoiseModel or None, got 'kinect_v1'"),
-        (lambda: rp.segment(DEPTH, CAMERA, noise=True), ValueError, "positive standard deviation"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=True), TypeError, "number in 1/m, a function .* got True"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=lambda q: -q), ValueError, r"inverse depths, got -[\d.]+ at [\d.]+ "),
         (lambda: rp.segment(DEPTH, CAMERA, noise=np.diff), ValueError, r"of shape \(33,\), got shape \(32,\)"),
         (lambda: rp.fit_sequence("recording", "out"), TypeError, "which open_sequence makes, got str"),
@@ -116,6 +119,32 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
 def test_arguments_that_cannot_be_are_refused(use, error, message):
     with pytest.raises(error, match=message):
         use()
+
+
+@pytest.mark.parametrize("kind", [np.array, np.float32, Fraction, Decimal])
+def test_numbers_of_other_kinds(kind):
+    """They are used as the floats that they are checked as."""
+    noisy = replace(CAMERA, noise=noise.kinect_v1())
+    depth = scenes.plane((0.2, 0.1, -1.0), 1.5).render(noisy).measure(seed=1)
+    scene = scenes.plane((0.0, 0.0, -1.0), kind(2.0)).render(CAMERA)
+    assert (scene.depth == 2.0).all()
+    measured = scene.measure(noise=kind(0.0), holes=kind(0.25), patches=kind(0.25), baseline=kind(0.0))
+    assert np.array_equal(measured, scene.measure(noise=0.0, holes=0.25, patches=0.25, baseline=0.0))
+    assert noise.stereo(kind(0.5), 8.0, kind(0.25)) == noise.stereo(0.5, 8.0, 0.25)
+    sigma = rp.measurement_noise(DEPTH, CAMERA, kind(0.125))
+    assert np.array_equal(sigma, rp.measurement_noise(DEPTH, CAMERA, 0.125))
+    for options in ({"significance": 0.25}, {"max_missing": 0.25}, {"max_error": 0.25}):
+        given = {name: kind(value) for name, value in options.items()}
+        found = rp.fit_tiles(depth, noisy, 8, **given).status
+        assert np.array_equal(found, rp.fit_tiles(depth, noisy, 8, **options).status)
+        found = rp.fit_labels(depth, noisy, depth > 0, **given).status
+        assert np.array_equal(found, rp.fit_labels(depth, noisy, depth > 0, **options).status)
+    segmented = rp.segment(depth, CAMERA, noise=kind(0.0078125))
+    assert np.array_equal(segmented.labels, rp.segment(depth, CAMERA, noise=0.0078125).labels)
+    pytest.importorskip("shapely")
+    (found,) = rp.plane_polygons(segmented, tolerance=kind(0.5), min_part=kind(20.0))
+    (wanted,) = rp.plane_polygons(segmented, tolerance=0.5, min_part=20.0)
+    assert found.image.equals(wanted.image)
 
 
 def test_whole_numbers_of_numpy():
