@@ -6,8 +6,10 @@ What can be used, but most likely is a mistake, is warned of.
 import math
 import os
 import sys
+import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -133,16 +135,41 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     return tuple(number(name, value, finite=finite) for value in values)
 
 
+_INSIDE = "rgbd_planes", "contextlib"  # whose stack of callbacks waits for threads
+
+
+class _Collected(threading.local):
+    """In a thread of this library's: what it will have to say."""
+
+    messages: list[str] | None = None
+
+
+_collected = _Collected()
+
+
 def warn_caller(message: str) -> None:
     """Warn at the line that called this library."""
-    warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
+    if _collected.messages is None:
+        warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
+    else:
+        _collected.messages.append(message)
+
+
+@contextmanager
+def collected_warnings(messages: list[str]) -> Iterator[None]:
+    """Put what is to be warned of into a list, in a thread that was not called by the line that it is for."""
+    before, _collected.messages = _collected.messages, messages
+    try:
+        yield
+    finally:
+        _collected.messages = before
 
 
 def _first_level_outside() -> int:
     """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
     level = 1
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("rgbd_planes"):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(_INSIDE):
         frame = frame.f_back
         level += 1
     return level

@@ -302,6 +302,17 @@ def test_ranges_have_all_ended_when_waiting_for_them_is_interrupted():
     assert sorted(ended) == [0, 1, 2]
 
 
+@pytest.mark.parametrize("many", ["fit_batch", "fit_stream"])
+def test_threads_warn_at_the_line_that_called(many):
+    """Of each frame, also of those that other threads have read."""
+    fitter = rp.TileFitter(make_camera(), num_threads=3)
+    frames = [np.full((48, 64), 60_000.0), np.full((48, 64), 0.001), np.full((48, 64), 1.0)]
+    with pytest.warns(UserWarning, match="of this frame is") as caught:
+        assert all(tiles.fitted.all() for tiles in getattr(fitter, many)(frames))
+    assert {warning.filename for warning in caught} == {__file__}
+    assert len({str(warning.message) for warning in caught}) == 2
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("distortion", [(), (0.26, -0.95, -0.005, 0.003, 1.16)], ids=["pinhole", "distorted"])
 @pytest.mark.parametrize("tile", [5, (9, 12), (48, 64)])
