@@ -169,6 +169,7 @@ class TileFitter:
         Parameters
         ----------
         frames : (F, H, W) array or sequence of (H, W)
+            Each is asked for once, unless there are fewer than threads, which then share frames.
         out : TilePlanes, optional
             An earlier result for as many frames, as in `fit`.
 
@@ -196,11 +197,15 @@ class TileFitter:
             for i in range(start // rows, -(-stop // rows)):
                 fit = self._into({name: array[i] for name, array in arrays.items()})
                 frame = as_depth_frame(frames[i], self.camera)
-                fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
+                with announced((*self._compiled_for, frame.raw.dtype)):
+                    fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
 
-        pixels = len(frames) * self.camera.width * self.camera.height
-        with announced((*self._compiled_for, np.asarray(frames[0]).dtype)):
-            run_in_ranges(fit_some, len(frames) * rows, choose_num_threads(self._num_threads, pixels))
+        threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
+        # By whole frames where there are enough for all threads: one that two share is read twice.
+        step = rows if len(frames) >= threads else 1
+        run_in_ranges(
+            lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads
+        )
         return self._result(arrays) if out is None else out
 
     def fit_stream(self, frames: Iterable[npt.ArrayLike]) -> Iterator[TilePlanes]:
@@ -251,7 +256,9 @@ class TileFitter:
     def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""
         arrays = self._arrays((), None)
-        self._into(arrays)(as_depth_frame(depth, self.camera))(0, self._grid[0])
+        frame = as_depth_frame(depth, self.camera)
+        with announced((*self._compiled_for, frame.raw.dtype)):
+            self._into(arrays)(frame)(0, self._grid[0])
         return self._result(arrays)
 
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:

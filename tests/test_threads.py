@@ -313,6 +313,26 @@ def test_threads_warn_at_the_line_that_called(many):
     assert len({str(warning.message) for warning in caught}) == 2
 
 
+@pytest.mark.parametrize("num_threads", [1, 2, 3, 5])
+def test_a_batch_reads_each_frame_once(num_threads, rng):
+    """A frame may be a file; and what is to be warned of is warned of once."""
+    camera = make_camera()
+    frames = [as_dtype(make_depth(camera, rng), "uint16") for _ in range(5)]
+    read = []
+
+    class Files:
+        def __len__(self):
+            return len(frames)
+
+        def __getitem__(self, i):
+            read.append(i)
+            return frames[i]
+
+    fitter = rp.TileFitter(camera, 8, num_threads=num_threads)
+    np.testing.assert_array_equal(fitter.fit_batch(Files()).planes, fitter.fit_batch(frames).planes)
+    assert sorted(read) == [0, 1, 2, 3, 4]
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("distortion", [(), (0.26, -0.95, -0.005, 0.003, 1.16)], ids=["pinhole", "distorted"])
 @pytest.mark.parametrize("tile", [5, (9, 12), (48, 64)])
