@@ -47,14 +47,14 @@ def check_share(name: str, value: float) -> float:
     return share
 
 
-def check_whole(name: str, value: int, least: int, kind: str = "whole number") -> int:
+def check_whole(name: str, value: int, least: int, kind: str = "whole number", bits: int = 63) -> int:
     """Return a whole number of at least ``least`` as an int: small integers of NumPy's would overflow."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be a {kind}, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value!r}")
-    if value >= 2**63:  # which no kernel takes
-        raise ValueError(f"{name} must be below 2**63, got {value!r}")
+    if value >= 2**bits:  # of 64 no kernel takes it
+        raise ValueError(f"{name} must be below 2**{bits}, got {value!r}")
     return int(value)
 
 
@@ -80,6 +80,15 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
     return np.asarray(values)
+
+
+def check_labels(labels: NDArray[Any], most: int) -> None:
+    """Raise ValueError unless labels are 0 to ``most``: what counts something else, as colours do, has as many rows."""
+    if labels.size and (labels.min() < 0 or labels.max() > most):
+        raise ValueError(
+            f"labels must be 0 for none, and 1 to K, got {labels.min()} to {labels.max()}: "
+            "np.unique(labels, return_inverse=True) numbers others"
+        )
 
 
 LARGEST_NOISE = 1e150  # 1/m: what a square leaves finite

@@ -114,6 +114,9 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: noise.NoiseModel((-1e-3,)), ValueError, "got -0.001 at 0.0012207 1/m"),
         (lambda: rp.Camera.from_opencv(np.eye(3), None, 64), ValueError, "size as .width, height., got 64"),
         (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must hold integer labels, got object"),
+        (lambda: metrics.compare_labels(DEPTH, DEPTH).hoover("0.8"), TypeError, "tolerance as a number, got '0.8'"),
+        (lambda: metrics.compare_labels(DEPTH, DEPTH).detection(None), TypeError, "iou as a number, got None"),
+        (lambda: rp.segment_quadtree(DEPTH, CAMERA, 128), ValueError, r"frame of 48 x 64 pixels .* got 128"),
     ],
 )  # fmt: skip
 def test_arguments_that_cannot_be_are_refused(use, error, message):
@@ -168,9 +171,14 @@ def test_whole_numbers_of_numpy():
         ("predicted", lambda labels: metrics.compare_labels(labels, labels.data)),
         ("truth", lambda labels: metrics.compare_labels(labels.data, labels)),
         ("image", lambda labels: images.write_png("labels.png", labels)),
+        ("windows", lambda windows: rp.fit_windows(DEPTH, CAMERA, windows[:, :4])),
+        ("points", lambda points: CAMERA.project(points[:, :3])),
+        ("predicted", lambda planes: metrics.plane_errors(planes[:, :4], planes.data[:, :4])),
+        ("truth", lambda planes: metrics.plane_errors(planes.data[:, :4], planes[:, :4])),
+        ("planes", lambda planes: rp.uncertainty.transform_planes(planes[:, :4], np.eye(4), np.eye(4))),
     ],
 )
-def test_masked_labels_are_refused(use, name, tmp_path, monkeypatch):
+def test_masked_arrays_are_refused(use, name, tmp_path, monkeypatch):
     """The masked ones would count as if they were not."""
     monkeypatch.chdir(tmp_path)
     labels = np.ma.masked_equal(np.tile(np.array([1, 2], np.uint8), (64, 32)), 2)
@@ -179,11 +187,21 @@ def test_masked_labels_are_refused(use, name, tmp_path, monkeypatch):
     assert not any(tmp_path.iterdir())
 
 
-def test_labels_that_int32_cannot_hold():
+def test_labels_that_count_something_else():
+    """Each up to the largest would have a row, or int32 not hold them."""
     tiles = rp.fit_tiles(DEPTH, CAMERA)
-    for label in (2**31, 2**32 + 1):
-        with pytest.raises(ValueError, match=f"got {label} to {label}"):
+    for label in (-1, DEPTH.size + 1, 200_000_000, 2**31, 2**32 + 1):
+        message = rf"1 to K, got {label} to {label}: np\.unique\(labels, return_inverse=True\) numbers others"
+        with pytest.raises(ValueError, match=message):
             rp.merge(tiles, np.full(tiles.shape, label))
+        with pytest.raises(ValueError, match=message):
+            rp.fit_labels(DEPTH, CAMERA, np.full(CAMERA.shape, label))
+    # Of segments there may be more than tiles, and of windows that overlap more than pixels.
+    assert rp.merge(tiles, np.full(tiles.shape, DEPTH.size)).fitted.tolist() == [False] * (DEPTH.size - 1) + [
+        True
+    ]
+    windows = rp.fit_windows(DEPTH, CAMERA, np.tile([0, 0, 8, 8], (DEPTH.size + 1, 1)))
+    assert rp.merge(windows, np.arange(1, DEPTH.size + 2)).fitted.all()
 
 
 def test_results_keep_what_was_asked():
