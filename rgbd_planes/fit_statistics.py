@@ -179,7 +179,7 @@ class Assessment:
     camera : Camera
     method : str
     significance : float or None
-        As in `TileFitter`.
+        As in `fit_tiles`.
     sizes : (N, 2) int64 or float64
         Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, what
         `residual_statistics.like_rectangles` gives.

@@ -90,7 +90,7 @@ def fit_labels(
     Warns
     -----
     UserWarning
-        The labels are an image of 0 and 255, which are those of a mask.
+        As `fit_tiles`, and for labels that are an image of 0 and 255: those of a mask.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)

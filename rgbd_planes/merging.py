@@ -48,7 +48,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result. Tiles without a plane
         of their own, but with valid pixels, are merged as well.
     significance : float, optional
-        As in `TileFitter`: unions with a larger residual get ROUGH.
+        As in `fit_tiles`: unions with a larger residual get ROUGH.
 
     Returns
     -------

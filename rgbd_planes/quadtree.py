@@ -252,7 +252,7 @@ def segment_quadtree(
     tile : int
         Width and height of the grid's squares in pixels.
     method : str
-        As in `TileFitter`.
+        As in `fit_tiles`.
     max_subdivisions : int
         How often a square may be split; ``tile`` must be 2**max_subdivisions times a whole number of at least
         2 pixels.
@@ -274,6 +274,11 @@ def segment_quadtree(
     ------
     TypeError, ValueError
         For an argument that cannot be used, saying what was expected and what came.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
 
     Notes
     -----

@@ -84,8 +84,9 @@ def segment(
     Warns
     -----
     UserWarning
-        The frame is several times as rough as `noise`, and less than half of it is on planes: most likely that is the
-        noise of another sensor. Or its surfaces, without noise, are bent as depth and flat as distances along the ray.
+        As `fit_tiles`. Or the frame is several times as rough as `noise`, and less than half of it is on planes: most
+        likely that is the noise of another sensor. Or its surfaces, without noise, are bent as depth and flat as
+        distances along the ray.
 
     Notes
     -----

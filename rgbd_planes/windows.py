@@ -100,6 +100,11 @@ def fit_windows(
     ------
     TypeError, ValueError
         As `fit_tiles`, and for windows that are masked, not (K, 4) integers, empty, or not wholly inside the frame.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
