@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
-from rgbd_planes.checks import number, numbers, warn_caller
+from rgbd_planes.checks import check_whole, number, numbers, plain_array, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise import NoiseModel
@@ -87,7 +87,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            self._set(name, _size(name, getattr(self, name)))
+            self._set(name, check_whole(name, getattr(self, name), 1, "whole number of pixels", bits=31))
         for name in ("fx", "fy", "cx", "cy"):
             self._set(name, number(name, getattr(self, name)))
         for name in ("fx", "fy"):
@@ -255,10 +255,10 @@ class Camera:
 
         Raises
         ------
-        ValueError
-            The points are of another shape.
+        TypeError, ValueError
+            The points are masked, or of another shape.
         """
-        array = np.asarray(points, np.float64)
+        array = plain_array("points", points).astype(np.float64, copy=False)
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ValueError(f"expected points of shape (..., 3), got {array.shape}")
         z = np.where(array[..., 2] > 0, array[..., 2], np.nan)
@@ -458,17 +458,14 @@ class Camera:
         and the fisheye models with coefficients other than zero are an error.
         """
         made = camera_formats.from_realsense(intrinsics, depth_units)
-        if "depth_scale" in made and depth.get("depth_scale") is not None:
-            raise ValueError("expected depth_units or depth_scale, got both")
+        depth_scale = depth.pop("depth_scale", None)
+        if depth_scale is not None:
+            if "depth_scale" in made:
+                raise ValueError("expected depth_units or depth_scale, got both")
+            made["depth_scale"] = depth_scale
         return cls(**{**made, **depth})
 
 
 def _read_only(array: Floats) -> Floats:
     array.flags.writeable = False
     return array
-
-
-def _size(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 < value < 2**31:
-        raise ValueError(f"expected {name} as a whole number of pixels, 1 to {2**31 - 1}, got {value!r}")
-    return int(value)

@@ -6,8 +6,10 @@ What can be used, but most likely is a mistake, is warned of.
 import math
 import os
 import sys
+import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -45,14 +47,14 @@ def check_share(name: str, value: float) -> float:
     return share
 
 
-def check_whole(name: str, value: int, least: int, kind: str = "whole number") -> int:
+def check_whole(name: str, value: int, least: int, kind: str = "whole number", bits: int = 63) -> int:
     """Return a whole number of at least ``least`` as an int: small integers of NumPy's would overflow."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be a {kind}, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value!r}")
-    if value >= 2**63:  # which no kernel takes
-        raise ValueError(f"{name} must be below 2**63, got {value!r}")
+    if value >= 2**bits:  # of 64 no kernel takes it
+        raise ValueError(f"{name} must be below 2**{bits}, got {value!r}")
     return int(value)
 
 
@@ -78,6 +80,15 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
     return np.asarray(values)
+
+
+def check_labels(labels: NDArray[Any], most: int) -> None:
+    """Raise ValueError unless labels are 0 to ``most``: what counts something else, as colours do, has as many rows."""
+    if labels.size and (labels.min() < 0 or labels.max() > most):
+        raise ValueError(
+            f"labels must be 0 for none, and 1 to K, got {labels.min()} to {labels.max()}: "
+            "np.unique(labels, return_inverse=True) numbers others"
+        )
 
 
 LARGEST_NOISE = 1e150  # 1/m: what a square leaves finite
@@ -133,16 +144,41 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     return tuple(number(name, value, finite=finite) for value in values)
 
 
+_INSIDE = "rgbd_planes", "contextlib"  # whose stack of callbacks waits for threads
+
+
+class _Collected(threading.local):
+    """In a thread of this library's: what it will have to say."""
+
+    messages: list[str] | None = None
+
+
+_collected = _Collected()
+
+
 def warn_caller(message: str) -> None:
     """Warn at the line that called this library."""
-    warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
+    if _collected.messages is None:
+        warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
+    else:
+        _collected.messages.append(message)
+
+
+@contextmanager
+def collected_warnings(messages: list[str]) -> Iterator[None]:
+    """Put what is to be warned of into a list, in a thread that was not called by the line that it is for."""
+    before, _collected.messages = _collected.messages, messages
+    try:
+        yield
+    finally:
+        _collected.messages = before
 
 
 def _first_level_outside() -> int:
     """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
     level = 1
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("rgbd_planes"):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(_INSIDE):
         frame = frame.f_back
         level += 1
     return level

@@ -107,11 +107,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     Warns
     -----
     UserWarning
-        A frame whose typical depth is above 50 m: most likely millimetres. A `depth_range` that reaches
-        farther says that it is not. A frame whose depths are all below 2 cm: most likely metres that were taken
-        for millimetres. A frame of 8 bits that ends before 1 m: most likely a picture. Of both a `depth_range`
-        that ends before that says that they are not.
-        A frame of 16 bits in which 65535 counts as depth and is more than a stray: most likely missing.
+        As `rgbd_planes.fit_tiles`.
 
     Notes
     -----

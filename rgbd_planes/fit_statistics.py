@@ -156,17 +156,19 @@ def _made_limits(level: float) -> Floats:
     return np.asarray(made.convert(kind=Polynomial).coef)
 
 
-def check_significance(significance: float | None, camera: Camera) -> None:
-    """Raise ValueError unless it is a share below 1, for a camera with a noise model, or None."""
+def check_significance(significance: float | None, camera: Camera) -> float | None:
+    """Return a share below 1, for a camera with a noise model, as a float, or None."""
     if significance is None:
-        return
-    if not 0.0 <= number("significance", significance, finite=False) < 1.0:
+        return None
+    level = number("significance", significance, finite=False)
+    if not 0.0 <= level < 1.0:
         raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
     if camera.noise is None:
         raise ValueError(
             "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
             "or rp.estimate_noise(frames, camera)"
         )
+    return level
 
 
 class Assessment:
@@ -177,7 +179,7 @@ class Assessment:
     camera : Camera
     method : str
     significance : float or None
-        As in `TileFitter`.
+        As in `fit_tiles`.
     sizes : (N, 2) int64 or float64
         Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, what
         `residual_statistics.like_rectangles` gives.
@@ -186,7 +188,7 @@ class Assessment:
     def __init__(
         self, camera: Camera, method: str, significance: float | None, sizes: npt.NDArray[Any]
     ) -> None:
-        check_significance(significance, camera)
+        significance = check_significance(significance, camera)
         self._noise = camera.noise
         if camera.noise is None:
             return

@@ -9,7 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, plain_array, warn_caller
+from rgbd_planes.checks import (
+    check_camera,
+    check_choice,
+    check_error,
+    check_labels,
+    check_share,
+    plain_array,
+    warn_caller,
+)
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment, check_significance
@@ -82,7 +90,7 @@ def fit_labels(
     Warns
     -----
     UserWarning
-        The labels are an image of 0 and 255, which are those of a mask.
+        As `fit_tiles`, and for labels that are an image of 0 and 255: those of a mask.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
@@ -122,12 +130,7 @@ def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32
         raise ValueError(
             f"labels must have the shape of the frame, {camera.shape}, got {array.shape}{hint if several else ''}"
         )
-    # Numbers that count something else, such as colours, would make that many rows.
-    if array.min() < 0 or array.max() > array.size:
-        raise ValueError(
-            f"labels must be 0 for none, and 1 to K, got {array.min()} to {array.max()}: "
-            "np.unique(labels, return_inverse=True) numbers others"
-        )
+    check_labels(array, array.size)
     if array.dtype == np.uint8 and array.max() == 255 and not np.any((array > 0) & (array < 255)):
         warn_caller("the only label is 255: is it a mask? mask > 0 is one label, and not the last of 255")
     return np.array(array, np.int32, order="C")

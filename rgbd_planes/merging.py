@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import plain_array
+from rgbd_planes.checks import check_labels, plain_array
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
@@ -48,7 +48,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result. Tiles without a plane
         of their own, but with valid pixels, are merged as well.
     significance : float, optional
-        As in `TileFitter`: unions with a larger residual get ROUGH.
+        As in `fit_tiles`: unions with a larger residual get ROUGH.
 
     Returns
     -------
@@ -58,8 +58,9 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers of this shape, or masked, or ``fits`` are those of a batch: merge ``fits[i]``; or
-        ``significance`` is not from 0 to below 1, or the camera has no noise model for it.
+        The labels are not integers of this shape, or masked, negative or above the number of pixels; or ``fits`` are
+        those of a batch: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the camera has no noise
+        model for it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
@@ -77,9 +78,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         raise ValueError(
             f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{of_pixels}"
         )
-    largest_label = np.iinfo(np.int32).max
-    if array.size and not 0 <= array.min() <= array.max() <= largest_label:
-        raise ValueError(f"labels must be 0 to {largest_label}, got {array.min()} to {array.max()}")
+    # Labels of segments may be more than there are tiles, and those of windows that overlap more than there are pixels.
+    check_labels(array, max(array.size, fits.camera.width * fits.camera.height))
     flat = np.array(array, np.int32, order="C").ravel()  # which the result keeps
     count = int(flat.max(initial=0))
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)

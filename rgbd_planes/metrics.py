@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import plain_array
+from rgbd_planes.checks import number, plain_array
 
 LARGEST_TABLE = 1 << 22
 
@@ -119,7 +119,7 @@ class LabelComparison:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             The tolerance is not.
 
         Notes
@@ -127,6 +127,7 @@ class LabelComparison:
         Hoover et al., "An experimental comparison of range image segmentation algorithms", PAMI 18(7),
         1996, section 3.
         """
+        tolerance = number("tolerance", tolerance, finite=False)
         if not 0.5 < tolerance <= 1.0:
             raise ValueError(f"tolerance must be above 0.5 and at most 1, got {tolerance}")
         shared = self.table[1:, 1:]
@@ -188,7 +189,7 @@ class LabelComparison:
 
         Raises
         ------
-        ValueError
+        TypeError, ValueError
             The threshold is not.
 
         Notes
@@ -196,6 +197,7 @@ class LabelComparison:
         Panoptic quality: Kirillov et al., CVPR 2019. Precision and recall as EVOPS (Kornilova et al.,
         2022) counts them, whose threshold is 0.75. Where both sides have no region, all scores are 1.
         """
+        iou = number("iou", iou, finite=False)
         if not 0.0 < iou <= 1.0:
             raise ValueError(f"iou must be above 0 and at most 1, got {iou}")
         matches = self.iou >= iou
@@ -340,10 +342,11 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
 
     Raises
     ------
-    ValueError
-        The shapes differ, or are others.
+    TypeError, ValueError
+        The shapes differ, or are others, or an array is masked.
     """
-    first, second = np.asarray(predicted, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    first, second = plain_array("predicted", predicted), plain_array("truth", truth)
+    first, second = first.astype(np.float64, copy=False), second.astype(np.float64, copy=False)
     if first.ndim != 2 or first.shape[1] != 4 or first.shape != second.shape:
         raise ValueError(f"predicted and truth must both be (K, 4), got {first.shape} and {second.shape}")
     first = first / np.linalg.norm(first[:, :3], axis=1, keepdims=True)

@@ -64,12 +64,17 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
     TypeError, ValueError
         One of them is no positive number.
     """
-    for name, value in (
-        ("baseline", baseline), ("focal_length", focal_length), ("disparity_noise", disparity_noise)
-    ):  # fmt: skip
-        if not number(name, value) > 0.0:
-            raise ValueError(f"expected a positive {name}, got {value!r}")
-    return NoiseModel((disparity_noise / (focal_length * baseline),))
+    baseline = _positive("baseline", baseline)
+    focal_length = _positive("focal_length", focal_length)
+    return NoiseModel((_positive("disparity_noise", disparity_noise) / (focal_length * baseline),))
+
+
+def _positive(name: str, value: float) -> float:
+    """A positive number as a float."""
+    positive = number(name, value)
+    if not positive > 0.0:
+        raise ValueError(f"expected a positive {name}, got {value!r}")
+    return positive
 
 
 def axial(constant: float = 0.0, linear: float = 0.0, quadratic: float = 0.0) -> NoiseModel:

@@ -69,7 +69,9 @@ class NoiseModel:
 
     coefficients: tuple[float, ...] = (KINECT_V1,)
     samples: tuple[tuple[float, float], ...] | None = None
-    formula: Callable[[Floats], ArrayLike] | None = None
+    formula: Callable[[Floats], ArrayLike] | None = field(
+        default=None, hash=False
+    )  # some, as polynomials, have none
     step: float = 0.0
     disparity_step: float = 0.0
     correlation: tuple[tuple[float, float], ...] = ()
@@ -107,6 +109,10 @@ class NoiseModel:
         object.__setattr__(self, "correlation", tuple(zip(shares, lengths, strict=True)))
         if not (self._table().any() or self.step or self.disparity_step):
             raise ValueError("expected noise above 0, or a step of rounding, got 0 at all inverse depths")
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Without its table, of 64 KiB: cameras are pickled for each task of a worker.
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __repr__(self) -> str:
         return f"<NoiseModel: {self._summary()}>"
@@ -166,7 +172,7 @@ class NoiseModel:
         return np.concatenate([[_SCALE], self._table() ** 2])
 
     def _table(self) -> Floats:
-        """σq before rounding at all inverse depths, 1.2e-3 to 20 1/m: not kept, since a model is pickled."""
+        """σq before rounding at all inverse depths, 1.2e-3 to 20 1/m."""
         q = np.maximum(np.arange(_ENTRIES + 1), 0.5) / _SCALE  # no function need be defined at 0
         return check_noise(self._along(q), q)
 
@@ -174,13 +180,6 @@ class NoiseModel:
     def is_independent(self) -> bool:
         """Whether pixels err independently of each other, all of them alike."""
         return not (any(share for share, _ in self.correlation) or self.floor or self.spread)
-
-    def sample_share(self, count: ArrayLike) -> Floats:
-        """Effective number of independent pixels, as a share of ``count`` neighbouring ones.
-
-        The variance of the mean of ``count`` pixels is σq² / (count · sample_share).
-        """
-        return np.asarray(1.0 / self.statistics(count).offset)
 
     def statistics(self, count: ArrayLike, size: ArrayLike | None = None) -> ResidualStatistics:
         """What this noise does to a plane fitted to so many neighbouring pixels.

@@ -128,7 +128,11 @@ class PlaneFits:
 
     @functools.cached_property
     def offset_std(self) -> Floats:
-        """S float64, metres: standard deviation of d."""
+        """S float64, metres: standard deviation of d.
+
+        That is the distance of the camera from the plane extended up to it, which a small tile's tilt moves far more
+        than the surface itself: of that, at a point, the standard deviation is `uncertainty.point_distance`'s.
+        """
         return self._statistics.row(statistics.OFFSET_STD)
 
     @functools.cached_property

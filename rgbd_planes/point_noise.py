@@ -57,12 +57,13 @@ def measurement_noise(
     if sigma_inverse_depth is None:
         assert camera.noise is not None
         along_axis[frame.valid] *= camera.noise.sigma(frame.inverse_depth[frame.valid])
-    elif 0.0 <= number("sigma_inverse_depth", sigma_inverse_depth, finite=False) < np.inf:
-        along_axis *= sigma_inverse_depth
     else:
-        raise ValueError(
-            f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}"
-        )
+        sigma = number("sigma_inverse_depth", sigma_inverse_depth, finite=False)
+        if not 0.0 <= sigma < np.inf:
+            raise ValueError(
+                f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}"
+            )
+        along_axis *= sigma
     return np.stack(
         [np.abs(camera.tan_x) * along_axis, np.abs(camera.tan_y) * along_axis, along_axis], axis=-1
     )

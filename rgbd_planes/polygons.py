@@ -154,9 +154,7 @@ def plane_polygons(
     """
     if not isinstance(segmentation, Segmentation):
         raise TypeError(f"expected a Segmentation, got {type(segmentation).__name__}")
-    for name, pixels in (("tolerance", tolerance), ("min_part", min_part)):
-        if not number(name, pixels, finite=False) >= 0.0:
-            raise ValueError(f"{name} must not be negative, in pixels, got {pixels!r}")
+    tolerance, min_part = _pixels("tolerance", tolerance), _pixels("min_part", min_part)
     with needs("shapely", "polygons"):
         import shapely  # noqa: F401
 
@@ -164,6 +162,14 @@ def plane_polygons(
         _polygon(segmentation, label, box, tolerance, min_part)
         for label, box in enumerate(segmentation._boxes, start=1)
     ]
+
+
+def _pixels(name: str, value: float) -> float:
+    """Pixels as a float."""
+    pixels = number(name, value, finite=False)
+    if not pixels >= 0.0:
+        raise ValueError(f"{name} must not be negative, in pixels, got {value!r}")
+    return pixels
 
 
 def _polygon(

@@ -17,7 +17,7 @@ from rgbd_planes.fitting import METHODS, Arrays, solve_planes, valid_needed
 from rgbd_planes.kernels.merging import merge_by_four
 from rgbd_planes.merging import merge
 from rgbd_planes.plane_fits import TileStatus, allocate
-from rgbd_planes.tile_grid import grid_shape, tile_windows
+from rgbd_planes.tile_grid import check_tile, grid_shape, tile_windows
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.window_moments import WindowMoments
 from rgbd_planes.windows import WindowPlanes
@@ -133,6 +133,7 @@ class QuadtreeFitter:
                 f"tile must be 2**max_subdivisions times a whole number of at least 2 pixels, got {tile} "
                 f"for max_subdivisions {max_subdivisions}"
             )
+        check_tile(tile, camera.shape)
         self.camera = camera
         self.method = method
         self.implementation = implementation
@@ -251,7 +252,7 @@ def segment_quadtree(
     tile : int
         Width and height of the grid's squares in pixels.
     method : str
-        As in `TileFitter`.
+        As in `fit_tiles`.
     max_subdivisions : int
         How often a square may be split; ``tile`` must be 2**max_subdivisions times a whole number of at least
         2 pixels.
@@ -273,6 +274,11 @@ def segment_quadtree(
     ------
     TypeError, ValueError
         For an argument that cannot be used, saying what was expected and what came.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
 
     Notes
     -----

@@ -177,10 +177,10 @@ class Rendering:
             A share outside 0..1, a negative noise, no number; or, for `quantise`, a camera without units or
             (disparity) without a raw value that means missing.
         """
-        if not number("noise", noise) >= 0.0:
+        noise = number("noise", noise)
+        if not noise >= 0.0:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
-        check_share("holes", holes)
-        check_share("patches", patches)
+        holes, patches = check_share("holes", holes), check_share("patches", patches)
         baseline = number("baseline", baseline)
         if not isinstance(seed, np.random.Generator):
             check_whole("seed", seed, 0)
@@ -219,13 +219,14 @@ def plane(normal: ArrayLike, distance: float) -> Scene:
 
     Raises
     ------
-    ValueError
-        The normal is zero or not finite, or the distance is not positive.
+    TypeError, ValueError
+        The normal is zero or not finite, or the distance is not positive, or no number.
     """
     direction = np.asarray(normal, dtype=np.float64)
     if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
         raise ValueError(f"normal must be three finite numbers, not all zero, got {normal!r}")
-    if not number("distance", distance) > 0.0:
+    distance = number("distance", distance)
+    if not distance > 0.0:
         raise ValueError(f"distance must be positive, in metres, got {distance}")
     return Scene((_whole_plane("plane", direction / np.linalg.norm(direction), distance),), np.eye(4))
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_whole, warn_caller
+from rgbd_planes.checks import check_camera, check_whole, number, warn_caller
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.distances import warn_of_distances
@@ -84,8 +84,9 @@ def segment(
     Warns
     -----
     UserWarning
-        The frame is several times as rough as `noise`, and less than half of it is on planes: most likely that is the
-        noise of another sensor. Or its surfaces, without noise, are bent as depth and flat as distances along the ray.
+        As `fit_tiles`. Or the frame is several times as rough as `noise`, and less than half of it is on planes: most
+        likely that is the noise of another sensor. Or its surfaces, without noise, are bent as depth and flat as
+        distances along the ray.
 
     Notes
     -----
@@ -115,13 +116,15 @@ def _given(noise: Any) -> Given:
         return Given(noise.sigma, lateral, at_large=True, statistics=statistics)
     if noise is None or callable(noise):
         return Given(noise)
-    if not isinstance(noise, (int, float, np.number)):
+    try:
+        sigma = number("noise", noise, finite=False)
+    except TypeError:
         raise TypeError(
             f"noise must be a number in 1/m, a function of inverse depth, a NoiseModel or None, got {noise!r}"
-        )
-    if isinstance(noise, bool) or not 0.0 < noise < np.inf:
+        ) from None
+    if not 0.0 < sigma < np.inf:
         raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
-    return Given(lambda q: np.full_like(q, noise))
+    return Given(lambda q: np.full_like(q, sigma))
 
 
 def segment_frame(

@@ -191,7 +191,13 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
     -------
     dict
         header and coefficients, of each plane its header and values [nx, ny, nz, d], by label.
+
+    Raises
+    ------
+    TypeError
+        It is no `Segmentation`.
     """
+    _check(segmentation)
     return ros_planes(segmentation.planes, frame_id, stamp)
 
 
@@ -223,7 +229,13 @@ def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: float =
     ----------
     segmentation, frame_id, stamp
         As in `to_ros_planes`.
+
+    Raises
+    ------
+    TypeError
+        It is no `Segmentation`.
     """
+    _check(segmentation)
     labels = segmentation.labels.astype("<i4")
     height, width = labels.shape
     return {

@@ -60,6 +60,11 @@ def normals(
     TypeError, ValueError
         For an argument that cannot be used, saying what was expected and what came.
 
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
+
     Notes
     -----
     A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
@@ -93,6 +98,16 @@ def curvature(
     -------
     (H, W) ndarray of float32
         Between 0 (flat) and 1. NaN where there is no normal.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `normals`.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
 
     Notes
     -----

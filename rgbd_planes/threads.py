@@ -7,8 +7,11 @@ bits for any number of threads, no threading layer of Numba's to choose, to lock
 import os
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from rgbd_planes.checks import collected_warnings, warn_caller
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
@@ -51,28 +54,46 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
 
     Who asks before a thread has begun does the work itself: work may have threads for its own, all of which
     may be busy with work that waits likewise. So does who asks once the main thread has ended: those
-    that go on get no more threads from Python.
+    that go on get no more threads from Python. What the work warns of, it warns of when the result is asked for.
     """
+    messages: list[str] = []
+
+    def work_elsewhere() -> Result:
+        with collected_warnings(messages):
+            return work(*arguments)
+
     try:
-        future = _pool(num_threads).submit(work, *arguments)
+        future = _pool(num_threads).submit(work_elsewhere)
     except RuntimeError:
         if threading.main_thread().is_alive():
             raise
         return lambda: work(*arguments)
-    return lambda: work(*arguments) if future.cancel() else future.result()
+
+    def result() -> Result:
+        if future.cancel():
+            return work(*arguments)
+        try:
+            return future.result()
+        except BaseException:
+            future.exception()  # also after an interrupt: what the thread writes to is the caller's again
+            raise
+        finally:
+            for message in messages:
+                warn_caller(message)
+
+    return result
 
 
 def run_in_ranges(work: Work, count: int, num_threads: int) -> None:
-    """Call ``work(start, stop)`` for ranges that cover ``range(count)``, one a thread."""
+    """Call ``work(start, stop)`` for ranges that cover ``range(count)``, one a thread; all have ended on return."""
     num_threads = min(num_threads, count)
     if num_threads <= 1:
         work(0, count)
         return
     bounds = [count * i // num_threads for i in range(num_threads + 1)]
-    # This thread takes the last range itself, so that as many threads as asked for are at work.
-    results = [submit(work, num_threads - 1, bounds[i], bounds[i + 1]) for i in range(num_threads - 1)]
-    try:
+    # Which calls the last one first, with which threads begin last, and all of them whichever fails.
+    with ExitStack() as waiting:
+        for i in range(num_threads - 1):
+            waiting.callback(submit(work, num_threads - 1, bounds[i], bounds[i + 1]))
+        # This thread takes the last range itself, so that as many threads as asked for are at work.
         work(bounds[-2], bounds[-1])
-    finally:
-        for result in reversed(results):  # those that threads begin with last
-            result()

@@ -42,27 +42,8 @@ class TileFitter:
 
     Parameters
     ----------
-    camera : Camera
-    tile : int or (height, width)
-        Size of a tile in pixels, at least 2 each way. A frame that is no multiple of it keeps its ragged
-        last row and column of tiles.
-    method : str
-        ``range_explicit``, least squares of the inverse depth (eq. RGBD_explicit_fit), the maximum-likelihood
-        fit for a disparity sensor; ``range_implicit`` (eq. tan_theta_scattermatrix); ``standard_explicit``,
-        least squares of Z (eq. explicit_fit_std); ``standard_implicit`` (eq. XYZ_scattermatrix);
-        ``standard_pca``, the orthogonal regression. The implicit methods depend on the unit of length, since
-        the paper's norm mixes the normal with an offset: here it is the metre.
-    implementation : {"direct", "integral", "naive"}
-        Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes.
-    max_missing : float
-        Share of missing pixels above which a tile gets TOO_FEW; at 1 whatever determines a plane is fitted.
-    max_error : float, optional
-        Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
-    significance : float, optional
-        Where the camera has a noise model: tiles whose residual the noise alone makes larger less often than
-        this get ROUGH, at any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
-    num_threads : int, optional
-        None takes threads when the work is large enough to pay for them. The result is the same for any.
+    camera, tile, method, implementation, max_missing, max_error, significance, num_threads
+        As in `fit_tiles`.
 
     Raises
     ------
@@ -149,6 +130,11 @@ class TileFitter:
         TypeError, ValueError
             The frame is no array of the camera's size, or of integers without a unit; or ``out`` is not a result of
             this fitter for one frame.
+
+        Warns
+        -----
+        UserWarning
+            As `fit_tiles`.
         """
         frame = as_depth_frame(depth, self.camera)
         if out is None:
@@ -169,6 +155,7 @@ class TileFitter:
         Parameters
         ----------
         frames : (F, H, W) array or sequence of (H, W)
+            Each is asked for once, unless there are fewer than threads, which then share frames.
         out : TilePlanes, optional
             An earlier result for as many frames, as in `fit`.
 
@@ -181,6 +168,11 @@ class TileFitter:
         ------
         TypeError, ValueError
             As `fit`, for each frame; or there is no frame, or no length to count them by.
+
+        Warns
+        -----
+        UserWarning
+            As `fit_tiles`, for each frame.
         """
         if not hasattr(frames, "__len__"):
             raise TypeError(
@@ -196,11 +188,15 @@ class TileFitter:
             for i in range(start // rows, -(-stop // rows)):
                 fit = self._into({name: array[i] for name, array in arrays.items()})
                 frame = as_depth_frame(frames[i], self.camera)
-                fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
+                with announced((*self._compiled_for, frame.raw.dtype)):
+                    fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
 
-        pixels = len(frames) * self.camera.width * self.camera.height
-        with announced((*self._compiled_for, np.asarray(frames[0]).dtype)):
-            run_in_ranges(fit_some, len(frames) * rows, choose_num_threads(self._num_threads, pixels))
+        threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
+        # By whole frames where there are enough for all threads: one that two share is read twice.
+        step = rows if len(frames) >= threads else 1
+        run_in_ranges(
+            lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads
+        )
         return self._result(arrays) if out is None else out
 
     def fit_stream(self, frames: Iterable[npt.ArrayLike]) -> Iterator[TilePlanes]:
@@ -223,6 +219,11 @@ class TileFitter:
         TypeError, ValueError
             As `fit`, in the place of the frame's planes. What ``frames`` itself raises comes after the planes of all
             frames before.
+
+        Warns
+        -----
+        UserWarning
+            As `fit_tiles`, for each frame.
         """
         ahead = 1 if self._num_threads is None else self._num_threads
         if ahead == 1:
@@ -251,7 +252,9 @@ class TileFitter:
     def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""
         arrays = self._arrays((), None)
-        self._into(arrays)(as_depth_frame(depth, self.camera))(0, self._grid[0])
+        frame = as_depth_frame(depth, self.camera)
+        with announced((*self._compiled_for, frame.raw.dtype)):
+            self._into(arrays)(frame)(0, self._grid[0])
         return self._result(arrays)
 
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
@@ -354,8 +357,27 @@ def fit_tiles(
         Along the optical axis, not along the ray. Integers in the camera's ``depth_scale`` or ``disparity``, or
         floats: metres, or, where the camera has ``disparity``, disparities. Missing is NaN, infinity, 0 and
         negative depth, one of the camera's ``invalid_values`` or outside its ``depth_range``.
-    camera, tile, method, implementation, max_missing, max_error, significance, num_threads
-        As in `TileFitter`.
+    camera : Camera
+    tile : int or (height, width)
+        Size of a tile in pixels, at least 2 each way. A frame that is no multiple of it keeps its ragged
+        last row and column of tiles.
+    method : str
+        ``range_explicit``, least squares of the inverse depth (eq. RGBD_explicit_fit), the maximum-likelihood
+        fit for a disparity sensor; ``range_implicit`` (eq. tan_theta_scattermatrix); ``standard_explicit``,
+        least squares of Z (eq. explicit_fit_std); ``standard_implicit`` (eq. XYZ_scattermatrix);
+        ``standard_pca``, the orthogonal regression. The implicit methods depend on the unit of length, since
+        the paper's norm mixes the normal with an offset: here it is the metre.
+    implementation : {"direct", "integral", "naive"}
+        Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes.
+    max_missing : float
+        Share of missing pixels above which a tile gets TOO_FEW; at 1 whatever determines a plane is fitted.
+    max_error : float, optional
+        Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
+    significance : float, optional
+        Where the camera has a noise model: tiles whose residual the noise alone makes larger less often than
+        this get ROUGH, at any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
+    num_threads : int, optional
+        None takes threads when the work is large enough to pay for them. The result is the same for any.
 
     Returns
     -------
@@ -370,9 +392,10 @@ def fit_tiles(
     Warns
     -----
     UserWarning
-        The frame is most likely not in the units that the camera says: most of it is beyond 50 m, or all of it is
-        nearer than 1 m in 8 bits; or many of its pixels are 65535, the largest number of 16 bits, which most
-        likely means missing.
+        The frame is most likely not in the units that the camera says: its typical depth is above 50 m, or all of its
+        depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` that reaches
+        farther than 50 m, or ends before the others, says that it is.
+        Or 65535, the largest number of 16 bits, counts as depth and is more than a stray: most likely missing.
     """
     fitter = TileFitter(
         camera,

@@ -34,7 +34,7 @@ def warmup(
         Kernels differ for cameras with and without lens distortion, for depth and disparity images, and with a
         noise model there is one more; without a camera it is depth without distortion.
     methods : str or sequence of str
-        See `TileFitter`.
+        See `fit_tiles`.
     dtypes : dtype or sequence of dtypes
         Of the frames to come.
     segment : bool

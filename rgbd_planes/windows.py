@@ -8,7 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share
+from rgbd_planes.checks import (
+    check_camera,
+    check_choice,
+    check_error,
+    check_num_threads,
+    check_share,
+    plain_array,
+)
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
@@ -92,7 +99,12 @@ def fit_windows(
     Raises
     ------
     TypeError, ValueError
-        As `fit_tiles`, and for windows that are not (K, 4) integers, empty, or not wholly inside the frame.
+        As `fit_tiles`, and for windows that are masked, not (K, 4) integers, empty, or not wholly inside the frame.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
@@ -125,7 +137,7 @@ def fit_windows(
 
 def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
     """Return the windows as a contiguous (K, 4) int64 array of its own."""
-    array = np.asarray(windows)
+    array = plain_array("windows", windows)
     if array.size == 0:
         array = np.empty((0, 4), np.int64)
     if array.ndim != 2 or array.shape[1] != 4:

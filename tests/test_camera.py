@@ -174,9 +174,8 @@ def test_a_camera_is_a_value():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"width": 0}, "expected width .* 1 to 2147483647, got 0"),
-        ({"height": 4.0}, "expected height as a whole number .* got 4.0"),
-        ({"height": True}, "expected height .* got True"),
+        ({"width": 0}, "width must be at least 1, got 0"),
+        ({"width": 2**31}, r"width must be below 2\*\*31, got 2147483648"),
         ({"fx": 0}, "expected fx in pixels, not 0"),
         ({"fy": np.nan}, "expected fy as a finite number, got nan"),
         ({"cx": np.inf}, "expected cx as a finite number, got inf"),
@@ -203,10 +202,19 @@ def test_values_that_cannot_be_are_refused(changed, message):
 
 
 @pytest.mark.parametrize(
-    "changed", [{"fx": "525"}, {"fx": None}, {"cx": True}, {"distortion": 0.1}, {"invalid_values": "0"}]
+    "changed",
+    [
+        {"width": 4.0},
+        {"height": True},
+        {"fx": "525"},
+        {"fx": None},
+        {"cx": True},
+        {"distortion": 0.1},
+        {"invalid_values": "0"},
+    ],
 )
 def test_types_that_cannot_be_are_refused(changed):
-    with pytest.raises(TypeError, match=rf"expected {next(iter(changed))} as .*, got"):
+    with pytest.raises(TypeError, match=rf"{next(iter(changed))} (as|must be) .*, got"):
         small(**changed)
 
 
@@ -490,6 +498,7 @@ def test_from_realsense():
     assert Camera.from_realsense(realsense(), disparity=(0.1, 0)).disparity == (0.1, 0.0)
     with pytest.raises(ValueError, match="depth_units or depth_scale, got both"):
         Camera.from_realsense(realsense(), depth_units=0.001, depth_scale=1000.0)
+    assert Camera.from_realsense(realsense(), depth_units=0.001, depth_scale=None).depth_scale == 1000.0
     with pytest.raises(ValueError, match="depth_units > 0"):
         Camera.from_realsense(realsense(), depth_units=0.0)
 
@@ -524,7 +533,7 @@ def test_from_realsense_without_a_lens():
     ("make", "message"),
     [
         (lambda: small(fx=10**400), "expected fx as a finite number, got 1000"),
-        (lambda: small(width=10**400), "expected width as a whole number of pixels, 1 to"),
+        (lambda: small(width=10**400), r"width must be below 2\*\*31, got 1000"),
         (lambda: small(distortion=np.array(5.0)), r"expected distortion as a sequence of numbers, got array"),
         (
             lambda: small(distortion=np.zeros((1, 5))),
@@ -574,15 +583,12 @@ def test_formats_refuse_what_they_do_not_have(make, message):
 
 def test_a_file_is_named_with_what_is_wrong_in_it(tmp_path):
     path = tmp_path / "camera.json"
-    for values, message in (
-        ({"width": 4, "height": 3, "intrinsic_matrix": [1.0] * 8}, "nine numbers, column-major, got shape"),
-        (
-            {"width": "4", "height": 3, "intrinsic_matrix": [9.0, 0, 0, 0, 9.0, 0, 1, 1, 1]},
-            "width as a whole",
-        ),
+    for matrix, width, error, message in (
+        ([1.0] * 8, 4, ValueError, "expected .* nine numbers, column-major, got shape"),
+        ([9.0, 0, 0, 0, 9.0, 0, 1, 1, 1], "4", TypeError, "width must be a whole number of pixels, got '4'"),
     ):
-        path.write_text(json.dumps(values))
-        with pytest.raises(ValueError, match=rf"camera\.json: expected .*{message}"):
+        path.write_text(json.dumps({"width": width, "height": 3, "intrinsic_matrix": matrix}))
+        with pytest.raises(error, match=rf"camera\.json: {message}"):
             Camera.from_open3d(path)
     path.write_text("[" * 100_000)
     too_deep = "(maximum recursion|Stack overflow)"  # as Python up to 3.13, and later, calls it

@@ -1,5 +1,8 @@
 """What cannot be used is refused at the door, with what was expected and what came."""
 
+from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +96,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.segment(DEPTH, CAMERA, min_size=np.nan), TypeError, "whole number of pixels, got nan"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=2), ValueError, "min_size must be at least 3, got 2"),
         (lambda: rp.segment(DEPTH, CAMERA, noise="kinect_v1"), TypeError, "a NoiseModel or None, got 'kinect_v1'"),
-        (lambda: rp.segment(DEPTH, CAMERA, noise=True), ValueError, "positive standard deviation"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=True), TypeError, "number in 1/m, a function .* got True"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=lambda q: -q), ValueError, r"inverse depths, got -[\d.]+ at [\d.]+ "),
         (lambda: rp.segment(DEPTH, CAMERA, noise=np.diff), ValueError, r"of shape \(33,\), got shape \(32,\)"),
         (lambda: rp.fit_sequence("recording", "out"), TypeError, "which open_sequence makes, got str"),
@@ -111,11 +114,40 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: noise.NoiseModel((-1e-3,)), ValueError, "got -0.001 at 0.0012207 1/m"),
         (lambda: rp.Camera.from_opencv(np.eye(3), None, 64), ValueError, "size as .width, height., got 64"),
         (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must hold integer labels, got object"),
+        (lambda: metrics.compare_labels(DEPTH, DEPTH).hoover("0.8"), TypeError, "tolerance as a number, got '0.8'"),
+        (lambda: metrics.compare_labels(DEPTH, DEPTH).detection(None), TypeError, "iou as a number, got None"),
+        (lambda: rp.segment_quadtree(DEPTH, CAMERA, 128), ValueError, r"frame of 48 x 64 pixels .* got 128"),
     ],
 )  # fmt: skip
 def test_arguments_that_cannot_be_are_refused(use, error, message):
     with pytest.raises(error, match=message):
         use()
+
+
+@pytest.mark.parametrize("kind", [np.array, np.float32, Fraction, Decimal])
+def test_numbers_of_other_kinds(kind):
+    """They are used as the floats that they are checked as."""
+    noisy = replace(CAMERA, noise=noise.kinect_v1())
+    depth = scenes.plane((0.2, 0.1, -1.0), 1.5).render(noisy).measure(seed=1)
+    scene = scenes.plane((0.0, 0.0, -1.0), kind(2.0)).render(CAMERA)
+    assert (scene.depth == 2.0).all()
+    measured = scene.measure(noise=kind(0.0), holes=kind(0.25), patches=kind(0.25), baseline=kind(0.0))
+    assert np.array_equal(measured, scene.measure(noise=0.0, holes=0.25, patches=0.25, baseline=0.0))
+    assert noise.stereo(kind(0.5), 8.0, kind(0.25)) == noise.stereo(0.5, 8.0, 0.25)
+    sigma = rp.measurement_noise(DEPTH, CAMERA, kind(0.125))
+    assert np.array_equal(sigma, rp.measurement_noise(DEPTH, CAMERA, 0.125))
+    for options in ({"significance": 0.25}, {"max_missing": 0.25}, {"max_error": 0.25}):
+        given = {name: kind(value) for name, value in options.items()}
+        found = rp.fit_tiles(depth, noisy, 8, **given).status
+        assert np.array_equal(found, rp.fit_tiles(depth, noisy, 8, **options).status)
+        found = rp.fit_labels(depth, noisy, depth > 0, **given).status
+        assert np.array_equal(found, rp.fit_labels(depth, noisy, depth > 0, **options).status)
+    segmented = rp.segment(depth, CAMERA, noise=kind(0.0078125))
+    assert np.array_equal(segmented.labels, rp.segment(depth, CAMERA, noise=0.0078125).labels)
+    pytest.importorskip("shapely")
+    (found,) = rp.plane_polygons(segmented, tolerance=kind(0.5), min_part=kind(20.0))
+    (wanted,) = rp.plane_polygons(segmented, tolerance=0.5, min_part=20.0)
+    assert found.image.equals(wanted.image)
 
 
 def test_whole_numbers_of_numpy():
@@ -139,9 +171,14 @@ def test_whole_numbers_of_numpy():
         ("predicted", lambda labels: metrics.compare_labels(labels, labels.data)),
         ("truth", lambda labels: metrics.compare_labels(labels.data, labels)),
         ("image", lambda labels: images.write_png("labels.png", labels)),
+        ("windows", lambda windows: rp.fit_windows(DEPTH, CAMERA, windows[:, :4])),
+        ("points", lambda points: CAMERA.project(points[:, :3])),
+        ("predicted", lambda planes: metrics.plane_errors(planes[:, :4], planes.data[:, :4])),
+        ("truth", lambda planes: metrics.plane_errors(planes.data[:, :4], planes[:, :4])),
+        ("planes", lambda planes: rp.uncertainty.transform_planes(planes[:, :4], np.eye(4), np.eye(4))),
     ],
 )
-def test_masked_labels_are_refused(use, name, tmp_path, monkeypatch):
+def test_masked_arrays_are_refused(use, name, tmp_path, monkeypatch):
     """The masked ones would count as if they were not."""
     monkeypatch.chdir(tmp_path)
     labels = np.ma.masked_equal(np.tile(np.array([1, 2], np.uint8), (64, 32)), 2)
@@ -150,11 +187,21 @@ def test_masked_labels_are_refused(use, name, tmp_path, monkeypatch):
     assert not any(tmp_path.iterdir())
 
 
-def test_labels_that_int32_cannot_hold():
+def test_labels_that_count_something_else():
+    """Each up to the largest would have a row, or int32 not hold them."""
     tiles = rp.fit_tiles(DEPTH, CAMERA)
-    for label in (2**31, 2**32 + 1):
-        with pytest.raises(ValueError, match=f"got {label} to {label}"):
+    for label in (-1, DEPTH.size + 1, 200_000_000, 2**31, 2**32 + 1):
+        message = rf"1 to K, got {label} to {label}: np\.unique\(labels, return_inverse=True\) numbers others"
+        with pytest.raises(ValueError, match=message):
             rp.merge(tiles, np.full(tiles.shape, label))
+        with pytest.raises(ValueError, match=message):
+            rp.fit_labels(DEPTH, CAMERA, np.full(CAMERA.shape, label))
+    # Of segments there may be more than tiles, and of windows that overlap more than pixels.
+    assert rp.merge(tiles, np.full(tiles.shape, DEPTH.size)).fitted.tolist() == [False] * (DEPTH.size - 1) + [
+        True
+    ]
+    windows = rp.fit_windows(DEPTH, CAMERA, np.tile([0, 0, 8, 8], (DEPTH.size + 1, 1)))
+    assert rp.merge(windows, np.arange(1, DEPTH.size + 2)).fitted.all()
 
 
 def test_results_keep_what_was_asked():

@@ -165,6 +165,17 @@ print({k: v for k, v in compiled().items() if v != before[k]})
     assert run(code).strip() == "{}"
 
 
+@pytest.mark.parametrize("many", ["fit", "fit_batch", "fit_stream"])
+def test_what_is_compiled_is_announced(many, monkeypatch):
+    """However frames are fitted, and by the type that kernels are compiled for."""
+    monkeypatch.setattr(compilation, "_announced", {})
+    monkeypatch.setattr(compilation, "_compiled", set())
+    fitter = rp.TileFitter(make_camera(), 8, num_threads=2)
+    frame = np.full((48, 64), 1000, np.int32)
+    fitter.fit(frame) if many == "fit" else list(getattr(fitter, many)([frame] * 3))
+    assert compilation._compiled == {("range_explicit", "direct", True, np.dtype(np.float64))}
+
+
 def test_works_without_a_place_for_a_cache():
     """Numba finds nothing where home and installation are read-only; nobody has compiled for this processor."""
     code = (

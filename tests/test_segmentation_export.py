@@ -125,6 +125,9 @@ def test_what_is_no_segmentation(tmp_path, depth):
         segmentation_export.write_labels(tmp_path / "labels.png", tiles)
     with pytest.raises(TypeError, match=message):
         write_points_ply(tmp_path / "points.ply", tiles, depth)
+    for to_ros in (segmentation_export.to_ros_planes, segmentation_export.to_ros_labels):
+        with pytest.raises(TypeError, match=message):
+            to_ros(tiles)
     assert not any(tmp_path.iterdir())
 
 

@@ -3,6 +3,7 @@
 import gc
 import itertools
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -264,6 +265,72 @@ def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller(rng):
             list(fitter.fit_stream([good, bad]))
         with pytest.raises(ValueError, match="expected a depth frame of shape"):
             fitter.fit_batch([good, good, bad])
+
+
+@pytest.mark.parametrize("fails", [0, 1, 2])
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_ranges_have_all_ended_when_one_fails(fails, error):
+    """Before the caller may read, or give back, what they write to."""
+    begun, ended = threading.Barrier(3), []
+
+    def work(start, stop):
+        begun.wait()
+        if start == fails:
+            raise error
+        time.sleep(0.1 * (2 - start))
+        ended.append(start)
+
+    with pytest.raises(error):
+        threads.run_in_ranges(work, 3, 3)
+    assert sorted(ended) == sorted({0, 1, 2} - {fails})
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signal to a thread on this system")
+def test_ranges_have_all_ended_when_waiting_for_them_is_interrupted():
+    begun, ended = threading.Barrier(3), []
+
+    def work(start, stop):
+        begun.wait()
+        if start == 1:
+            time.sleep(0.2)  # until the caller waits for this range
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            time.sleep(0.2)
+        ended.append(start)
+
+    with pytest.raises(KeyboardInterrupt):
+        threads.run_in_ranges(work, 3, 3)
+    assert sorted(ended) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("many", ["fit_batch", "fit_stream"])
+def test_threads_warn_at_the_line_that_called(many):
+    """Of each frame, also of those that other threads have read."""
+    fitter = rp.TileFitter(make_camera(), num_threads=3)
+    frames = [np.full((48, 64), 60_000.0), np.full((48, 64), 0.001), np.full((48, 64), 1.0)]
+    with pytest.warns(UserWarning, match="of this frame is") as caught:
+        assert all(tiles.fitted.all() for tiles in getattr(fitter, many)(frames))
+    assert {warning.filename for warning in caught} == {__file__}
+    assert len({str(warning.message) for warning in caught}) == 2
+
+
+@pytest.mark.parametrize("num_threads", [1, 2, 3, 5])
+def test_a_batch_reads_each_frame_once(num_threads, rng):
+    """A frame may be a file; and what is to be warned of is warned of once."""
+    camera = make_camera()
+    frames = [as_dtype(make_depth(camera, rng), "uint16") for _ in range(5)]
+    read = []
+
+    class Files:
+        def __len__(self):
+            return len(frames)
+
+        def __getitem__(self, i):
+            read.append(i)
+            return frames[i]
+
+    fitter = rp.TileFitter(camera, 8, num_threads=num_threads)
+    np.testing.assert_array_equal(fitter.fit_batch(Files()).planes, fitter.fit_batch(frames).planes)
+    assert sorted(read) == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("method", METHODS)

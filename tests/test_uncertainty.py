@@ -791,8 +791,30 @@ def test_models_have_their_published_sigma_and_show_it():
     np.testing.assert_allclose(rounded.sigma(2.0) ** 2, 1.425e-3**2 + 1e-6 * 16.0 / 12.0)
     camera = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, disparity=(-0.003, 3.0))
     assert noise.quantised(noise.kinect_v1(), camera).disparity_step == pytest.approx(0.003)
-    np.testing.assert_allclose(rp.noise.kinect_v1().sample_share([4, 100]), 1.0)
-    assert (np.diff(CORRELATED.sample_share([4, 16, 64, 256, 1024])) < 0.0).all()
+    np.testing.assert_allclose(rp.noise.kinect_v1().statistics([4, 100]).offset, 1.0)
+    assert (np.diff(CORRELATED.statistics([4, 16, 64, 256, 1024]).offset) > 0.0).all()
+
+
+def test_a_function_without_a_hash_is_a_noise(rng):
+    """As polynomials of NumPy are; models of different ones stay apart where something is kept for a model."""
+    camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5)
+    depth = 1.0 / rng.normal(0.5, 1.4e-3, camera.shape)
+    models = [rp.noise.function(np.polynomial.Polynomial([sigma, 0.0, 1e-4])) for sigma in (1.4e-3, 2.8e-3)]
+    assert models[0] != models[1] != rp.noise.function(np.poly1d([1e-4, 0.0, 2.8e-3]))
+    once, twice = (rp.fit_tiles(depth, replace(camera, noise=model), 8).angle_std for model in models)
+    ratio = models[1].sigma(0.5) / models[0].sigma(0.5)
+    np.testing.assert_allclose(twice / once, ratio, rtol=0.01)
+
+
+def test_a_model_is_pickled_without_its_table():
+    model = rp.noise.kinect_v1_nguyen()
+    before = pickle.dumps(model)
+    camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5, noise=model)
+    p_value = rp.fit_tiles(np.full(camera.shape, 2.0), camera, 8).p_value
+    assert pickle.dumps(model) == before
+    copied = replace(camera, noise=pickle.loads(before))
+    assert copied == camera
+    np.testing.assert_array_equal(rp.fit_tiles(np.full(camera.shape, 2.0), copied, 8).p_value, p_value)
 
 
 def test_rounding_alone_is_a_noise():

@@ -6,7 +6,6 @@ import math
 import os
 import re
 import struct
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +18,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
 from rgbd_planes.files import existing_file, identity, naming, readable
-from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
@@ -193,7 +192,7 @@ class _OpenBag:
         return float(seconds + nanoseconds * 1e-9)
 
 
-_open = threading.local()
+_open = kept_open()
 
 
 @atexit.register

@@ -1,6 +1,8 @@
 """What every format comes to: a list of what the frames are, and one function that reads one of them."""
 
+import os
 import re
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -134,6 +136,14 @@ def image_sequence(
         ),
         read_depth,
     )
+
+
+def kept_open() -> threading.local:
+    """A place for what each thread keeps open; empty in a forked child, which would share a file's position."""
+    place = threading.local()
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=lambda: place.__dict__.clear())
+    return place
 
 
 def numbered(paths: Iterable[Path]) -> list[Path]:

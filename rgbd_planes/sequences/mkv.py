@@ -2,7 +2,6 @@
 
 import json
 import os
-import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.extras import needs
 from rgbd_planes.files import existing_file, identity, naming, readable
-from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 
 _RECORDING = "a Matroska recording"
 _TRACK = "DEPTH"
@@ -92,6 +91,8 @@ class _OpenRecording:
                 f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
             )
         (self._stream,) = named or grey
+        # A child that is forked would wait for ever for the end of a decoder's threads, which it does not have.
+        self._stream.codec_context.thread_count = 1
         assert self._stream.time_base is not None  # of none of these tracks
         self._unit = self._stream.time_base
 
@@ -129,7 +130,7 @@ class _OpenRecording:
         raise ValueError(f"{self.path}: the frame of {float(time * self._unit):.6f} s is gone")
 
 
-_open = threading.local()
+_open = kept_open()
 
 
 def _read_frame(location: _Location) -> NDArray[Any]:
