@@ -34,6 +34,8 @@ from rgbd_planes.window_moments import WindowMoments
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
 
+_MANY = 8  # frames for each thread, from which on whole ones are fairly shared out
+
 _arrays_of = operator.attrgetter(*ARRAYS)
 
 
@@ -155,7 +157,7 @@ class TileFitter:
         Parameters
         ----------
         frames : (F, H, W) array or sequence of (H, W)
-            Each is asked for once, unless there are fewer than threads, which then share frames.
+            Each is asked for once, where there are eight or more for each thread; fewer are shared.
         out : TilePlanes, optional
             An earlier result for as many frames, as in `fit`.
 
@@ -192,8 +194,8 @@ class TileFitter:
                     fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
 
         threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
-        # By whole frames where there are enough for all threads: one that two share is read twice.
-        step = rows if len(frames) >= threads else 1
+        # A frame that two threads share is read twice; of few whole ones some threads would get many more than others.
+        step = rows if len(frames) >= _MANY * threads else 1
         run_in_ranges(
             lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads
         )

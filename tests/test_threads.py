@@ -314,10 +314,10 @@ def test_threads_warn_at_the_line_that_called(many):
 
 
 @pytest.mark.parametrize("num_threads", [1, 2, 3, 5])
-def test_a_batch_reads_each_frame_once(num_threads, rng):
+def test_a_batch_of_many_frames_reads_each_once(num_threads, rng):
     """A frame may be a file; and what is to be warned of is warned of once."""
     camera = make_camera()
-    frames = [as_dtype(make_depth(camera, rng), "uint16") for _ in range(5)]
+    frames = 8 * [as_dtype(make_depth(camera, rng), "uint16") for _ in range(5)]
     read = []
 
     class Files:
@@ -330,7 +330,7 @@ def test_a_batch_reads_each_frame_once(num_threads, rng):
 
     fitter = rp.TileFitter(camera, 8, num_threads=num_threads)
     np.testing.assert_array_equal(fitter.fit_batch(Files()).planes, fitter.fit_batch(frames).planes)
-    assert sorted(read) == [0, 1, 2, 3, 4]
+    assert sorted(read) == list(range(40))
 
 
 @pytest.mark.parametrize("method", METHODS)
