@@ -83,7 +83,7 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
 
 
 def check_labels(labels: NDArray[Any], most: int) -> None:
-    """Raise ValueError unless labels are 0 to ``most``: what counts something else, as colours do, has as many rows."""
+    """Raise ValueError unless labels are 0 to ``most``: a result has a row for each, up to the largest."""
     if labels.size and (labels.min() < 0 or labels.max() > most):
         raise ValueError(
             f"labels must be 0 for none, and 1 to K, got {labels.min()} to {labels.max()}: "

@@ -69,9 +69,7 @@ class NoiseModel:
 
     coefficients: tuple[float, ...] = (KINECT_V1,)
     samples: tuple[tuple[float, float], ...] | None = None
-    formula: Callable[[Floats], ArrayLike] | None = field(
-        default=None, hash=False
-    )  # some, as polynomials, have none
+    formula: Callable[[Floats], ArrayLike] | None = field(default=None, hash=False)  # polynomials have none
     step: float = 0.0
     disparity_step: float = 0.0
     correlation: tuple[tuple[float, float], ...] = ()
