@@ -13,7 +13,7 @@ from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
 from .segment_moments import fit, residual, rise, solve
-from .segment_noise import sensor_variance, variance, waviness
+from .segment_noise import variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
 MUCH_LARGER = 4.0
@@ -173,13 +173,12 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 def describe(moments, a, noise, described):
     """Plane, residual, variance of a pixel and squared waviness of region ``a``: to ``described``, in this order."""
     alpha, rss, variances, waves = described
-    n, mean_q = moments[a, 0], moments[a, 3] / moments[a, 0]
+    n = moments[a, 0]
     rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
         n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4],
         moments[a, 5], moments[a, 6], moments[a, 7], moments[a, 8], moments[a, 9],
     )  # fmt: skip
-    slope = noise.lateral_x * alpha[a, 0] ** 2 + noise.lateral_y * alpha[a, 1] ** 2
-    variances[a] = sensor_variance(mean_q, noise.sigma) + slope if rss[a] >= 0.0 else 0.0
+    variances[a] = variance(moments[a], alpha[a], noise) if rss[a] >= 0.0 else 0.0
     waves[a] = waviness(n, noise.growth) ** 2
 
 

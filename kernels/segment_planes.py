@@ -4,7 +4,7 @@ import math
 
 from ._jit import kernel
 from .segment_moments import fit, residual
-from .segment_noise import about_plane, sensor_variance, variance, waviness
+from .segment_noise import about_plane, sensor_variance, slope_variance, waviness
 
 
 @kernel()
@@ -13,16 +13,15 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
-    alpha, slope_variance, waves = planes
+    alpha, of_slope, waves = planes
     for i in range(len(moments)):
         if not fit(moments[i], alpha[i]):
             alpha[i, :] = math.inf
-            slope_variance[i] = 1.0
+            of_slope[i] = 1.0
             waves[i] = 1.0
             continue
         waves[i] = waviness(moments[i, 0], noise.growth) ** 2
-        sensor = sensor_variance(moments[i, 3] / moments[i, 0], noise.sigma)
-        slope_variance[i] = variance(moments[i], alpha[i], noise) - sensor
+        of_slope[i] = slope_variance(alpha[i], noise)
 
 
 @kernel()
