@@ -12,7 +12,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
-from .segment_moments import fit, residual, rise, solve
+from .segment_moments import fit, rise, solve
 from .segment_noise import variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
@@ -173,13 +173,9 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 def describe(moments, a, noise, described):
     """Plane, residual, variance of a pixel and squared waviness of region ``a``: to ``described``, in this order."""
     alpha, rss, variances, waves = described
-    n = moments[a, 0]
-    rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
-        n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4],
-        moments[a, 5], moments[a, 6], moments[a, 7], moments[a, 8], moments[a, 9],
-    )  # fmt: skip
+    rss[a] = fit(moments[a], alpha[a])
     variances[a] = variance(moments[a], alpha[a], noise) if rss[a] >= 0.0 else 0.0
-    waves[a] = waviness(n, noise.growth) ** 2
+    waves[a] = waviness(moments[a, 0], noise.growth) ** 2
 
 
 @kernel()
@@ -333,9 +329,10 @@ def find_rough(moments, parent, noise, rough, chosen):
     found = False
     for a in range(len(parent)):
         chosen[a] = False
-        if parent[a] == a and fit(moments[a], alpha):
+        rss = fit(moments[a], alpha) if parent[a] == a else -1.0
+        if rss >= 0.0:
             allowed = variance(moments[a], alpha, noise) * waviness(moments[a, 0], noise.growth) ** 2
-            chosen[a] = residual(moments[a]) > rough * rough * allowed * moments[a, 0]
+            chosen[a] = rss > rough * rough * allowed * moments[a, 0]
             found |= chosen[a]
     return found
 

@@ -57,14 +57,9 @@ def rise(m, k):
 
 @kernel(inline=True)
 def fit(m, alpha):
-    """Write α of the plane fitted to moments; False where the pixels do not determine it."""
-    rss, a, b, c = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
-    if rss < 0.0:
-        return False
-    alpha[0] = a
-    alpha[1] = b
-    alpha[2] = c
-    return True
+    """Write α of the plane fitted to moments; the sum of squared residuals. Both as `solve`."""
+    rss, alpha[0], alpha[1], alpha[2] = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+    return rss
 
 
 @kernel(inline=True)

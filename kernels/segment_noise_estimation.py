@@ -242,7 +242,7 @@ def together_of(pyramid, coarse, fine, sigma, typical):
             m = moments[:, i]
             if m[0] < least or rss[i] <= 0.0:
                 continue
-            if rss[i] > most * (m[0] - 3.0) * expected_variance(m[3] / m[0], sigma) or not fit(m, alpha):
+            if rss[i] > most * (m[0] - 3.0) * expected_variance(m[3] / m[0], sigma) or fit(m, alpha) < 0.0:
                 continue
             total = 0.0
             parts = -3.0  # the plane takes as many

@@ -3,7 +3,7 @@
 import math
 
 from ._jit import kernel
-from .segment_moments import fit, residual
+from .segment_moments import fit
 from .segment_noise import about_plane, sensor_variance, slope_variance, waviness
 
 
@@ -15,7 +15,7 @@ def fit_regions(moments, noise, planes):
     """
     alpha, of_slope, waves = planes
     for i in range(len(moments)):
-        if not fit(moments[i], alpha[i]):
+        if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf
             of_slope[i] = 1.0
             waves[i] = 1.0
@@ -34,10 +34,9 @@ def deviations(moments, planes, sigma, deviation):
 
 @kernel()
 def fit_planes(moments, alpha, rss):
-    """α and the sum of squared residuals of each plane from the moments of its pixels."""
+    """α and the sum of squared residuals of each plane from the moments of its pixels: 0 and -1 where there is none."""
     for i in range(len(moments)):
-        fit(moments[i], alpha[i])
-        rss[i] = residual(moments[i])
+        rss[i] = fit(moments[i], alpha[i])
 
 
 @kernel()
