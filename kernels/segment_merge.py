@@ -135,11 +135,13 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     makes Δ and no jump; two parallel planes make a jump before they make much Δ. And a small region may be a crest
     of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
     """
-    alpha, rss, variances, waves = described
+    alpha, rss, variances, waviness_square = described
     pairs, where, _ = contacts
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
-    m = np.empty((18, TOGETHER))  # joint moments; smaller, touch, step, rss, variance, waves; what comes out
+    m = np.empty(
+        (18, TOGETHER)
+    )  # joint moments; smaller, touch, step, rss, variance, squared waviness; what comes out
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
         for i in range(number):
@@ -156,7 +158,8 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
             )
             m[13, i] = rss[a] + rss[b]
             m[14, i] = min(variances[a], variances[b])
-            m[15, i], m[16, i] = min(waves[a], waves[b]), max(waves[a], waves[b])
+            w_a, w_b = waviness_square[a], waviness_square[b]
+            m[15, i], m[16, i] = min(w_a, w_b), max(w_a, w_b)
         for i in range(number):
             smaller, step, calm, least = m[10, i], m[12, i] / m[11, i], m[15, i], crest * crest * m[16, i]
             jumped = step * step / (max(jump * jump * calm, least) + 8.0 * spread / smaller)
@@ -172,10 +175,10 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 @kernel(inline=True)
 def describe(moments, a, noise, described):
     """Plane, residual, variance of a pixel and squared waviness of region ``a``: to ``described``, in this order."""
-    alpha, rss, variances, waves = described
+    alpha, rss, variances, waviness_square = described
     rss[a] = fit(moments[a], alpha[a])
     variances[a] = variance(moments[a], alpha[a], noise) if rss[a] >= 0.0 else 0.0
-    waves[a] = waviness(moments[a, 0], noise.growth) ** 2
+    waviness_square[a] = waviness(moments[a, 0], noise.growth) ** 2
 
 
 @kernel()

@@ -42,7 +42,7 @@ def slope_variance(alpha, noise):
     A pixel sees its surface somewhere within itself; where the inverse depth changes across a pixel, that
     is noise too.
     """
-    return noise.lateral_x * alpha[0] * alpha[0] + noise.lateral_y * alpha[1] * alpha[1]
+    return noise.lateral_variance_x * alpha[0] * alpha[0] + noise.lateral_variance_y * alpha[1] * alpha[1]
 
 
 @kernel(inline=True)
@@ -54,4 +54,4 @@ def variance(m, alpha, noise):
 @kernel(inline=True)
 def about_plane(sensor, planes, a):
     """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region."""
-    return (sensor + planes.slope_variance[a]) * planes.waves[a]
+    return (sensor + planes.slope_variance[a]) * planes.waviness_square[a]

@@ -13,14 +13,14 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
-    alpha, of_slope, waves = planes
+    alpha, of_slope, waviness_square = planes
     for i in range(len(moments)):
         if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf
             of_slope[i] = 1.0
-            waves[i] = 1.0
+            waviness_square[i] = 1.0
             continue
-        waves[i] = waviness(moments[i, 0], noise.growth) ** 2
+        waviness_square[i] = waviness(moments[i, 0], noise.growth) ** 2
         of_slope[i] = slope_variance(alpha[i], noise)
 
 

@@ -210,7 +210,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
-    alpha, slope_variance, waves = planes
+    alpha, slope_variance, waviness_square = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     h = np.empty(3)
     centre = np.empty(2)
@@ -233,8 +233,8 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
             continue
         flat = eliminate(products, 0, PLANE_TERMS)
         drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        bent[a] = drop > rules.bent * waves[a] * pixels
-        if drop * step * step > rules.region_spread * waves[a]:
+        bent[a] = drop > rules.bent * waviness_square[a] * pixels
+        if drop * step * step > rules.region_spread * waviness_square[a]:
             second_derivatives(products, scale, deviation, h)
             turned[a] = turn(m, alpha[a], h)
 
@@ -342,7 +342,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
         enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
-        if enough and better > max(MARGIN * bend, significant * planes.waves[a]):
+        if enough and better > max(MARGIN * bend, significant * planes.waviness_square[a]):
             unite(parent, a, b)
             bent[root_of(parent, a)] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
