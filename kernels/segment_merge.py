@@ -12,7 +12,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
-from .segment_moments import fit, rise, solve
+from .segment_moments import difference, fit, rise, solve
 from .segment_noise import variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
@@ -146,16 +146,13 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
         number = min(TOGETHER, count - start)
         for i in range(number):
             a, b = pairs[start + i, 0], pairs[start + i, 1]
-            m_a, m_b, alpha_a, alpha_b, at = moments[a], moments[b], alpha[a], alpha[b], where[start + i]
+            m_a, m_b, at = moments[a], moments[b], where[start + i]
+            d_u, d_v, d_1 = difference(alpha, a, b)
             for k in range(10):
                 m[k, i] = m_a[k] + m_b[k]
             m[10, i] = min(m_a[0], m_b[0])
             m[11, i] = at[0]
-            m[12, i] = (
-                (alpha_a[2] - alpha_b[2]) * at[0]
-                + (alpha_a[0] - alpha_b[0]) * at[1]
-                + (alpha_a[1] - alpha_b[1]) * at[2]
-            )
+            m[12, i] = d_1 * at[0] + d_u * at[1] + d_v * at[2]
             m[13, i] = rss[a] + rss[b]
             m[14, i] = min(variances[a], variances[b])
             w_a, w_b = waviness_square[a], waviness_square[b]

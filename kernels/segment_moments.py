@@ -63,6 +63,26 @@ def fit(m, alpha):
 
 
 @kernel(inline=True)
+def difference(alpha, a, b):
+    """α of region ``a`` less that of ``b``: by how much its plane's inverse depth is larger."""
+    return alpha[a, 0] - alpha[b, 0], alpha[a, 1] - alpha[b, 1], alpha[a, 2] - alpha[b, 2]
+
+
+@kernel(inline=True)
+def jump_at(alpha, a, b, where):
+    """By how much the one's inverse depth is larger where two regions touch: ``where`` is that of their `Contacts`."""
+    d_u, d_v, d_1 = difference(alpha, a, b)
+    return (d_u * where[1] + d_v * where[2]) / where[0] + d_1
+
+
+@kernel(inline=True)
+def ray_of(rays, y, x):
+    """tanθx and tanθy of a pixel."""
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    return tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
+
+
+@kernel(inline=True)
 def misfit(m, i, alpha, region):
     """Sum of squared residuals of the pixels of square ``i``, of moments m (10, T), about a region's plane."""
     a, b, c = alpha[region, 0], alpha[region, 1], alpha[region, 2]
