@@ -20,6 +20,7 @@ that a window reaches beyond the frame are missing pixels, zero in every channel
 import numpy as np
 
 from ._jit import kernel
+from .depth import inverse_depth
 
 # Columns of a strip with the margins of its windows: the sums of its rows stay in the nearest caches.
 PITCH = 704
@@ -66,15 +67,12 @@ def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, 
     wild = 0
     for i in range(values.shape[0]):
         is_valid = (values[i] >= lowest) & (values[i] <= highest)
-        if is_disparity:
-            inverse_depth = scale * values[i] + offset
-        else:
-            inverse_depth = scale / values[i]
-        inverse_depth = inverse_depth if is_valid else 0.0
-        q_inside[i] = inverse_depth
+        inverse = inverse_depth(values[i], scale, offset, is_disparity)
+        inverse = inverse if is_valid else 0.0
+        q_inside[i] = inverse
         valid_inside[i] = np.float32(1.0) if is_valid else np.float32(0.0)
         missing += 0 if is_valid else 1
-        wild += 1 if inverse_depth > WILD else 0
+        wild += 1 if inverse > WILD else 0
     return missing, wild
 
 
