@@ -49,7 +49,8 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
     ----------
     reduction : bool
         Let the compiler reorder sums so that they vectorise. NaN and infinity keep their meaning. Never
-        for the solves, whose order of operations is their accuracy.
+        for the solves, whose order of operations is their accuracy. What such a kernel calls is a reduction
+        or inline: anything else would get the same leave, for all its callers, if it is compiled for this one first.
     inline : bool
         Make the function part of every kernel that calls it, so that the compiler sees the sizes of the
         arrays that it gets. Its source goes there, which compiles it once instead of twice; that of a reduction

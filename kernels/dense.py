@@ -13,7 +13,7 @@ from .window_planes import needed_pixels, normals_row, surface_row
 
 @kernel()
 def separable(
-    raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, max_missing,
+    raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, needed_of,
     surfaces, everywhere, band_start, band_stop, normals, variance, variation,
 ):  # fmt: skip
     """The planes around the pixels of some bands, for a camera without lens distortion.
@@ -21,6 +21,8 @@ def separable(
     Parameters
     ----------
     tan_x, tan_y : (W,) and (H,) float64
+    needed_of : (window² + 1,) float64
+        Number of valid pixels that a window of so many pixels needs.
     surfaces : bool
         Write the variance and the variation too.
     everywhere : bool
@@ -100,7 +102,7 @@ def separable(
             if (
                 centre <= max(row_start, half) or centre >= height - half
             ):  # between, windows have all their rows
-                needed_pixels(centre, left, half, height, width, max_missing, needed[:columns])
+                needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
             first = centre * width + left
             at_pixels = valid[row % slots, half:]
             if surfaces:
@@ -119,7 +121,7 @@ def separable(
 
 @kernel()
 def distorted(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, window, max_missing,
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, window, needed_of,
     everywhere, band_start, band_stop, normals, variance, variation,
 ):  # fmt: skip
     """The planes around the pixels of some bands as `separable` with ``surfaces``, for any camera.
@@ -184,7 +186,7 @@ def distorted(
                 sliding.move_sums(rows[old], rows[slot], used, sums)
 
             if centre <= max(row_start, half) or centre >= height - half:
-                needed_pixels(centre, left, half, height, width, max_missing, needed[:columns])
+                needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
             for i in range(columns):
                 x_pixel[i] = tan_x[centre, left + i] - x_reference
                 y_pixel[i] = tan_y[centre, left + i] - y_reference

@@ -6,13 +6,13 @@ Of raw values that are no measurement what comes out means nothing.
 from ._jit import kernel
 
 
-@kernel()
+@kernel(inline=True)
 def inverse_depth(value, scale, offset, is_disparity):
     """Inverse depth q of a raw value, in 1/m."""
     return scale * value + offset if is_disparity else scale / value
 
 
-@kernel()
+@kernel(inline=True)
 def depth(value, scale, offset, is_disparity):
     """Depth Z of a raw value, in metres."""
     return 1.0 / (scale * value + offset) if is_disparity else value / scale

@@ -30,7 +30,7 @@ def inverse_of(value, lowest, highest, scale, offset, is_disparity):
 
 
 @kernel(inline=True)
-def solve_squares(sums, count, rays, rss, slope):
+def solve_squares(sums, count, rays, rss, slope_square):
     """Sums of squared residuals, and squared slopes, of the planes of squares with moments ``sums`` (10, CHUNK)."""
     for c in range(count):
         error, a, b, _ = solve(
@@ -38,7 +38,7 @@ def solve_squares(sums, count, rays, rss, slope):
             sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
         )  # fmt: skip
         rss[c] = error
-        slope[c] = (rays.pitch_x * a) ** 2 + (rays.pitch_y * b) ** 2
+        slope_square[c] = (rays.pitch_x * a) ** 2 + (rays.pitch_y * b) ** 2
 
 
 @kernel(inline=True)
@@ -118,7 +118,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     """
     height, width = raw.shape
     tan_x, tan_y = rays.tan_x, rays.tan_y
-    moments, rss, slope = pyramid.moments, pyramid.rss, pyramid.slope
+    moments, rss, slope_square = pyramid.moments, pyramid.rss, pyramid.slope_square
     rows, columns = pyramid.shapes[0]
     # Of a size that is known beforehand: so the compiler sees that their rows are apart, and uses vectors.
     q = np.zeros((BLOCK, CHUNK * BLOCK), np.float32)
@@ -156,7 +156,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
             for k in range(10):
                 fold(along[k], sums[k], count)
             i = row * columns + start
-            solve_squares(sums, count, rays, rss[i : i + count], slope[i : i + count])
+            solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])
     nearest = largest[0]
@@ -171,7 +171,7 @@ def sum_by_fours(pyramid, rays):
 
     The lowest is that of `block_moments`.
     """
-    moments, rss, slope, offsets, shapes = pyramid
+    moments, rss, slope_square, offsets, shapes = pyramid
     sums = np.empty((10, CHUNK))
     for level in range(1, shapes.shape[0]):
         columns = shapes[level, 1]
@@ -185,4 +185,4 @@ def sum_by_fours(pyramid, rays):
                     for c in range(count):
                         sums[k, c] = (upper[2 * c] + upper[2 * c + 1]) + (lower[2 * c] + lower[2 * c + 1])
                     copy(sums[k], moments[k, i : i + count])
-                solve_squares(sums, count, rays, rss[i : i + count], slope[i : i + count])
+                solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])

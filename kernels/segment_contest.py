@@ -11,6 +11,7 @@ import numpy as np
 
 from ._jit import kernel
 from .segment_blocks import BLOCK
+from .segment_moments import difference, ray_of
 
 NEIGHBOURS = 9  # blocks, and so the regions that can contend for one
 SIDE = BLOCK + 2  # of a block with the pixels around it
@@ -59,24 +60,24 @@ def find_centres(region, row, column, centre_u, centre_v, count, candidate, cent
 
 
 @kernel(inline=True)
-def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column, distance):
+def is_undisputed(a, count, candidate, centre, alpha, rays, row, column, distance):
     """Whether no other contender comes near to region a's plane in a block, or only beyond where they meet.
 
     Planes are farthest apart, and on one side of the line in which they meet, at the corners.
     """
     top, left = row * BLOCK, column * BLOCK
-    bottom, right = min(top + BLOCK, tan_y.shape[0]), min(left + BLOCK, tan_x.shape[1])
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    bottom, right = min(top + BLOCK, rays.tan_y.shape[0]), min(left + BLOCK, rays.tan_x.shape[1])
     own = place_of(a, candidate, count)
     for i in range(count):
         b = candidate[i]
         if b == a:
             continue
-        d_u, d_v, d_1 = alpha[b, 0] - alpha[a, 0], alpha[b, 1] - alpha[a, 1], alpha[b, 2] - alpha[a, 2]
+        d_u, d_v, d_1 = difference(alpha, b, a)
         low, high = math.inf, -math.inf
         for y in (top, bottom - 1):
             for x in (left, right - 1):
-                d = d_u * tan_x[y * step_y, x] + d_v * tan_y[y, x * step_x] + d_1
+                u, v = ray_of(rays, y, x)
+                d = d_u * u + d_v * v + d_1
                 low, high = min(low, d), max(high, d)
         side_a = d_u * centre[own, 0] + d_v * centre[own, 1] + d_1
         side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
@@ -168,7 +169,7 @@ def line_between(i, j, candidate, centre, alpha):
     Returns the line's coefficients, positive on j's side, or zeros where the planes do not meet between the two.
     """
     a, b = candidate[i], candidate[j]
-    d_u, d_v, d_1 = alpha[b, 0] - alpha[a, 0], alpha[b, 1] - alpha[a, 1], alpha[b, 2] - alpha[a, 2]
+    d_u, d_v, d_1 = difference(alpha, b, a)
     side_i = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
     side_j = d_u * centre[j, 0] + d_v * centre[j, 1] + d_1
     sign = 0.0

@@ -11,6 +11,7 @@ import numpy as np
 from ._jit import kernel
 from .disjoint_sets import root_of, unite
 from .segment_blocks import BLOCK
+from .segment_moments import difference, jump_at
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
 FACETS = 4  # planes that make something round: a ceiling between two slopes is three
@@ -23,8 +24,8 @@ def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     AWAY from the camera, as facets of a ball are, or TOWARDS it; STRAIGHT if their planes do not meet where the
     regions touch, to a block, or at a larger angle.
     """
-    d_u, d_v, d_1 = alpha[a, 0] - alpha[b, 0], alpha[a, 1] - alpha[b, 1], alpha[a, 2] - alpha[b, 2]
-    jump = (d_u * where[1] + d_v * where[2]) / where[0] + d_1
+    d_u, d_v, _ = difference(alpha, a, b)
+    jump = jump_at(alpha, a, b, where)
     if not jump * jump <= BLOCK * BLOCK * ((d_u * rays.pitch_x) ** 2 + (d_v * rays.pitch_y) ** 2):
         return STRAIGHT
     along = alpha[a, 0] * alpha[b, 0] + alpha[a, 1] * alpha[b, 1] + alpha[a, 2] * alpha[b, 2]

@@ -10,7 +10,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of, unite
-from .segment_moments import rise
+from .segment_moments import difference, ray_of, rise
 from .segment_planes import fit_planes
 
 LEAST = 4  # rows or columns that must cross a gap
@@ -46,7 +46,8 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
             smaller = m if m[0] < k[0] else k
             allowed = floor * floor + spread / smaller[0]
             u, v = smaller[1] / smaller[0], smaller[2] / smaller[0]
-            d = (alpha[a, 0] - alpha[b, 0]) * u + (alpha[a, 1] - alpha[b, 1]) * v + alpha[a, 2] - alpha[b, 2]
+            d_u, d_v, d_1 = difference(alpha, a, b)
+            d = d_u * u + d_v * v + d_1
             # The smaller one's pixels are nearly all of the rise: a quick way to say no.
             if not d * d <= 4.0 * allowed * variance:
                 continue
@@ -76,8 +77,7 @@ def label_boxes(runs, box):
 @kernel(inline=True)
 def sees_through(inverse_depth, rays, alpha, reach, y, x):
     """Whether something farther away than a plane is seen at a pixel."""
-    tan_x, tan_y = rays.tan_x, rays.tan_y
-    u, v = tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
+    u, v = ray_of(rays, y, x)
     return 0.0 < inverse_depth[y, x] < alpha[0] * u + alpha[1] * v + alpha[2] - reach
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
-from .segment_moments import add, residual
+from .segment_moments import add, ray_of, residual
 
 # Where a label cannot be: beyond the frame, and where nothing is measured.
 BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
@@ -57,8 +57,6 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
         ``moments`` again, where too few would be left, or such as determine no plane.
     """
     height, width = label.shape
-    tan_x, tan_y = rays.tan_x, rays.tan_y
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     most, least = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
     most[0] = most[-1] = BELOW
     least[0] = least[-1] = ABOVE
@@ -72,7 +70,7 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
                 continue
             for x in range(i * WORD, (i + 1) * WORD):
                 if edge[x]:
-                    u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
+                    u, v = ray_of(rays, y, x)
                     add(inside[label[y, x] - 1], u, v, inverse_depth[y, x])
     for k in range(len(moments)):
         for j in range(10):

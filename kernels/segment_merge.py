@@ -12,8 +12,8 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
-from .segment_moments import fit, residual, rise, solve
-from .segment_noise import sensor_variance, variance, waviness
+from .segment_moments import difference, fit, rise, solve
+from .segment_noise import variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
 MUCH_LARGER = 4.0
@@ -135,28 +135,28 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     makes Δ and no jump; two parallel planes make a jump before they make much Δ. And a small region may be a crest
     of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
     """
-    alpha, rss, variances, waves = described
+    alpha, rss, variances, waviness_square = described
     pairs, where, _ = contacts
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
-    m = np.empty((18, TOGETHER))  # joint moments; smaller, touch, step, rss, variance, waves; what comes out
+    m = np.empty(
+        (18, TOGETHER)
+    )  # joint moments; smaller, touch, step, rss, variance, squared waviness; what comes out
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
         for i in range(number):
             a, b = pairs[start + i, 0], pairs[start + i, 1]
-            m_a, m_b, alpha_a, alpha_b, at = moments[a], moments[b], alpha[a], alpha[b], where[start + i]
+            m_a, m_b, at = moments[a], moments[b], where[start + i]
+            d_u, d_v, d_1 = difference(alpha, a, b)
             for k in range(10):
                 m[k, i] = m_a[k] + m_b[k]
             m[10, i] = min(m_a[0], m_b[0])
             m[11, i] = at[0]
-            m[12, i] = (
-                (alpha_a[2] - alpha_b[2]) * at[0]
-                + (alpha_a[0] - alpha_b[0]) * at[1]
-                + (alpha_a[1] - alpha_b[1]) * at[2]
-            )
+            m[12, i] = d_1 * at[0] + d_u * at[1] + d_v * at[2]
             m[13, i] = rss[a] + rss[b]
             m[14, i] = min(variances[a], variances[b])
-            m[15, i], m[16, i] = min(waves[a], waves[b]), max(waves[a], waves[b])
+            w_a, w_b = waviness_square[a], waviness_square[b]
+            m[15, i], m[16, i] = min(w_a, w_b), max(w_a, w_b)
         for i in range(number):
             smaller, step, calm, least = m[10, i], m[12, i] / m[11, i], m[15, i], crest * crest * m[16, i]
             jumped = step * step / (max(jump * jump * calm, least) + 8.0 * spread / smaller)
@@ -172,15 +172,10 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 @kernel(inline=True)
 def describe(moments, a, noise, described):
     """Plane, residual, variance of a pixel and squared waviness of region ``a``: to ``described``, in this order."""
-    alpha, rss, variances, waves = described
-    n, mean_q = moments[a, 0], moments[a, 3] / moments[a, 0]
-    rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
-        n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4],
-        moments[a, 5], moments[a, 6], moments[a, 7], moments[a, 8], moments[a, 9],
-    )  # fmt: skip
-    slope = noise.lateral_x * alpha[a, 0] ** 2 + noise.lateral_y * alpha[a, 1] ** 2
-    variances[a] = sensor_variance(mean_q, noise.sigma) + slope if rss[a] >= 0.0 else 0.0
-    waves[a] = waviness(n, noise.growth) ** 2
+    alpha, rss, variances, waviness_square = described
+    rss[a] = fit(moments[a], alpha[a])
+    variances[a] = variance(moments[a], alpha[a], noise) if rss[a] >= 0.0 else 0.0
+    waviness_square[a] = waviness(moments[a, 0], noise.growth) ** 2
 
 
 @kernel()
@@ -334,9 +329,10 @@ def find_rough(moments, parent, noise, rough, chosen):
     found = False
     for a in range(len(parent)):
         chosen[a] = False
-        if parent[a] == a and fit(moments[a], alpha):
+        rss = fit(moments[a], alpha) if parent[a] == a else -1.0
+        if rss >= 0.0:
             allowed = variance(moments[a], alpha, noise) * waviness(moments[a, 0], noise.growth) ** 2
-            chosen[a] = residual(moments[a]) > rough * rough * allowed * moments[a, 0]
+            chosen[a] = rss > rough * rough * allowed * moments[a, 0]
             found |= chosen[a]
     return found
 

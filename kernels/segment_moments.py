@@ -57,14 +57,29 @@ def rise(m, k):
 
 @kernel(inline=True)
 def fit(m, alpha):
-    """Write α of the plane fitted to moments; False where the pixels do not determine it."""
-    rss, a, b, c = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
-    if rss < 0.0:
-        return False
-    alpha[0] = a
-    alpha[1] = b
-    alpha[2] = c
-    return True
+    """Write α of the plane fitted to moments; the sum of squared residuals. Both as `solve`."""
+    rss, alpha[0], alpha[1], alpha[2] = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+    return rss
+
+
+@kernel(inline=True)
+def difference(alpha, a, b):
+    """α of region ``a`` less that of ``b``: by how much its plane's inverse depth is larger."""
+    return alpha[a, 0] - alpha[b, 0], alpha[a, 1] - alpha[b, 1], alpha[a, 2] - alpha[b, 2]
+
+
+@kernel(inline=True)
+def jump_at(alpha, a, b, where):
+    """By how much the one's inverse depth is larger where two regions touch: ``where`` is that of their `Contacts`."""
+    d_u, d_v, d_1 = difference(alpha, a, b)
+    return (d_u * where[1] + d_v * where[2]) / where[0] + d_1
+
+
+@kernel(inline=True)
+def ray_of(rays, y, x):
+    """tanθx and tanθy of a pixel."""
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    return tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
 
 
 @kernel(inline=True)

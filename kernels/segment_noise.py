@@ -36,20 +36,22 @@ def waviness(pixels, growth):
 
 
 @kernel(inline=True)
-def variance(m, alpha, noise):
-    """Variance of one pixel about its plane: the sensor's at the mean inverse depth, and the slope's.
+def slope_variance(alpha, noise):
+    """What a plane's slope adds to the variance of its pixels.
 
     A pixel sees its surface somewhere within itself; where the inverse depth changes across a pixel, that
     is noise too.
     """
-    return (
-        sensor_variance(m[3] / m[0], noise.sigma)
-        + noise.lateral_x * alpha[0] * alpha[0]
-        + noise.lateral_y * alpha[1] * alpha[1]
-    )
+    return noise.lateral_variance_x * alpha[0] * alpha[0] + noise.lateral_variance_y * alpha[1] * alpha[1]
+
+
+@kernel(inline=True)
+def variance(m, alpha, noise):
+    """Variance of one pixel about its plane: the sensor's at the mean inverse depth, and the slope's."""
+    return sensor_variance(m[3] / m[0], noise.sigma) + slope_variance(alpha, noise)
 
 
 @kernel(inline=True)
 def about_plane(sensor, planes, a):
     """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region."""
-    return (sensor + planes.slope_variance[a]) * planes.waves[a]
+    return (sensor + planes.slope_variance[a]) * planes.waviness_square[a]

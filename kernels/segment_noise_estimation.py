@@ -117,7 +117,7 @@ def varied_squares(pyramid):
     to see: a square up to 32 pixels with a constant quarter has no residual then. Where hardly one of the others is
     left, things that show no noise end before each other.
     """
-    moments, rss, slope, offsets, shapes = pyramid
+    moments, rss, slope_square, offsets, shapes = pyramid
     count = constant = varied = 0
     for i in range(offsets[1], offsets[2]):
         if moments[0, i] >= FULL * (BLOCK << 1) ** 2:
@@ -143,7 +143,7 @@ def varied_squares(pyramid):
                     varied += moments[0, i] >= FULL * (BLOCK << 1) ** 2
     if varied <= FEWEST_VARIED * (count - constant):
         return pyramid
-    return Pyramid(moments, rss, slope, offsets, shapes)
+    return Pyramid(moments, rss, slope_square, offsets, shapes)
 
 
 @kernel(inline=True)
@@ -158,14 +158,14 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
 
     Both in variances, where ``sigma`` says what these are: see `expected_variance`.
     """
-    moments, rss, slope = pyramid.moments, pyramid.rss, pyramid.slope
+    moments, rss = pyramid.moments, pyramid.rss
     count = 0
     for i in range(pyramid.offsets[level], pyramid.offsets[level + 1]):
         if not is_measured(moments, rss, level, i):
             continue
         expected = expected_variance(moments[3, i] / moments[0, i], sigma)
         mean_square[count] = rss[i] / (moments[0, i] - 3.0) / expected
-        slope_square[count] = slope[i] / expected
+        slope_square[count] = pyramid.slope_square[i] / expected
         count += 1
     return count
 
@@ -242,7 +242,7 @@ def together_of(pyramid, coarse, fine, sigma, typical):
             m = moments[:, i]
             if m[0] < least or rss[i] <= 0.0:
                 continue
-            if rss[i] > most * (m[0] - 3.0) * expected_variance(m[3] / m[0], sigma) or not fit(m, alpha):
+            if rss[i] > most * (m[0] - 3.0) * expected_variance(m[3] / m[0], sigma) or fit(m, alpha) < 0.0:
                 continue
             total = 0.0
             parts = -3.0  # the plane takes as many

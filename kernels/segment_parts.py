@@ -5,7 +5,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
-from .segment_moments import add
+from .segment_moments import add, ray_of
 from .segment_runs import GAP
 
 
@@ -35,10 +35,8 @@ def measure_parts(runs, inverse_depth, rays, alpha, deviation, cut, sums, parts)
         Number of parts.
     """
     row_runs, run_start, run_stop, run_label, vertical, parent, part = runs
-    tan_x, tan_y = rays.tan_x, rays.tan_y
     region_moments, region_squares = sums
     moments, squares, size, across, down, owner = parts
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     count = 0
     for y in range(len(row_runs) - 1):
         for i in range(row_runs[y], row_runs[y + 1]):
@@ -77,7 +75,7 @@ def measure_parts(runs, inverse_depth, rays, alpha, deviation, cut, sums, parts)
                 q = inverse_depth[y, x]
                 if q == 0.0:
                     continue
-                u, v = tan_x[y * step_y, x], tan_y[y, x * step_x]
+                u, v = ray_of(rays, y, x)
                 e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
                 squares[k] += min(e * e, cut * cut)
                 add(moments[k], u, v, q)

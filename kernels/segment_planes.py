@@ -3,8 +3,8 @@
 import math
 
 from ._jit import kernel
-from .segment_moments import fit, residual
-from .segment_noise import about_plane, sensor_variance, variance, waviness
+from .segment_moments import fit
+from .segment_noise import about_plane, sensor_variance, slope_variance, waviness
 
 
 @kernel()
@@ -13,16 +13,15 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
-    alpha, slope_variance, waves = planes
+    alpha, of_slope, waviness_square = planes
     for i in range(len(moments)):
-        if not fit(moments[i], alpha[i]):
+        if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf
-            slope_variance[i] = 1.0
-            waves[i] = 1.0
+            of_slope[i] = 1.0
+            waviness_square[i] = 1.0
             continue
-        waves[i] = waviness(moments[i, 0], noise.growth) ** 2
-        sensor = sensor_variance(moments[i, 3] / moments[i, 0], noise.sigma)
-        slope_variance[i] = variance(moments[i], alpha[i], noise) - sensor
+        waviness_square[i] = waviness(moments[i, 0], noise.growth) ** 2
+        of_slope[i] = slope_variance(alpha[i], noise)
 
 
 @kernel()
@@ -35,10 +34,9 @@ def deviations(moments, planes, sigma, deviation):
 
 @kernel()
 def fit_planes(moments, alpha, rss):
-    """α and the sum of squared residuals of each plane from the moments of its pixels."""
+    """α and the sum of squared residuals of each plane from the moments of its pixels: 0 and -1 where there is none."""
     for i in range(len(moments)):
-        fit(moments[i], alpha[i])
-        rss[i] = residual(moments[i])
+        rss[i] = fit(moments[i], alpha[i])
 
 
 @kernel()

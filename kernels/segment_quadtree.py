@@ -25,12 +25,12 @@ def join_blocks(pyramid, noise, rules, state):
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """
-    moments, rss, slope, offsets, shapes = pyramid
-    sigma, lateral = noise.sigma, noise.lateral
+    moments, rss, slope_square, offsets, shapes = pyramid
+    sigma, lateral_variance = noise.sigma, noise.lateral_variance
     for i in range(shapes[0, 0] * shapes[0, 1]):
         n = moments[0, i]
         sensor = sensor_variance(moments[3, i] / max(n, 1.0), sigma)
-        allowed = rules.rough_block**2 * sensor + rules.steep_block**2 * lateral * slope[i]
+        allowed = rules.rough_block**2 * sensor + rules.steep_block**2 * lateral_variance * slope_square[i]
         planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
         state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
     for level in range(1, shapes.shape[0]):
@@ -52,7 +52,8 @@ def join_blocks(pyramid, noise, rules, state):
                         planar += 1
                         total += rss[child]
                         mean_q = moments[3, child] / moments[0, child]
-                        smallest = min(smallest, sensor_variance(mean_q, sigma) + lateral * slope[child])
+                        variance = sensor_variance(mean_q, sigma) + lateral_variance * slope_square[child]
+                        smallest = min(smallest, variance)
                 if planar <= 0:
                     state[parent] = 2 if planar == 0 else 0
                     continue

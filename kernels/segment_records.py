@@ -63,7 +63,7 @@ class Pyramid(NamedTuple):
 
     moments: Array  # (10, T) float64
     rss: Array  # (T,) float64: sum of squared residuals of each one's plane, or -1
-    slope: Array  # (T,) float64: squared slope of its plane, change of q from pixel to pixel
+    slope_square: Array  # (T,) float64: of its plane, change of q from pixel to pixel
     offsets: Array  # (L + 1,) int64: where each level begins
     shapes: Array  # (L, 2) int64: its rows and columns, twice those of the next
 
@@ -72,9 +72,9 @@ class Noise(NamedTuple):
     """Variance of a pixel about its plane: see `segment_noise.variance`."""
 
     sigma: Array  # (K + 1,) float64: see `segment_noise.sensor_variance`
-    lateral: float  # variance, in pixels, of where within its pixel a measurement lies
-    lateral_x: float  # the same of tanθx, tanθy
-    lateral_y: float
+    lateral_variance: float  # in pixels², of where within its pixel a measurement lies
+    lateral_variance_x: float  # the same of tanθx, tanθy
+    lateral_variance_y: float
     growth: Array  # (S,) float64: see `segment_noise.waviness`
     together: float  # pixels that have one error between them: n of them tell as much as n / together
 
@@ -84,7 +84,7 @@ class Planes(NamedTuple):
 
     alpha: Array  # (N, 3) float64
     slope_variance: Array  # (N,) float64
-    waves: Array  # (N,) float64
+    waviness_square: Array  # (N,) float64
 
 
 class Sums(NamedTuple):

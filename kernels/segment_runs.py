@@ -69,6 +69,31 @@ def label_of(owner, pixel_owner, number, y, x):
     return number[a] if a >= 0 else -1
 
 
+@kernel(inline=True)
+def unite_with_rows_above(owners, number, y, this_first, count, reach, runs):
+    """Unite the runs of row ``y``, from ``this_first`` to ``count``, with those of their label above.
+
+    Up to ``reach`` rows above, where there is nothing between them but pixels without a label.
+    """
+    owner, pixel_owner = owners
+    first, run_start, run_stop, run_label, _, parent, _ = runs
+    for lines in range(1, min(y, reach) + 1):
+        j, stop = first[y - lines], first[y - lines + 1]
+        for i in range(this_first, count):
+            while j < stop and run_stop[j] < run_start[i]:
+                j += 1
+            k = j
+            while k < stop and run_start[k] <= run_stop[i]:
+                if run_label[k] == run_label[i] and parent[k] != parent[i]:
+                    x = max(run_start[i], run_start[k])
+                    above = y - 1
+                    while above > y - lines and label_of(owner, pixel_owner, number, above, x) < 0:
+                        above -= 1
+                    if above == y - lines:
+                        unite(parent, i, k)
+                k += 1
+
+
 @kernel()
 def find_runs(owners, number, width, height, runs, loose):
     """Runs of equal labels along the rows, united into connected parts.
@@ -93,7 +118,7 @@ def find_runs(owners, number, width, height, runs, loose):
         Number of runs, and of loose pixels.
     """
     owner, pixel_owner = owners
-    first, run_start, run_stop, run_label, _, parent, _ = runs
+    first = runs.first
     rows, columns = owner.shape
     run_count = loose_count = 0
     above_label = np.full(width, -1, np.int32)
@@ -149,20 +174,6 @@ def find_runs(owners, number, width, height, runs, loose):
                             x += 1
                         if a >= 0:
                             run_count = put_run(start, x, a, new, this_first, run_count, runs)
-            for lines in range(1, min(y, reach) + 1):
-                j, stop = first[y - lines], first[y - lines + 1]
-                for i in range(this_first, run_count):
-                    while j < stop and run_stop[j] < run_start[i]:
-                        j += 1
-                    k = j
-                    while k < stop and run_start[k] <= run_stop[i]:
-                        if run_label[k] == run_label[i] and parent[k] != parent[i]:
-                            x = max(run_start[i], run_start[k])
-                            above = y - 1
-                            while above > y - lines and label_of(owner, pixel_owner, number, above, x) < 0:
-                                above -= 1
-                            if above == y - lines:
-                                unite(parent, i, k)
-                        k += 1
+            unite_with_rows_above(owners, number, y, this_first, run_count, reach, runs)
     first[height] = run_count
     return run_count, loose_count

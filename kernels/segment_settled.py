@@ -180,7 +180,7 @@ def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
     ``block`` (K, 3) int32 has the row, the column and the new owner of ``count`` blocks; where this is UNDECIDED
     it becomes such a region, or CONTESTED. The rest is as in `segment_pixels.own_pixels`.
     """
-    tan_x, tan_y, centre_u, centre_v, _, _ = rays
+    centre_u, centre_v = rays.centre_u, rays.centre_v
     of_block, alpha = pyramid.moments, planes.alpha
     settled_square = rules.settled * rules.settled
     columns = region.shape[1]
@@ -206,9 +206,7 @@ def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
         if contending > 1:
             find_centres(region, row, column, centre_u, centre_v, contending, candidate, centre)
             distance = rules.reach * math.sqrt(total)
-            if not is_undisputed(
-                a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance
-            ):  # fmt: skip
+            if not is_undisputed(a, contending, candidate, centre, alpha, rays, row, column, distance):
                 continue
         block[k, 2] = a
 

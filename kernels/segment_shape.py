@@ -14,6 +14,7 @@ from ._jit import kernel
 from .disjoint_sets import root_of, unite
 from .segment_blocks import BLOCK, MIXED
 from .segment_facets import find_faceted, turn_of_groups
+from .segment_moments import jump_at, ray_of
 from .segment_noise import about_plane, sensor_variance
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
@@ -69,8 +70,7 @@ def owned_means(owners, number, inverse_depth, rays, region, pyramid, means):
     means : (R, C, 4) float32, written where there is a region
     """
     owner, pixel_owner = owners
-    tan_x, tan_y, moments = rays.tan_x, rays.tan_y, pyramid.moments
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    moments = pyramid.moments
     height, width = inverse_depth.shape
     for row in range(region.shape[0]):
         for column in range(region.shape[1]):
@@ -87,8 +87,9 @@ def owned_means(owners, number, inverse_depth, rays, region, pyramid, means):
                         b = pixel_owner[i, y % BLOCK * BLOCK + x % BLOCK]
                         if b >= 0 and number[b] == a:
                             n += 1.0
-                            s_u += tan_x[y * step_y, x]
-                            s_v += tan_y[y, x * step_x]
+                            u, v = ray_of(rays, y, x)
+                            s_u += u
+                            s_v += v
                             s_q += inverse_depth[y, x]
             share = 1.0 / max(n, 1.0)
             means[row, column, 0] = n
@@ -210,7 +211,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
-    alpha, slope_variance, waves = planes
+    alpha, slope_variance, waviness_square = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     h = np.empty(3)
     centre = np.empty(2)
@@ -233,8 +234,8 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
             continue
         flat = eliminate(products, 0, PLANE_TERMS)
         drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        bent[a] = drop > rules.bent * waves[a] * pixels
-        if drop * step * step > rules.region_spread * waves[a]:
+        bent[a] = drop > rules.bent * waviness_square[a] * pixels
+        if drop * step * step > rules.region_spread * waviness_square[a]:
             second_derivatives(products, scale, deviation, h)
             turned[a] = turn(m, alpha[a], h)
 
@@ -330,8 +331,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
         if region_moments[a, 0] > region_moments[b, 0]:
             a, b = b, a
-        u, v = where[i, 1] / where[i, 0], where[i, 2] / where[i, 0]
-        jump = (alpha[a, 0] - alpha[b, 0]) * u + (alpha[a, 1] - alpha[b, 1]) * v + alpha[a, 2] - alpha[b, 2]
+        jump = jump_at(alpha, a, b, where[i])
         q = region_moments[a, 3] / region_moments[a, 0]
         variance = about_plane(sensor_variance(q, sigma), planes, a)
         if not jump * jump < rules.reach * rules.reach * variance:
@@ -342,7 +342,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
         enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
-        if enough and better > max(MARGIN * bend, significant * planes.waves[a]):
+        if enough and better > max(MARGIN * bend, significant * planes.waviness_square[a]):
             unite(parent, a, b)
             bent[root_of(parent, a)] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)

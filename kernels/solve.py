@@ -29,8 +29,9 @@ ROUNDING = 128 * 2.0**-53
 # The methods in (X, Y, Z) by number.
 STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(3)
 
-# Rows of room that a strip's solve needs.
-WORK = 26
+# Rows of room that a strip's solve needs: its own, and those of the eigenvectors of 4x4 matrices, which need most.
+OWN = 17
+WORK = OWN + eigen4.WORK
 
 
 @kernel(inline=True)
@@ -169,13 +170,13 @@ def standard_planes(method, moments, reference, total, count, work):
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
         nearest[i] = (CENTRE + (0.0 if total is None else rounding / minors)) * mean[2, i]
     if method == STANDARD_IMPLICIT:
-        eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[17:], value, solution)
+        eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[OWN:], value, solution)
         for i in range(count):
             x, y, z = solution[0, i], solution[1, i], solution[2, i]
             own[i] = math.sqrt(value[i] / moments[0, i])
             metric[i] = own[i] * math.sqrt(1.0 + 1.0 / (x * x + y * y + z * z)) + determined[i]
     else:
-        eigen3.smallest_eigenpairs(matrix, count, work[17:], value, solution)
+        eigen3.smallest_eigenpairs(matrix, count, work[OWN:], value, solution)
         for i in range(count):
             x, y, z = solution[0, i], solution[1, i], solution[2, i]
             inverse = 1.0 / (x * mean[0, i] + y * mean[1, i] + z * mean[2, i])

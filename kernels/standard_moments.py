@@ -212,6 +212,32 @@ def standard_strip_separable(
         fold(sums[5], tiles, span, tile_sums[11])
 
 
+@kernel(inline=True)
+def standard_pair_of_rays(
+    a, b, is_pair, lowest, highest, scale, offset, tan_xa, tan_xb, tan_ya, tan_yb, x0, y0, z0
+):  # fmt: skip
+    """The ten sums of the valid ones of two pixels of a column, or of the first alone."""
+    clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
+    valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
+    za, zb = depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
+    one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
+    xa, xb = za * tan_xa - x0 if valid_a else 0.0, zb * tan_xb - x0 if valid_b else 0.0
+    ya, yb = za * tan_ya - y0 if valid_a else 0.0, zb * tan_yb - y0 if valid_b else 0.0
+    za, zb = za - z0 if valid_a else 0.0, zb - z0 if valid_b else 0.0
+    return (
+        one_a + one_b,
+        xa + xb,
+        ya + yb,
+        za + zb,
+        xa * xa + xb * xb,
+        xa * ya + xb * yb,
+        xa * za + xb * zb,
+        ya * ya + yb * yb,
+        ya * za + yb * zb,
+        za * za + zb * zb,
+    )
+
+
 @kernel(reduction=True, inline=True)
 def add_standard_rows_of_rays(
     raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums
@@ -221,47 +247,31 @@ def add_standard_rows_of_rays(
     ``columns`` (3, COLUMNS) holds each column's reference point (X0, Y0, Z0); ``sums`` (10, COLUMNS) are in the
     order of the moments.
     """
-    sum_1, sum_x, sum_y, sum_z, sum_xx = sums[0], sums[1], sums[2], sums[3], sums[4]
-    sum_xy, sum_xz, sum_yy, sum_yz, sum_zz = sums[5], sums[6], sums[7], sums[8], sums[9]
+    if lowest > highest:
+        return  # no value is valid
     x0, y0, z0 = columns[0], columns[1], columns[2]
-    metres = 1.0 / scale
     apart = (row_stop - row_start + 1) // 2
     for row in range(row_start, row_start + apart):
         is_pair = row + apart < row_stop
         other = row + apart if is_pair else row
-        a = raw[row, left : left + count]
-        b = raw[other, left : left + count]
+        a, b = raw[row, left : left + count], raw[other, left : left + count]
         tan_xa, tan_xb = tan_x[row, left : left + count], tan_x[other, left : left + count]
         tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
         for i in range(count):
-            valid_a = (a[i] >= lowest) & (a[i] <= highest)
-            valid_b = (b[i] >= lowest) & (b[i] <= highest)
-            if offset is None:
-                za = metres * a[i]
-                zb = metres * b[i]
-            else:
-                qa = scale * a[i] + offset if valid_a else 1.0
-                qb = scale * b[i] + offset if valid_b else 1.0
-                inverse = 1.0 / (qa * qb)
-                za = qb * inverse
-                zb = qa * inverse
-            counts_b = valid_b & is_pair
-            xa = za * tan_xa[i] - x0[i] if valid_a else 0.0
-            xb = zb * tan_xb[i] - x0[i] if counts_b else 0.0
-            ya = za * tan_ya[i] - y0[i] if valid_a else 0.0
-            yb = zb * tan_yb[i] - y0[i] if counts_b else 0.0
-            za = za - z0[i] if valid_a else 0.0
-            zb = zb - z0[i] if counts_b else 0.0
-            sum_1[i] += (1.0 if valid_a else 0.0) + (1.0 if counts_b else 0.0)
-            sum_x[i] += xa + xb
-            sum_y[i] += ya + yb
-            sum_z[i] += za + zb
-            sum_xx[i] += xa * xa + xb * xb
-            sum_xy[i] += xa * ya + xb * yb
-            sum_xz[i] += xa * za + xb * zb
-            sum_yy[i] += ya * ya + yb * yb
-            sum_yz[i] += ya * za + yb * zb
-            sum_zz[i] += za * za + zb * zb
+            n, x, y, z, xx, xy, xz, yy, yz, zz = standard_pair_of_rays(
+                a[i], b[i], is_pair, lowest, highest, scale, offset,
+                tan_xa[i], tan_xb[i], tan_ya[i], tan_yb[i], x0[i], y0[i], z0[i],
+            )  # fmt: skip
+            sums[0, i] += n
+            sums[1, i] += x
+            sums[2, i] += y
+            sums[3, i] += z
+            sums[4, i] += xx
+            sums[5, i] += xy
+            sums[6, i] += xz
+            sums[7, i] += yy
+            sums[8, i] += yz
+            sums[9, i] += zz
 
 
 @kernel(inline=True)

@@ -121,14 +121,9 @@ def surface_row(
 
 
 @kernel()
-def needed_pixels(row, left, half, height, width, max_missing, needed):
-    """Number of valid pixels that the windows of a row need: at least three, and not too many missing.
-
-    Windows are clipped at the frame.
-    """
+def needed_pixels(row, left, half, height, width, needed_of, needed):
+    """Number of valid pixels that the windows of a row, which are clipped at the frame, need: see `dense.separable`."""
     rows = min(row + half, height - 1) - max(row - half, 0) + 1
     for i in range(needed.shape[0]):
         column = left + i
-        pixels = rows * (min(column + half, width - 1) - max(column - half, 0) + 1)
-        # The small term keeps a share such as 0.3 of 10 pixels what it says it is.
-        needed[i] = max(3, pixels - math.floor(pixels * max_missing + 1e-9))
+        needed[i] = needed_of[rows * (min(column + half, width - 1) - max(column - half, 0) + 1)]

@@ -27,7 +27,6 @@ DEFAULT_SIGNIFICANCE = 0.01
 # Tables have an entry for each number of pixels up to this one, for as many sizes of tiles as a grid has.
 _MOST_COUNTS, _MOST_SIZES = 10_000, 4
 _MOST_FOR_EACH = 64  # entries for each tile: of longer tables most would be made in vain
-_NOTHING = np.empty((0, 1, 1))
 _ARGUMENTS = ("_moments", "_reference", "planes", "rmse_metric", "valid_count", "status")
 _arguments = operator.itemgetter(*_ARGUMENTS)
 
@@ -210,9 +209,9 @@ class Assessment:
         noise, results = self._noise, arrays.get("_statistics")
         if noise is None or (results is None and not len(self._limits)):
             return lambda start, stop: None
-        if results is None:
-            results = _NOTHING
         moments, reference, planes, errors, counts, status = _arguments(arrays)
+        if results is None:
+            results = np.empty((0, *status.shape))
         if status.ndim == 1:
             moments, reference, results = moments[:, None], reference[:, None], results[:, None]
             planes, errors, counts, status = planes[None], errors[None], counts[None], status[None]

@@ -103,9 +103,9 @@ def noise_of(
     lateral = given.lateral or own_lateral
     noise = Noise(
         sigma=np.concatenate([step, np.maximum(table, flattest)]),
-        lateral=lateral**2,
-        lateral_x=(lateral * rays.pitch_x) ** 2,
-        lateral_y=(lateral * rays.pitch_y) ** 2,
+        lateral_variance=lateral**2,
+        lateral_variance_x=(lateral * rays.pitch_x) ** 2,
+        lateral_variance_y=(lateral * rays.pitch_y) ** 2,
         growth=growth,
         together=max(together, 1.0),
     )

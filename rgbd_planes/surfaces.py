@@ -12,6 +12,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame, step_of
+from rgbd_planes.fitting import valid_needed
 from rgbd_planes.kernels import dense, window_choice
 from rgbd_planes.kernels.sliding import BAND
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
@@ -133,7 +134,8 @@ def _surfaces(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return normals and surface variation, the latter empty for ``normals_only`` when that is quicker."""
     check_camera(camera)
-    window, max_missing = _check_window(window), check_share("max_missing", max_missing)
+    window = _check_window(window)
+    needed = valid_needed(np.arange(window**2 + 1), check_share("max_missing", max_missing))
     avoid_edges = bool(avoid_edges)  # else Numba would compile once more for a 1
     frame = as_depth_frame(depth, camera)
     height, width = frame.raw.shape
@@ -150,14 +152,12 @@ def _surfaces(
         rays = camera.fx, camera.fy, camera.tan_x_columns, camera.tan_y_rows
 
         def work(start: int, stop: int) -> None:
-            dense.separable(
-                *values, *rays, window, max_missing, needs_surfaces, avoid_edges, start, stop, *arrays
-            )
+            dense.separable(*values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays)
     else:
 
         def work(start: int, stop: int) -> None:
             dense.distorted(
-                *values, camera.tan_x, camera.tan_y, window, max_missing, avoid_edges, start, stop, *arrays
+                *values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
             )
 
     with announced(("normals", camera.is_separable, frame.raw.dtype)):
