@@ -139,9 +139,8 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     pairs, where, _ = contacts
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
-    m = np.empty(
-        (18, TOGETHER)
-    )  # joint moments; smaller, touch, step, rss, variance, squared waviness; what comes out
+    # Joint moments; smaller, touch, step, rss, variance, squared waviness; what comes out.
+    m = np.empty((18, TOGETHER))
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
         for i in range(number):
