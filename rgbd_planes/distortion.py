@@ -27,6 +27,7 @@ TOLERANCE = 1e-10
 
 _MAX_ITERATIONS = 50
 _CHUNK = 32768  # points at a time, so that the temporaries stay in the cache
+_WAY = np.linspace(0.0, 1.0, 17)[1:]  # of steps from the optical axis to a place that is not found at once
 _SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is looked at for folds
 
 
@@ -170,7 +171,8 @@ def undistort(
     """The ray (x, y, 1) that the lens puts at the given place: the inverse of `distort`.
 
     A Newton iteration with the analytic Jacobian, started at the inverse of the radial part. A step is halved
-    until the residual falls and the Jacobian stays positive, so that no iterate crosses a fold.
+    until the residual falls and the Jacobian stays positive, so that no iterate crosses a fold. Where strong
+    tangential coefficients make it miss, the place is approached from the optical axis.
 
     Parameters
     ----------
@@ -193,7 +195,7 @@ def undistort(
         radii = _radial_table(coefficients, float(np.hypot(target_x, target_y).max()))
     for start in range(0, len(target_x), _CHUNK):
         part = slice(start, start + _CHUNK)
-        out_x[part], out_y[part], found[part] = _newton(target_x[part], target_y[part], coefficients, *radii)
+        out_x[part], out_y[part], found[part] = _invert(target_x[part], target_y[part], coefficients, *radii)
     return out_x.reshape(shape), out_y.reshape(shape), found.reshape(shape)
 
 
@@ -211,7 +213,7 @@ def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tup
     return radius, distort(radius, np.zeros_like(radius), radial)[0]
 
 
-def _newton(
+def _invert(
     target_x: Floats,
     target_y: Floats,
     coefficients: Sequence[float],
@@ -221,7 +223,22 @@ def _newton(
     target_radius = np.hypot(target_x, target_y)
     start = np.interp(target_radius, distorted_radius, radius)
     ratio = np.divide(start, target_radius, out=np.ones_like(start), where=target_radius > 0)
-    x, y = target_x * ratio, target_y * ratio
+    x, y, found = _newton(target_x, target_y, coefficients, target_x * ratio, target_y * ratio)
+    missed = ~found
+    if missed.any():
+        target_x, target_y = target_x[missed], target_y[missed]
+        near_x, near_y = np.zeros_like(target_x), np.zeros_like(target_y)
+        for share in _WAY:
+            on_the_way = share * target_x, share * target_y
+            near_x, near_y, reached = _newton(*on_the_way, coefficients, near_x, near_y)
+        x[missed], y[missed], found[missed] = near_x, near_y, reached
+    return x, y, found
+
+
+def _newton(
+    target_x: Floats, target_y: Floats, coefficients: Sequence[float], x: Floats, y: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """`undistort` from places to start at, which are overwritten."""
     found = np.zeros(x.shape, bool)
     active = np.arange(len(x))
     with np.errstate(all="ignore"):

@@ -62,6 +62,10 @@ def test_undistort_inverts_distort(lens):
 )
 @example(lens=(-0.792, 3.7834, -0.4998, -0.6386, -0.9645))  # plain Newton steps miss 1 in 30 of these
 @example(lens=(0.0208, -0.2956, 0.104, 0.1561, 0.1873, -0.4778, 0.4272, -0.2928))
+@example(
+    lens=(-0.4435, -0.9285, 0.0697, 0.0944, 0.9825)
+)  # 2 points, and 35, are not found from the radial part
+@example(lens=(-0.0403, 0.7833, -0.0511, 0.0794, 0.082, 0.1912, 0.9152, 0.4468))
 @settings(max_examples=30, deadline=None)
 def test_strong_lenses_as_far_as_they_do_not_fold(lens):
     x, y = grid(1.5, 51)
