@@ -101,12 +101,21 @@ def three_depth_columns(q, count, sums):
 
 
 @kernel(reduction=True)
-def join_depth_columns(shift, left, middle, right, count, sums):
-    """Sums of q and q·x over k + c + k columns, from those over c, and over k whose centres are ``shift`` away."""
+def join_depth_columns(shift, left, q, right, count, sums):
+    """Sums of q and q·x over k + 1 + k columns, from those over k columns whose centres are ``shift`` away."""
     x = float(shift)
     for i in range(count):
-        sums[PITCH + i] = left[PITCH + i] + middle[PITCH + i] + right[PITCH + i] + x * (right[i] - left[i])
-        sums[i] = left[i] + middle[i] + right[i]
+        sums[PITCH + i] = left[PITCH + i] + right[PITCH + i] + x * (right[i] - left[i])
+        sums[i] = left[i] + q[i] + right[i]
+
+
+@kernel(reduction=True)
+def join_depth_columns_by_three(shift, left, three, right, count, sums):
+    """Sums of q and q·x over k + 3 + k columns, from those over k columns whose centres are ``shift`` away."""
+    x = float(shift)
+    for i in range(count):
+        sums[PITCH + i] = left[PITCH + i] + three[PITCH + i] + right[PITCH + i] + x * (right[i] - left[i])
+        sums[i] = left[i] + three[i] + right[i]
 
 
 @kernel()
@@ -134,10 +143,14 @@ def depth_sums_along_row(between, q, count, work, sums):
             part = three
             size = 3
             continue
-        middle = q if c == 1 else three
         shift = (size + c) // 2
         new_size = 2 * size + c
-        join_depth_columns(shift, part, middle[size:], part[size + c :], count - new_size + 1, target)
+        if c == 1:
+            join_depth_columns(shift, part, q[size:], part[size + 1 :], count - new_size + 1, target)
+        else:
+            join_depth_columns_by_three(
+                shift, part, three[size:], part[size + 3 :], count - new_size + 1, target
+            )
         part = target
         size = new_size
 
@@ -152,16 +165,27 @@ def three_valid_columns(valid, count, sums):
 
 
 @kernel(reduction=True)
-def join_valid_columns(shift, left, middle, right, count, sums):
-    """Sums of 1, x, xx over the valid pixels of k + c + k columns, as `join_depth_columns`."""
+def join_valid_columns(shift, left, valid, right, count, sums):
+    """Sums of 1, x, xx over the valid pixels of k + 1 + k columns, as `join_depth_columns`."""
     square = shift * shift
     for i in range(count):
         apart = right[PITCH + i] - left[PITCH + i]
-        xx = left[2 * PITCH + i] + middle[2 * PITCH + i] + right[2 * PITCH + i]
+        xx = left[2 * PITCH + i] + right[2 * PITCH + i]
         sums[2 * PITCH + i] = xx + shift * (apart + apart) + square * (left[i] + right[i])
-        x = left[PITCH + i] + middle[PITCH + i] + right[PITCH + i]
-        sums[PITCH + i] = x + shift * (right[i] - left[i])
-        sums[i] = left[i] + middle[i] + right[i]
+        sums[PITCH + i] = left[PITCH + i] + right[PITCH + i] + shift * (right[i] - left[i])
+        sums[i] = left[i] + valid[i] + right[i]
+
+
+@kernel(reduction=True)
+def join_valid_columns_by_three(shift, left, three, right, count, sums):
+    """Sums of 1, x, xx over the valid pixels of k + 3 + k columns, as `join_depth_columns_by_three`."""
+    square = shift * shift
+    for i in range(count):
+        apart = right[PITCH + i] - left[PITCH + i]
+        xx = left[2 * PITCH + i] + three[2 * PITCH + i] + right[2 * PITCH + i]
+        sums[2 * PITCH + i] = xx + shift * (apart + apart) + square * (left[i] + right[i])
+        sums[PITCH + i] = left[PITCH + i] + three[PITCH + i] + right[PITCH + i] + shift * (right[i] - left[i])
+        sums[i] = left[i] + three[i] + right[i]
 
 
 @kernel()
@@ -189,10 +213,14 @@ def valid_sums_along_row(between, valid, count, work, sums):
             part = three
             size = 3
             continue
-        middle = valid if c == 1 else three
         shift = np.float32((size + c) // 2)
         new_size = 2 * size + c
-        join_valid_columns(shift, part, middle[size:], part[size + c :], count - new_size + 1, target)
+        if c == 1:
+            join_valid_columns(shift, part, valid[size:], part[size + 1 :], count - new_size + 1, target)
+        else:
+            join_valid_columns_by_three(
+                shift, part, three[size:], part[size + 3 :], count - new_size + 1, target
+            )
         part = target
         size = new_size
 
