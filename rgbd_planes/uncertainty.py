@@ -67,7 +67,8 @@ def same_plane(
         )
 
     def flat(array: Floats, entries: tuple[int, ...]) -> Floats:
-        return np.ascontiguousarray(np.broadcast_to(array, (*shape, *entries))).reshape(-1, *entries)
+        # Copied always: of arrays that may and that may not be written the kernel would be compiled for each.
+        return np.array(np.broadcast_to(array, (*shape, *entries)), order="C").reshape(-1, *entries)
 
     p_value = np.empty(shape)
     statistics.same_plane(
