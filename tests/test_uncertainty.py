@@ -543,7 +543,7 @@ def test_merging_is_fitting_all_pixels(method, rng):
         rp.merge(tiles, labels[1:])
     with pytest.raises(TypeError, match="integers"):
         rp.merge(tiles, labels.astype(float))
-    with pytest.raises(ValueError, match="must be 0 to"):
+    with pytest.raises(ValueError, match="labels must be 0 for none"):
         rp.merge(tiles, -labels)
 
 
