@@ -23,6 +23,7 @@ from .strips import (
     fold_columns,
     spread_to_columns,
     step_of_columns,
+    sums_of_pair,
 )
 
 # As a comparison gives it: for the literal True Numba would compile once more.
@@ -211,21 +212,8 @@ def range_pair_of_rays(
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
-    one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
-    qa, qb = qa - q0 if valid_a else 0.0, qb - q0 if valid_b else 0.0
-    ua, ub = tan_xa - u0 if valid_a else 0.0, tan_xb - u0 if valid_b else 0.0
-    va, vb = tan_ya - v0 if valid_a else 0.0, tan_yb - v0 if valid_b else 0.0
-    return (
-        one_a + one_b,
-        ua + ub,
-        va + vb,
-        qa + qb,
-        ua * ua + ub * ub,
-        ua * va + ub * vb,
-        qa * ua + qb * ub,
-        va * va + vb * vb,
-        qa * va + qb * vb,
-        qa * qa + qb * qb,
+    return sums_of_pair(
+        valid_a, valid_b, tan_xa - u0, tan_xb - u0, tan_ya - v0, tan_yb - v0, qa - q0, qb - q0
     )
 
 

@@ -17,6 +17,7 @@ from .strips import (
     fold_columns,
     spread_to_columns,
     step_of_columns,
+    sums_of_pair,
 )
 
 
@@ -220,21 +221,15 @@ def standard_pair_of_rays(
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     za, zb = depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
-    one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
-    xa, xb = za * tan_xa - x0 if valid_a else 0.0, zb * tan_xb - x0 if valid_b else 0.0
-    ya, yb = za * tan_ya - y0 if valid_a else 0.0, zb * tan_yb - y0 if valid_b else 0.0
-    za, zb = za - z0 if valid_a else 0.0, zb - z0 if valid_b else 0.0
-    return (
-        one_a + one_b,
-        xa + xb,
-        ya + yb,
-        za + zb,
-        xa * xa + xb * xb,
-        xa * ya + xb * yb,
-        xa * za + xb * zb,
-        ya * ya + yb * yb,
-        ya * za + yb * zb,
-        za * za + zb * zb,
+    return sums_of_pair(
+        valid_a,
+        valid_b,
+        za * tan_xa - x0,
+        zb * tan_xb - x0,
+        za * tan_ya - y0,
+        zb * tan_yb - y0,
+        za - z0,
+        zb - z0,
     )
 
 

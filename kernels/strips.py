@@ -98,6 +98,27 @@ def clip(value, lowest, highest):
 
 
 @kernel(inline=True)
+def sums_of_pair(valid_a, valid_b, xa, xb, ya, yb, za, zb):
+    """Σ1, Σx, Σy, Σz, Σxx, Σxy, Σxz, Σyy, Σyz, Σzz of the valid ones of two points."""
+    one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
+    xa, xb = xa if valid_a else 0.0, xb if valid_b else 0.0
+    ya, yb = ya if valid_a else 0.0, yb if valid_b else 0.0
+    za, zb = za if valid_a else 0.0, zb if valid_b else 0.0
+    return (
+        one_a + one_b,
+        xa + xb,
+        ya + yb,
+        za + zb,
+        xa * xa + xb * xb,
+        xa * ya + xb * yb,
+        xa * za + xb * zb,
+        ya * ya + yb * yb,
+        ya * za + yb * zb,
+        za * za + zb * zb,
+    )
+
+
+@kernel(inline=True)
 def spread_to_columns(values, count, tile_width, columns):
     """Give every column of ``count`` tiles the value of its tile."""
     for tile in range(count):
