@@ -63,9 +63,12 @@ class NoiseEvidence:
     flatness_std: Floats
 
     def __repr__(self) -> str:
-        share = percent(np.mean(self.p_values < 0.01))
-        tiles = f"{len(self.p_values)} flat tiles, {share} of p-values below 1 %"
+        tiles = f"{len(self.p_values)} flat tiles, {self._rejected()} of p-values below 1 %"
         return f"<NoiseEvidence: {self.windows} flat windows, {tiles}>"
+
+    def _rejected(self) -> str:
+        """Share of the tiles whose p-value is below 1 %, which is 1 % if the model is right."""
+        return percent(np.mean(self.p_values < 0.01))
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
         """Draw the fit and the maps; see `noise_plotting.plot_evidence`.

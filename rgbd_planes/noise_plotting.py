@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.noise_samples import REFERENCE
 from rgbd_planes.plotting import NotebookFigure
-from rgbd_planes.wording import percent, two_digits
+from rgbd_planes.wording import two_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,8 +87,7 @@ def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
     density = axes.hist(evidence.p_values, bins=20, range=(0.0, 1.0), density=True, color=_SEEN, alpha=0.8)[0]
     axes.set_ylim(0.0, 1.25 * max(1.0, float(np.max(density))))  # the legend above the bars
     axes.axhline(1.0, color=_MODEL, label="if the model were exact")
-    share = percent(np.mean(evidence.p_values < 0.01))
-    title = f"p-values of flat tiles: {share} below 1 %"
+    title = f"p-values of flat tiles: {evidence._rejected()} below 1 %"
     _finish(axes, title, "p-value", "density")
 
 

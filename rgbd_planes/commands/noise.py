@@ -14,7 +14,6 @@ from rgbd_planes.commands.arguments import (
     read_sequence,
     write_figure,
 )
-from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
     from rgbd_planes.sequences import FrameSequence
@@ -73,8 +72,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
             f"{len(frames)} of {len(sequence)} frames, {evidence.windows} flat windows of {WINDOW} x {WINDOW} pixels."
         )
         print(f"Noise: {found._summary()}.")
-        share = percent(np.mean(evidence.p_values < 0.01))
-        print(f"By it {share} of the flat tiles have a p-value below 1 %; 1 % should.")
+        print(f"By it {evidence._rejected()} of the flat tiles have a p-value below 1 %; 1 % should.")
         if arguments.out is not None:
             replace(camera, noise=found).save(arguments.out)
             print(f"Wrote {arguments.out}")
