@@ -19,6 +19,7 @@ from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise import NoiseModel
 
 Floats = NDArray[np.float64]
+Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
 
 _FARTHEST = 75.0  # degrees from the optical axis; no lens of these models sees more
 
@@ -39,10 +40,12 @@ class Camera:
         Principal point in pixels; may lie outside the image.
     distortion : sequence of 0, 4, 5 or 8 floats
         k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order. Those left out are zero; it keeps as many as are needed of
-        0, 5 and 8.
-    distortion_model : {"brown_conrady", "inverse_brown_conrady"}
+        0, 5 and 8. Of a fisheye lens k1 k2 k3 k4.
+    distortion_model : {"brown_conrady", "inverse_brown_conrady", "fisheye"}
         What the coefficients do: OpenCV's model takes the ray to the image, RealSense's inverse (five
-        coefficients) takes the image to the ray.
+        coefficients) takes the image to the ray. A fisheye is that of `cv2.fisheye`, ROS's equidistant and
+        Kannala-Brandt: it bends rays also where all coefficients are zero. Pixels that see 85 degrees from the
+        optical axis or more, as in the corners of a circular image, are missing in every frame.
     depth_scale : float, optional
         Raw units per metre of integer frames (1000: millimetres).
     disparity : (scale, offset), optional
@@ -108,6 +111,8 @@ class Camera:
 
     def _warn_of_intrinsics(self) -> None:
         """Warn of what can be, but most likely is a focal length in millimetres, or as a share of the width."""
+        if self.distortion_model == "fisheye":  # sees as far; what it cannot see is an error
+            return
         for size, focal, centre, names in (
             (self.width, self.fx, self.cx, ("fx", "cx", "width")),
             (self.height, self.fy, self.cy, ("fy", "cy", "height")),
@@ -162,7 +167,7 @@ class Camera:
     @property
     def is_distorted(self) -> bool:
         """Whether the lens bends anything at all."""
-        return any(self.distortion)
+        return bool(self.distortion)
 
     @property
     def is_separable(self) -> bool:
@@ -190,10 +195,12 @@ class Camera:
     def tan_x(self) -> Floats:
         """(H, W) float64, C-contiguous, read-only: tanθx of each pixel's ray (tan_x, tan_y, 1).
 
+        Where a fisheye has no ray within 85 degrees of the optical axis, one at the border of what it sees.
+
         Raises
         ------
         ValueError
-            The distortion cannot be inverted everywhere inside the image.
+            The distortion cannot be inverted everywhere inside the image; of a fisheye hardly anywhere.
         """
         return self._tables[0]
 
@@ -203,20 +210,32 @@ class Camera:
         return self._tables[1]
 
     @property
-    def _tables(self) -> tuple[Floats, Floats]:
-        tables: tuple[Floats, Floats] | None = self.__dict__.get("_tables_made")
+    def _without_ray(self) -> NDArray[np.bool_] | None:
+        """(H, W) bool: the pixels of a fisheye that have no ray within 85 degrees of the axis; None where all have."""
+        return self._tables[2] if self.distortion_model == "fisheye" else None
+
+    @property
+    def _tables(self) -> Tables:
+        tables: Tables | None = self.__dict__.get("_tables_made")
         if tables is None:
             # Threads that come at once may each make them, and all get the same. A lock would make cameras wait
             # for each other, and for ever in a process that is forked meanwhile.
             tables = self.__dict__.setdefault("_tables_made", self._make_tables())
         return tables
 
-    def _make_tables(self) -> tuple[Floats, Floats]:
-        x = np.tile(self.tan_x_columns, (self.height, 1))
-        y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
-        if self.is_distorted:
-            x, y = distortion.rays_of_image(x, y, self.distortion, self.distortion_model)
-        return _read_only(x), _read_only(y)
+    def _make_tables(self) -> Tables:
+        image_x = np.tile(self.tan_x_columns, (self.height, 1))
+        image_y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
+        if not self.is_distorted:
+            return _read_only(image_x), _read_only(image_y), None
+        x, y = distortion.rays_of_image(image_x, image_y, self.distortion, self.distortion_model)
+        without_ray = np.isnan(x)
+        if not without_ray.any():
+            return _read_only(x), _read_only(y), None
+        # Numbers, for sums over all pixels, of which the missing ones are taken out again, and for corners of outlines.
+        ratio = np.hypot(x, y)[~without_ray].max() / np.hypot(image_x, image_y)[without_ray]
+        x[without_ray], y[without_ray] = image_x[without_ray] * ratio, image_y[without_ray] * ratio
+        return _read_only(x), _read_only(y), without_ray
 
     def points(self, depth: ArrayLike) -> Floats:
         """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z.
@@ -356,6 +375,7 @@ class Camera:
         distortion: ArrayLike | None,
         size: tuple[int, int],
         *,
+        distortion_model: str = "brown_conrady",
         pixel_center: float = 0.0,
         **depth: Any,
     ) -> Self:
@@ -368,6 +388,8 @@ class Camera:
         distortion : array_like of 0, 4, 5 or 8 numbers, or None
             As `cv2.calibrateCamera` returns it, of any shape; longer ones only with zeros from the ninth on.
         size : (width, height)
+        distortion_model : {"brown_conrady", "fisheye"}
+            "fisheye" for what `cv2.fisheye.calibrate` returns.
         pixel_center : float
             Where the calibration has the centre of the first pixel: 0 in OpenCV, 0.5 in COLMAP and OpenGL.
         **depth
@@ -378,7 +400,8 @@ class Camera:
         TypeError, ValueError
             The matrix has a skew or is none, or there are coefficients of a thin prism or of a tilted sensor.
         """
-        return cls(**camera_formats.from_opencv(camera_matrix, distortion, size, pixel_center), **depth)
+        made = camera_formats.from_opencv(camera_matrix, distortion, size, distortion_model, pixel_center)
+        return cls(**made, **depth)
 
     @classmethod
     def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Any) -> Self:
@@ -398,8 +421,9 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            Something that is needed is missing, or cannot be; or the distortion model is another than plumb_bob and
-            rational_polynomial, with coefficients other than zero: where all are zero, the lens is taken for a pinhole.
+            Something that is needed is missing, or cannot be; or the distortion model is another than plumb_bob,
+            rational_polynomial and equidistant, with coefficients other than zero: where all are zero, the
+            lens is taken for a pinhole.
 
         Notes
         -----
@@ -454,8 +478,9 @@ class Camera:
         -----
         Inverse Brown-Conrady is taken as librealsense's header defines it: the polynomial undistorts. (The
         deprojection in newer releases of its rsutil.h inverts the polynomial instead, as for Brown-Conrady;
-        for that, change `distortion_model`.) Depth streams have all coefficients zero. Modified Brown-Conrady
-        and the fisheye models with coefficients other than zero are an error.
+        for that, change `distortion_model`.) Depth streams have all coefficients zero: whatever their model, that is
+        a pinhole. Kannala-Brandt is the fisheye of `Camera`. Modified Brown-Conrady and F-theta with coefficients
+        other than zero are an error.
         """
         made = camera_formats.from_realsense(intrinsics, depth_units)
         depth_scale = depth.pop("depth_scale", None)

@@ -30,7 +30,12 @@ _OTHERS = (  # a key of other files, and what takes their camera
     ("camera_matrix", "opencv"),
     ("mtx", "opencv"),
 )
-_ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14)}
+_ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+_REALSENSE_COEFFICIENTS = {  # what `Camera` calls the model, and how many of the five numbers it has
+    "brown_conrady": ("brown_conrady", 5),
+    "inverse_brown_conrady": ("inverse_brown_conrady", 5),
+    "kannala_brandt4": ("fisheye", 4),
+}
 _ROS_FILE = {  # what a calibration file of ROS calls the matrices of the message
     "camera_matrix": "K",
     "distortion_coefficients": "D",
@@ -53,9 +58,14 @@ def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
 
 
 def from_opencv(
-    camera_matrix: ArrayLike, distortion: ArrayLike | None, size: tuple[int, int], pixel_center: float
+    camera_matrix: ArrayLike,
+    distortion: ArrayLike | None,
+    size: tuple[int, int],
+    model: str,
+    pixel_center: float,
 ) -> dict[str, Any]:
     """Arguments of `Camera`; see `Camera.from_opencv`."""
+    check_choice("distortion_model", model, ("brown_conrady", "fisheye"))
     matrix = _matrix("camera_matrix", camera_matrix)
     if np.shape(size) != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
@@ -67,7 +77,8 @@ def from_opencv(
         **_pinhole(matrix),
         "cx": matrix[0, 2] - pixel_center,
         "cy": matrix[1, 2] - pixel_center,
-        "distortion": _without_thin_prism(coefficients),
+        "distortion": coefficients if model == "fisheye" else _without_thin_prism(coefficients),
+        "distortion_model": model,
     }
 
 
@@ -104,7 +115,7 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
         "fy": pinhole["fy"] / binning_y,
         "cx": (pinhole["cx"] - x_offset) / binning_x,
         "cy": (pinhole["cy"] - y_offset) / binning_y,
-        "distortion": [] if rectified else _ros_distortion(info),
+        **({} if rectified else _ros_distortion(info)),
     }
 
 
@@ -128,10 +139,10 @@ def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
     return info | {name: _get(file[key], "data") for key, name in _ROS_FILE.items() if key in file}
 
 
-def _ros_distortion(info: Any) -> list[float]:
+def _ros_distortion(info: Any) -> dict[str, Any]:
     coefficients = _floats("D", _get(info, "D", "d")).ravel().tolist()
     if not any(coefficients):
-        return []
+        return {}
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
     check_choice("distortion_model", model, tuple(_ROS_COEFFICIENTS))
     if len(coefficients) not in _ROS_COEFFICIENTS[model]:
@@ -139,7 +150,9 @@ def _ros_distortion(info: Any) -> list[float]:
             f"expected {' or '.join(map(str, _ROS_COEFFICIENTS[model]))} coefficients in D for {model}, "
             f"got {len(coefficients)}"
         )
-    return _without_thin_prism(coefficients)
+    if model == "equidistant":
+        return {"distortion": coefficients, "distortion_model": "fisheye"}
+    return {"distortion": _without_thin_prism(coefficients)}
 
 
 def from_open3d(values: Any) -> dict[str, Any]:
@@ -170,12 +183,13 @@ def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]
     }
     model = _realsense_model(_get(intrinsics, "model"))
     if any(coefficients) and model != "none":
-        if model not in ("brown_conrady", "inverse_brown_conrady"):
+        if model not in _REALSENSE_COEFFICIENTS:
             raise ValueError(
-                f"expected a RealSense model of none, brown_conrady or inverse_brown_conrady, got {model} "
+                f"expected a RealSense model of none, {', '.join(_REALSENSE_COEFFICIENTS)}, got {model} "
                 f"with coefficients {coefficients}"
             )
-        made |= {"distortion": coefficients, "distortion_model": model}
+        name, count = _REALSENSE_COEFFICIENTS[model]
+        made |= {"distortion": coefficients[:count], "distortion_model": name}
     if depth_units is not None:
         made["depth_scale"] = depth_scale_of(depth_units)
     return made

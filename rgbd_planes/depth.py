@@ -112,9 +112,10 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     Notes
     -----
     Missing are depths that are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
-    `camera.depth_range`; and what float32 has no normal number for, below 1.2e-38 m or above 3.4e38 m. The
-    raw values of a disparity image are missing where 1/Z = scale * raw + offset is not positive, by
-    `invalid_values`, and by `depth_range`: a raw 0 can be a measurement there, unless `invalid_values` names it.
+    `camera.depth_range`; pixels of a fisheye that have no ray within 85 degrees of the axis; and what float32 has no
+    normal number for, below 1.2e-38 m or above 3.4e38 m. The raw values of a disparity image are missing where
+    1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a
+    measurement there, unless `invalid_values` names it.
     """
     array = plain_array("depth", depth)
     _check_shape(depth, array, camera)
@@ -149,8 +150,14 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     )
     if disparity is None and highest == _LARGEST and raw.dtype == np.uint16:
         _warn_of_the_largest(sample)
-    if holes:
-        raw, lowest, highest = _without(raw, holes, lowest, highest, missing)
+    invalid = [raw == value for value in holes]
+    if camera._without_ray is not None:
+        invalid.append(camera._without_ray)
+        _warn_of_lost_pixels((sample >= lowest) & (sample <= highest) & some_of(camera._without_ray))
+    if invalid:
+        raw, lowest, highest = _without(
+            raw, functools.reduce(np.logical_or, invalid), lowest, highest, missing
+        )
     raw = raw.view()
     step = 0.0 if kind == "f" else 1.0
     raw.setflags(write=False)  # one type for the kernels, and the caller's frame is safe
@@ -255,6 +262,15 @@ def _warn_of_the_largest(sample: NDArray[Any]) -> None:
         )
 
 
+def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:
+    """Warn of measurements where a fisheye sees nothing: coefficients of another lens make it seem so."""
+    if np.count_nonzero(lost) > 10:  # a hundredth
+        warn_caller(
+            f"about {np.count_nonzero(lost) / lost.size:.0%} of this frame are measured where the fisheye lens has "
+            "no ray within 85 degrees of its axis: they are left out; are the distortion's coefficients right?"
+        )
+
+
 def some_of(raw: NDArray[Any]) -> NDArray[Any]:
     """About a thousand pixels of a frame, which often say as much as all of them."""
     # A step without a common divisor with the width meets every column, whatever pattern the holes have.
@@ -281,12 +297,9 @@ def step_of(frame: DepthFrame) -> float:
 
 
 def _without(
-    raw: NDArray[Any], holes: tuple[Any, ...], lowest: Any, highest: Any, missing: Any
+    raw: NDArray[Any], invalid: NDArray[np.bool_], lowest: Any, highest: Any, missing: Any
 ) -> tuple[NDArray[Any], Any, Any]:
-    """The frame with the invalid values that lie inside the interval replaced by one that lies outside."""
-    invalid = raw == holes[0]
-    for value in holes[1:]:
-        invalid |= raw == value
+    """The frame with the values of some pixels replaced by one that lies outside the interval."""
     if not invalid.any():
         return raw, lowest, highest
     if missing is None:  # all 65536 codes are measurements

@@ -1,38 +1,27 @@
-"""Lens distortion in normalised image coordinates, and its inverse.
-
-The model is OpenCV's, coefficients k1 k2 p1 p2 k3 [k4 k5 k6]: with r² = x² + y²,
-
-    f  = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)
-    x' = x f + 2 p1 x y + p2 (r² + 2 x²)
-    y' = y f + p1 (r² + 2 y²) + 2 p2 x y
-
-(D. C. Brown, "Close-range camera calibration", 1971; the rational factor as in OpenCV's calib3d
-documentation.) The polynomial is a good description of a lens near the image only: farther out it folds, and
-then several rays share one pixel. Inverting it means the ray on the unfolded sheet around the optical axis.
-"""
+"""The models of lens distortion: which there are, and the way between image and rays by each."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes import brown_conrady, fisheye
 from rgbd_planes.checks import check_choice
 
 Floats = NDArray[np.float64]
 
-MODELS = ("brown_conrady", "inverse_brown_conrady")
+_COUNTS = {"brown_conrady": (0, 4, 5, 8), "inverse_brown_conrady": (0, 5), "fisheye": (0, 4)}
+_NAMES = {"fisheye": "k1 k2 k3 k4"}
 
-TOLERANCE = 1e-10
-"""Largest error of an inverted point, in normalised coordinates."""
+MODELS = tuple(_COUNTS)
 
-_MAX_ITERATIONS = 50
-_CHUNK = 32768  # points at a time, so that the temporaries stay in the cache
-_WAY = np.linspace(0.0, 1.0, 17)[1:]  # of steps from the optical axis to a place that is not found at once
-_SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is looked at for folds
+_LEAST_SEEN = 0.1  # of the pixels of a fisheye; with fewer the focal length is most likely in other units
 
 
 def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
-    """Return 0, 5 or 8 coefficients: equal ones where the zeros at the end make all the difference.
+    """Return the coefficients that make all the difference: none without distortion, equal ones for equal lenses.
+
+    0, 5 or 8 of an ordinary lens, 4 of a fisheye, which bends rays even where all are zero.
 
     Raises
     ------
@@ -40,12 +29,14 @@ def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
         There is no such model, or none with so many coefficients.
     """
     check_choice("distortion_model", model, MODELS)
-    allowed = (0, 4, 5, 8) if model == "brown_conrady" else (0, 5)
+    allowed = _COUNTS[model]
     if len(coefficients) not in allowed:
         raise ValueError(
             f"expected {', '.join(map(str, allowed))} distortion coefficients for {model} "
-            f"(k1 k2 p1 p2 k3 [k4 k5 k6]), got {len(coefficients)}: {coefficients}"
+            f"({_NAMES.get(model, 'k1 k2 p1 p2 k3 [k4 k5 k6]')}), got {len(coefficients)}: {coefficients}"
         )
+    if model == "fisheye":
+        return coefficients or (0.0,) * 4
     padded = coefficients + (0.0,) * (8 - len(coefficients))
     return padded[: next(count for count in (0, 5, 8) if not any(padded[count:]))]
 
@@ -57,34 +48,47 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
     ----------
     x, y : (H, W) float64
         Normalised coordinates of the pixels, as if there were no distortion.
-    coefficients : sequence of 0, 4, 5 or 8 floats
+    coefficients : sequence of floats
+        As many as the model has.
     model : str
-        One of `MODELS`; the inverse one takes a pixel to its ray by `distort`.
+        One of `MODELS`; the inverse one takes a pixel to its ray by `brown_conrady.distort`.
+
+    Returns
+    -------
+    x, y : (H, W) float64
+        NaN where a fisheye has no ray that counts, as in the corners of a circular image.
 
     Raises
     ------
     ValueError
-        Some pixels have no ray, or several, saying where.
+        Some pixels have no ray, or several, saying where; of a fisheye nearly all.
     """
-    if model == "inverse_brown_conrady":
-        ray_x, ray_y = distort(x, y, coefficients)
-        one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
-        flat_x, flat_y = x, y
+    if model == "fisheye":
+        ray_x, ray_y, one_to_one = fisheye.undistort(x, y, coefficients)
+        if one_to_one.mean() >= _LEAST_SEEN:
+            return ray_x, ray_y
+        widest = np.degrees(fisheye.widest_angle(coefficients))
+        limit = f"a ray, which they have up to {widest:.4g} degrees from the optical axis"
     else:
-        ray_x, ray_y, one_to_one = undistort(x, y, coefficients)
-        flat_x, flat_y = ray_x, ray_y
-    # The border's lines to the optical axis sweep the whole image.
-    for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
-        one_to_one[border] &= unfolded(flat_x[border], flat_y[border], coefficients)
-    if not one_to_one.all():
-        row, column = np.argwhere(~one_to_one)[0]
-        raise ValueError(
-            f"expected a lens distortion that can be inverted inside the image, got one that folds: "
-            f"{np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels have no single ray, the first "
-            f"at row {row}, column {column}; distortion={coefficients} ({model}), "
-            f"its radial part folds at radius {fold_radius(coefficients):.4g}"
-        )
-    return ray_x, ray_y
+        if model == "inverse_brown_conrady":
+            ray_x, ray_y = brown_conrady.distort(x, y, coefficients)
+            one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
+            flat_x, flat_y = x, y
+        else:
+            ray_x, ray_y, one_to_one = brown_conrady.undistort(x, y, coefficients)
+            flat_x, flat_y = ray_x, ray_y
+        # The border's lines to the optical axis sweep the whole image.
+        for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
+            one_to_one[border] &= brown_conrady.unfolded(flat_x[border], flat_y[border], coefficients)
+        if one_to_one.all():
+            return ray_x, ray_y
+        limit = f"a single ray: the radial part folds at radius {brown_conrady.fold_radius(coefficients):.4g}"
+    row, column = np.argwhere(~one_to_one)[0]
+    raise ValueError(
+        f"expected a lens distortion that can be inverted inside the image, got "
+        f"{np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels, the first at row {row}, column {column}, "
+        f"without {limit}; distortion={coefficients} ({model})"
+    )
 
 
 def image_of_rays(x: Floats, y: Floats, coefficients: Sequence[float], model: str) -> tuple[Floats, Floats]:
@@ -92,205 +96,11 @@ def image_of_rays(x: Floats, y: Floats, coefficients: Sequence[float], model: st
 
     The inverse of `rays_of_image`, for arrays of any shape.
     """
+    if model == "fisheye":
+        return fisheye.distort(x, y, coefficients)
     if model == "inverse_brown_conrady":
         seen = np.isfinite(x) & np.isfinite(y)
-        x, y, _ = undistort(np.where(seen, x, 0.0), np.where(seen, y, 0.0), coefficients)
+        x, y, _ = brown_conrady.undistort(np.where(seen, x, 0.0), np.where(seen, y, 0.0), coefficients)
         return np.where(seen, x, np.nan), np.where(seen, y, np.nan)
-    beyond = np.hypot(x, y) >= fold_radius(coefficients)
-    return distort(np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), coefficients)
-
-
-def coefficients8(coefficients: Sequence[float]) -> Floats:
-    """Coefficients k1 k2 p1 p2 k3 k4 k5 k6, zero where fewer were given."""
-    padded = np.zeros(8)
-    padded[: len(coefficients)] = coefficients
-    return padded
-
-
-def distort(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats, Floats]:
-    """Where the lens puts the ray (x, y, 1): the forward model.
-
-    Parameters
-    ----------
-    x, y : ndarray of float64
-        Normalised undistorted coordinates, of one shape.
-    coefficients : sequence of 0, 4, 5 or 8 floats
-        k1 k2 p1 p2 [k3 [k4 k5 k6]].
-
-    Returns
-    -------
-    x, y : ndarray of float64
-        Normalised distorted coordinates.
-    """
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients8(coefficients)
-    r2 = x * x + y * y
-    f = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    xy2 = 2.0 * x * y
-    return x * f + p1 * xy2 + p2 * (r2 + 2.0 * x * x), y * f + p1 * (r2 + 2.0 * y * y) + p2 * xy2
-
-
-def distortion_jacobian(
-    x: Floats, y: Floats, coefficients: Sequence[float]
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Partial derivatives of `distort`: (dx'/dx, dx'/dy, dy'/dx, dy'/dy), each of the shape of `x`."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients8(coefficients)
-    r2 = x * x + y * y
-    numerator = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    f = numerator / denominator
-    # d f / d r²
-    slope = (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - f * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / denominator
-    cross = 2.0 * (x * y * slope + p1 * x + p2 * y)
-    return (
-        f + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
-        cross,
-        cross,
-        f + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
-    )
-
-
-def fold_radius(coefficients: Sequence[float]) -> float:
-    """Undistorted radius at which the radial part r f(r²) stops growing or has a pole; inf if it never does.
-
-    With s = r², N and D the numerator and denominator of f: d(r f)/dr = (N D + 2 s (N' D - N D')) / D².
-    """
-    k1, k2, _, _, k3, k4, k5, k6 = coefficients8(coefficients)
-    numerator, denominator = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
-    degree = np.arange(4)
-    slope = np.convolve(degree * numerator, denominator) - np.convolve(numerator, degree * denominator)
-    growth = np.convolve(numerator, denominator) + 2.0 * slope  # degree * c are the coefficients of s c'
-    # Taken from the lowest power on, these are polynomials in 1 / s that begin with 1: no division overflows.
-    inverse = np.concatenate([np.roots(growth), np.roots(denominator)])
-    real = inverse.real[(abs(inverse.imag) <= 1e-9 * abs(inverse)) & (inverse.real > 0)]
-    return float(1.0 / np.sqrt(real.max())) if len(real) else np.inf
-
-
-def undistort(
-    x: Floats, y: Floats, coefficients: Sequence[float]
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """The ray (x, y, 1) that the lens puts at the given place: the inverse of `distort`.
-
-    A Newton iteration with the analytic Jacobian, started at the inverse of the radial part. A step is halved
-    until the residual falls and the Jacobian stays positive, so that no iterate crosses a fold. Where strong
-    tangential coefficients make it miss, the place is approached from the optical axis.
-
-    Parameters
-    ----------
-    x, y : ndarray of float64
-        Normalised distorted coordinates, of one shape.
-    coefficients : sequence of 0, 4, 5 or 8 floats
-
-    Returns
-    -------
-    x, y : ndarray of float64
-        Normalised undistorted coordinates, to `TOLERANCE`; NaN where there is none.
-    found : ndarray of bool
-        False where no ray on the unfolded sheet meets the place.
-    """
-    shape = x.shape
-    target_x, target_y = x.ravel(), y.ravel()
-    out_x, out_y = np.empty_like(target_x), np.empty_like(target_y)
-    found = np.empty(target_x.shape, bool)
-    if len(target_x):
-        radii = _radial_table(coefficients, float(np.hypot(target_x, target_y).max()))
-    for start in range(0, len(target_x), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        out_x[part], out_y[part], found[part] = _invert(target_x[part], target_y[part], coefficients, *radii)
-    return out_x.reshape(shape), out_y.reshape(shape), found.reshape(shape)
-
-
-def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tuple[Floats, Floats]:
-    """Radii and what the radial part makes of them, as far as the given distorted radius or the fold."""
-    zero = np.zeros(1)
-    fold = fold_radius(coefficients)
-    radial = [c if i not in (2, 3) else 0.0 for i, c in enumerate(coefficients)]
-    farthest = max(distorted_radius, 1e-3)
-    while (
-        farthest < fold and farthest < 1e3 and distort(zero + farthest, zero, radial)[0][0] < distorted_radius
-    ):
-        farthest *= 1.5
-    radius = np.linspace(0.0, min(farthest, fold * (1 - 1e-9)), 1025)
-    return radius, distort(radius, np.zeros_like(radius), radial)[0]
-
-
-def _invert(
-    target_x: Floats,
-    target_y: Floats,
-    coefficients: Sequence[float],
-    radius: Floats,
-    distorted_radius: Floats,
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    target_radius = np.hypot(target_x, target_y)
-    start = np.interp(target_radius, distorted_radius, radius)
-    ratio = np.divide(start, target_radius, out=np.ones_like(start), where=target_radius > 0)
-    x, y, found = _newton(target_x, target_y, coefficients, target_x * ratio, target_y * ratio)
-    missed = ~found
-    if missed.any():
-        target_x, target_y = target_x[missed], target_y[missed]
-        near_x, near_y = np.zeros_like(target_x), np.zeros_like(target_y)
-        for share in _WAY:
-            on_the_way = share * target_x, share * target_y
-            near_x, near_y, reached = _newton(*on_the_way, coefficients, near_x, near_y)
-        x[missed], y[missed], found[missed] = near_x, near_y, reached
-    return x, y, found
-
-
-def _newton(
-    target_x: Floats, target_y: Floats, coefficients: Sequence[float], x: Floats, y: Floats
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """`undistort` from places to start at, which are overwritten."""
-    found = np.zeros(x.shape, bool)
-    active = np.arange(len(x))
-    with np.errstate(all="ignore"):
-        error_x, error_y, squared, (a, b, c, d), det = _residual(x, y, target_x, target_y, coefficients)
-        for _ in range(_MAX_ITERATIONS):
-            step_x, step_y = (d * error_x - b * error_y) / det, (a * error_y - c * error_x) / det
-            length = np.hypot(step_x, step_y)
-            # Quadratic convergence: a step this short leaves an error far below the tolerance.
-            last = (length <= 0.01 * TOLERANCE) & (det > 0)
-            done = active[last]
-            x[done] -= step_x[last]
-            y[done] -= step_y[last]
-            found[done] = True
-            keep = ~last & (det > 0) & np.isfinite(length)
-            active, step_x, step_y, squared = active[keep], step_x[keep], step_y[keep], squared[keep]
-            if not len(active):
-                break
-            scale = np.ones(len(active))
-            for _ in range(40):
-                new_x, new_y = x[active] - scale * step_x, y[active] - scale * step_y
-                error_x, error_y, new_squared, (a, b, c, d), det = _residual(
-                    new_x, new_y, target_x[active], target_y[active], coefficients
-                )
-                worse = ~((new_squared < squared) & (det > 0))
-                if not worse.any():
-                    break
-                scale[worse] *= 0.5
-            better = ~worse
-            active, squared = active[better], new_squared[better]
-            x[active], y[active] = new_x[better], new_y[better]
-            error_x, error_y, det = error_x[better], error_y[better], det[better]
-            a, b, c, d = a[better], b[better], c[better], d[better]
-    x[~found] = np.nan
-    y[~found] = np.nan
-    return x, y, found
-
-
-def _residual(
-    x: Floats, y: Floats, target_x: Floats, target_y: Floats, coefficients: Sequence[float]
-) -> tuple[Floats, Floats, Floats, tuple[Floats, Floats, Floats, Floats], Floats]:
-    distorted_x, distorted_y = distort(x, y, coefficients)
-    error_x, error_y = distorted_x - target_x, distorted_y - target_y
-    jacobian = distortion_jacobian(x, y, coefficients)
-    det = jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2]
-    return error_x, error_y, error_x * error_x + error_y * error_y, jacobian, det
-
-
-def unfolded(x: Floats, y: Floats, coefficients: Sequence[float]) -> NDArray[np.bool_]:
-    """Whether `distort` stays one-to-one on the way from the optical axis to each (x, y)."""
-    k4, k5, k6 = coefficients8(coefficients)[5:]
-    along_x, along_y = x[..., None] * _SEGMENT, y[..., None] * _SEGMENT
-    r2 = along_x**2 + along_y**2
-    a, b, c, d = distortion_jacobian(along_x, along_y, coefficients)
-    positive = (a * d - b * c > 0) & (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)) > 0)
-    return np.asarray(positive.all(axis=-1))
+    beyond = np.hypot(x, y) >= brown_conrady.fold_radius(coefficients)
+    return brown_conrady.distort(np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), coefficients)

@@ -95,6 +95,9 @@ class Scene:
                 hit = hit[rays[hit] @ side[:3] + side[3] * inverse_depth[hit] >= 0.0]
             nearest[hit] = inverse_depth[hit]
             seen[hit] = index
+        if camera._without_ray is not None:
+            nearest[camera._without_ray.ravel()] = 0.0
+            seen[camera._without_ray.ravel()] = -1
 
         visible, labels = np.unique(seen, return_inverse=True)
         if visible[0] >= 0:

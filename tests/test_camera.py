@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rgbd_planes import noise, presets
+from rgbd_planes.brown_conrady import TOLERANCE, distort
 from rgbd_planes.camera import Camera
-from rgbd_planes.distortion import TOLERANCE, distort
 
 REAL = [root / "camera.json" for root in real_data.sets()]
 real_cameras = pytest.mark.parametrize(
@@ -28,6 +28,7 @@ real_cameras = pytest.mark.parametrize(
 PRESETS = [v for k, v in vars(presets).items() if callable(v) and v.__module__ == presets.__name__]
 KINECT = (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
 RATIONAL = (0.5479397, -0.0209714, 2.0557e-05, -7.2104e-05, -0.0026522, 0.889679, 0.0861302, -0.0139104)
+FISHEYE = (-0.0023, 0.0372, -0.0365, 0.0069)
 MATRIX = [[525.0, 0, 319.5], [0, 520.0, 239.5], [0, 0, 1]]
 
 
@@ -91,6 +92,43 @@ def test_inverse_brown_conrady_takes_the_pixel_to_the_ray():
     assert np.abs(camera.tan_x - replace(camera, distortion_model="brown_conrady").tan_x).max() > 1e-3
 
 
+@pytest.mark.parametrize("lens", [(), (0.0,) * 4, FISHEYE])
+def test_a_fisheye_bends_rays_also_where_all_coefficients_are_zero(lens):
+    camera = small(distortion=lens, distortion_model="fisheye", fx=30.0, fy=-30.0)
+    assert camera.distortion == (lens or (0.0,) * 4)
+    assert camera.is_distorted
+    assert not camera.is_separable
+    assert_rays_land_on_their_pixels(camera, 1e-10)
+    angle = np.arctan(np.hypot(camera.tan_x, camera.tan_y))
+    if not any(lens):
+        np.testing.assert_allclose(30 * angle, np.hypot(*np.subtract(pixels(camera), [[[31.0]], [[24.5]]])))
+    assert np.degrees(angle.max()) > 70
+
+
+def test_a_fisheye_sees_only_what_is_in_front_of_the_camera():
+    camera = small(distortion_model="fisheye", fx=20.0, fy=20.0, depth_scale=1000.0)
+    column, row = pixels(camera)
+    unseen = np.hypot(column - 31.0, row - 24.5) >= 20.0 * np.radians(85)
+    assert 0.1 < unseen.mean() < 0.2
+    x, y = camera.tan_x[unseen], camera.tan_y[unseen]
+    np.testing.assert_allclose(np.hypot(x, y), np.hypot(camera.tan_x, camera.tan_y)[~unseen].max())
+    np.testing.assert_allclose(np.arctan2(y, x), np.arctan2(row - 24.5, column - 31.0)[unseen])
+    narrow = replace(camera, distortion=(-1 / 3, 0, 0, 0), fx=40.0, fy=40.0)  # up to an angle of 1
+    assert 1.4 < np.hypot(narrow.tan_x, narrow.tan_y).max() < np.tan(1.0)
+    np.testing.assert_array_equal(np.isnan(camera.points(np.where(unseen, 0.0, 1.0))[..., 2]), unseen)
+    seen = np.isfinite(camera.project([[0, 0, 1], [11, 0, 1], [12, 0, 1], [0, 0, -1]])).all(-1)
+    assert seen.tolist() == [True, True, False, False]
+
+
+def test_a_fisheye_with_its_focal_length_in_millimetres():
+    camera = small(distortion_model="fisheye", fx=2.0, fy=2.0)
+    message = (
+        r"inside the image, got 30\d\d of 3072 pixels, the first at row 0, column 0, .* up to 85 degrees"
+    )
+    with pytest.raises(ValueError, match=message):
+        _ = camera.tan_x
+
+
 def test_zeros_at_the_end_of_a_distortion_make_no_other_camera():
     for same in (
         [small(distortion=(0.0,) * count) for count in (0, 4, 5, 8)],
@@ -108,7 +146,7 @@ def test_zeros_at_the_end_of_a_distortion_make_no_other_camera():
 def test_a_distortion_that_folds_inside_the_image(model):
     # The radial part folds at radius 0.577; the image reaches to 0.6 sideways and less up and down.
     camera = small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model)
-    with pytest.raises(ValueError, match=r"folds: \d+ of 3072 pixels .* radius 0\.577"):
+    with pytest.raises(ValueError, match=r"inside the image, got \d+ of 3072 pixels, .* radius 0\.577"):
         _ = camera.tan_x
     assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (
         48,
@@ -185,7 +223,11 @@ def test_a_camera_is_a_value():
             {"distortion": (0,) * 8, "distortion_model": "inverse_brown_conrady"},
             "expected 0, 5 distortion .* got 8",
         ),
-        ({"distortion_model": "fisheye"}, "distortion_model must be one of .* got 'fisheye'"),
+        ({"distortion_model": "ftheta"}, "distortion_model must be one of .* got 'ftheta'"),
+        (
+            {"distortion": (0.1,) * 5, "distortion_model": "fisheye"},
+            r"expected 0, 4 distortion coefficients for fisheye .k1 k2 k3 k4., got 5",
+        ),
         ({"depth_scale": 0}, "expected depth_scale > 0"),
         ({"depth_scale": -1000.0}, "expected depth_scale > 0 .* got -1000"),
         ({"depth_scale": 1000.0, "disparity": (1, 0)}, "expected depth_scale or disparity, got both"),
@@ -269,8 +311,9 @@ cameras = st.builds(
 @given(camera=cameras)
 @settings(deadline=None)
 def test_json_gives_the_same_camera_back(camera):
-    assert Camera.from_dict(json.loads(json.dumps(camera.to_dict(), allow_nan=False))) == camera
-    assert pickle.loads(pickle.dumps(camera)) == camera
+    for lens in (camera, replace(camera, distortion=camera.distortion[:4], distortion_model="fisheye")):
+        assert Camera.from_dict(json.loads(json.dumps(lens.to_dict(), allow_nan=False))) == lens
+        assert pickle.loads(pickle.dumps(lens)) == lens
 
 
 def test_save_and_load(tmp_path):
@@ -344,6 +387,13 @@ def test_from_opencv():
     camera = Camera.from_opencv(np.array(MATRIX), np.array([KINECT]), (640, 480), depth_scale=1000.0)
     assert camera == Camera(640, 480, 525.0, 520.0, 319.5, 239.5, KINECT, depth_scale=1000.0)
     assert Camera.from_opencv(MATRIX, None, (640, 480)).distortion == ()
+    column = np.reshape(FISHEYE, (4, 1))  # as cv2.fisheye.calibrate returns them
+    fisheye = Camera.from_opencv(MATRIX, column, (640, 480), distortion_model="fisheye")
+    assert fisheye == Camera(640, 480, 525.0, 520.0, 319.5, 239.5, FISHEYE, "fisheye")
+    with pytest.raises(
+        ValueError, match="distortion_model must be one of brown_conrady, fisheye, got 'ftheta'"
+    ):
+        Camera.from_opencv(MATRIX, FISHEYE, (640, 480), distortion_model="ftheta")
     assert Camera.from_opencv(MATRIX, (*RATIONAL, 0, 0, 0, 0), (640, 480)).distortion == RATIONAL
     shifted = Camera.from_opencv(MATRIX, None, (640, 480), pixel_center=0.5)
     assert (shifted.cx, shifted.cy) == (319.0, 239.0)
@@ -439,8 +489,14 @@ def test_from_ros_models():
     assert Camera.from_ros(rational).distortion == RATIONAL
     assert Camera.from_ros(camera_info(distortion_model="", D=[])).distortion == ()
     assert Camera.from_ros(camera_info(distortion_model="equidistant", D=[0.0] * 4)).distortion == ()
-    with pytest.raises(ValueError, match="one of plumb_bob, rational_polynomial, got 'equidistant'"):
-        Camera.from_ros(camera_info(distortion_model="equidistant", D=[0.1, 0, 0, 0]))
+    fisheye = Camera.from_ros(camera_info(distortion_model="equidistant", D=FISHEYE))
+    assert (fisheye.distortion, fisheye.distortion_model) == (FISHEYE, "fisheye")
+    with pytest.raises(ValueError, match="4 coefficients in D for equidistant, got 5"):
+        Camera.from_ros(camera_info(distortion_model="equidistant", D=KINECT))
+    with pytest.raises(
+        ValueError, match="one of plumb_bob, rational_polynomial, equidistant, got 'thin_prism'"
+    ):
+        Camera.from_ros(camera_info(distortion_model="thin_prism", D=[0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match="4 or 5 coefficients in D for plumb_bob, got 8"):
         Camera.from_ros(camera_info(D=RATIONAL))
     with pytest.raises(ValueError, match="fx and fy not 0"):
@@ -518,6 +574,12 @@ def test_from_realsense():
 def test_from_realsense_models(model, expected):
     camera = Camera.from_realsense(realsense(model=model, coeffs=KINECT))
     assert (camera.distortion_model, camera.distortion) == (expected, KINECT)
+
+
+def test_from_realsense_of_a_fisheye():
+    camera = Camera.from_realsense(realsense(model="kannala_brandt4", coeffs=(*FISHEYE, 0.0)))
+    assert (camera.distortion_model, camera.distortion) == ("fisheye", FISHEYE)
+    assert not Camera.from_realsense(realsense(model="kannala_brandt4")).is_distorted
 
 
 def test_from_realsense_without_a_lens():

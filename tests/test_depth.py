@@ -335,3 +335,28 @@ def test_other_shapes_are_refused_with_a_hint(shape, hint):
 def test_nested_lists_are_frames():
     frame = as_depth_frame([[1, 2], [0, 4]], camera((2, 2), depth_scale=2.0))
     np.testing.assert_array_equal(frame.metres, [[0.5, 1.0], [np.nan, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("depth", "unit"),
+    [
+        (np.full((40, 60), 1000, np.uint16), {"depth_scale": 1000.0, "invalid_values": (7,)}),
+        (np.full((40, 60), 1000, np.uint16), {"disparity": (0.001, 0.5)}),  # all codes are measurements
+        (np.full((40, 60), 1.0, np.float32), {}),
+        (np.full((40, 60), 1.0), {}),
+        (np.full((40, 60), 1.0), {"disparity": (1.0, 0.0)}),
+    ],
+)
+def test_what_a_fisheye_sees_beside_the_camera_is_missing(depth, unit):
+    cam = Camera(60, 40, 15.0, 15.0, 29.5, 19.5, distortion_model="fisheye", **unit)
+    row, column = np.indices(cam.shape)
+    seen = np.hypot(row - 19.5, column - 29.5) < 15 * np.radians(85)
+    with pytest.warns(
+        UserWarning, match=r"about 3\d% of this frame are measured where the fisheye lens has no ray within"
+    ):
+        frame = as_depth_frame(depth, cam)
+    np.testing.assert_array_equal(frame.valid, seen)
+    np.testing.assert_array_equal(np.isfinite(frame.metres), seen)
+    assert (depth == depth[0, 0]).all()
+    if cam.disparity is None:  # a sensor measures nothing there
+        np.testing.assert_array_equal(as_depth_frame(np.where(seen, depth, 0), cam).valid, seen)

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rgbd_planes.distortion import TOLERANCE, distort, distortion_jacobian, fold_radius, undistort, unfolded
+from rgbd_planes import fisheye
+from rgbd_planes.brown_conrady import (
+    TOLERANCE,
+    distort,
+    distortion_jacobian,
+    fold_radius,
+    undistort,
+    unfolded,
+)
 
 KINECT = (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
 AZURE = (0.5479397, -0.0209714, 2.0557e-05, -7.2104e-05, -0.0026522, 0.889679, 0.0861302, -0.0139104)
@@ -139,4 +147,65 @@ def test_unfolded_looks_at_the_way_not_only_at_the_end():
 
 def test_nothing_in_nothing_out():
     x, y, found = undistort(np.empty((0, 3)), np.empty((0, 3)), KINECT)
+    assert x.shape == y.shape == found.shape == (0, 3)
+
+
+FISHEYES = [
+    (0.0, 0.0, 0.0, 0.0),
+    (-0.0023, 0.0372, -0.0365, 0.0069),  # no fold
+    (0.1, -0.2, 0.05, -0.01),  # folds at 66 degrees
+]
+fisheyes = st.tuples(*[st.floats(-0.2, 0.2)] * 4)
+
+
+def angles_and_directions(lens, count=501):
+    """As far as the image grows by a hundredth of the angle."""
+    angle = np.linspace(0.0, fisheye.widest_angle(lens), count)[:-1]
+    a, b, c, d = lens
+    s = angle**2
+    angle = angle[1 + s * (3 * a + s * (5 * b + s * (7 * c + s * 9 * d))) > 0.01]
+    direction = 0.1 * np.arange(len(angle))
+    return angle, np.cos(direction), np.sin(direction)
+
+
+def test_fisheye_by_hand():
+    # A ray at 45 degrees, at 3:4 in the image: θ = π / 4, and r' = θ + k1 θ³
+    lens = (0.1, 0.0, 0.0, 0.0)
+    x, y = fisheye.distort(np.array([0.6, 0.0]), np.array([0.8, 0.0]), lens)
+    radius = np.pi / 4 + 0.1 * (np.pi / 4) ** 3
+    np.testing.assert_allclose((x, y), ([0.6 * radius, 0.0], [0.8 * radius, 0.0]), atol=1e-15)
+
+
+@given(lens=fisheyes)
+@example(lens=FISHEYES[0])
+@example(lens=FISHEYES[1])
+@settings(max_examples=100, deadline=None)
+def test_fisheye_undistort_inverts_distort(lens):
+    angle, east, south = angles_and_directions(lens)
+    x, y = np.tan(angle) * east, np.tan(angle) * south
+    back_x, back_y, found = fisheye.undistort(*fisheye.distort(x, y, lens), lens)
+    assert found.all()
+    np.testing.assert_allclose(np.arctan(np.hypot(back_x, back_y)), angle, atol=1e-12)
+    assert (np.abs(back_x * south - back_y * east) <= 1e-12 * (1.0 + np.tan(angle))).all()
+
+
+@pytest.mark.parametrize("lens", FISHEYES)
+def test_fisheye_against_opencv(lens):
+    cv2 = pytest.importorskip("cv2")
+    angle, east, south = angles_and_directions(lens)
+    rays = np.stack([np.tan(angle) * east, np.tan(angle) * south], -1)
+    expected = cv2.fisheye.distortPoints(rays[None], np.eye(3), np.array(lens))[0]
+    np.testing.assert_allclose(np.stack(fisheye.distort(*rays.T, lens), -1), expected, atol=1e-14)
+
+
+def test_beyond_what_a_fisheye_sees_there_is_no_ray():
+    # θ - θ³ / 3 grows up to an angle of 1; of the equidistant lens 85 degrees count.
+    limit = np.radians(85)
+    for lens, widest, farthest in (((-1 / 3, 0, 0, 0), 1.0, 2 / 3), ((0,) * 4, limit, limit)):
+        assert fisheye.widest_angle(lens) == pytest.approx(widest, rel=1e-12)
+        _, _, found = fisheye.undistort(farthest * np.array([0.0, 0.999, 1.001, 9.0]), np.zeros(4), lens)
+        assert found.tolist() == [True, True, False, False]
+    x, _ = fisheye.distort(np.tan([0.0, 0.99, 1.01]), np.zeros(3), (-1 / 3, 0, 0, 0))
+    assert np.isfinite(x).tolist() == [True, True, False]
+    x, y, found = fisheye.undistort(np.empty((0, 3)), np.empty((0, 3)), FISHEYES[0])
     assert x.shape == y.shape == found.shape == (0, 3)

@@ -55,6 +55,15 @@ def test_plane_is_met_where_the_equation_says(incidence, turn, distance, reverse
         assert rendering.planes.shape == (0, 4)
 
 
+def test_a_fisheye_shows_nothing_beside_the_camera():
+    camera = Camera(60, 40, 15.0, 15.0, 29.5, 19.5, distortion_model="fisheye")
+    rendering = scenes.plane([0, 0, -1], 2.0).render(camera)
+    row, column = np.indices(camera.shape)
+    seen = np.hypot(row - 19.5, column - 29.5) < 15 * np.radians(85)
+    np.testing.assert_array_equal(rendering.depth, np.where(seen, 2.0, np.nan))
+    np.testing.assert_array_equal(rendering.labels, seen)
+
+
 def test_box_equals_the_slab_method():
     camera = small_camera(distortion=(0.1, -0.05, 0.001, 0.002, 0.0))
     foot, size, turn = np.array([0.1, 0.4, 2.0]), np.array([0.9, 0.7, 0.5]), 25.0

@@ -76,6 +76,18 @@ def test_empty_room_with_holes(distortion):
     assert np.abs(errors.offset).max() < 0.005
 
 
+def test_empty_room_in_the_circular_image_of_a_fisheye():
+    # Walls, floor and ceiling meet in curves; in metres, since at 85 degrees a millimetre is much.
+    camera = Camera(480, 480, 155.0, 155.0, 239.5, 239.5, distortion_model="fisheye")
+    rendering = empty_room().render(camera)
+    depth = rendering.measure(holes=0.05, quantise=False, seed=4)
+    found = segment(depth, camera)
+    scores = compare_labels(found.labels, np.where(depth > 0, rendering.labels, 0)).detection(0.9)
+    assert scores.recall == scores.precision == 1.0
+    truth, own = scores.pairs.T
+    assert plane_errors(found.planes[own - 1], rendering.planes[truth - 1]).angle_deg.max() < 0.3
+
+
 def test_furnished_room_with_holes(room):
     # 24 planes, five of them under 200 pixels.
     rendering, depth = room

@@ -115,6 +115,26 @@ def test_equals_oracle(method, implementation, dtype, holes, tile, distortion, r
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+def test_circular_image_of_a_fisheye_equals_oracle(method, implementation, rng):
+    # It sees as far as 57 degrees from the axis: rays at nearly a right angle cost the sums of whole frames digits.
+    camera = rp.Camera(64, 48, 42.0, -42.0, 31.0, 24.5, (-1 / 3, 0, 0, 0), "fisheye", depth_scale=1000.0)
+    row, column = np.indices(camera.shape)
+    unseen = np.hypot(row - 24.5, column - 31.0) >= 42.0 * 2 / 3
+    assert 0.05 < unseen.mean() < 0.5
+    depth = as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16")
+    with pytest.warns(UserWarning, match="where the fisheye lens has no ray within"):
+        tiles = rp.fit_tiles(depth, camera, 8, method, implementation=implementation)
+    windows = oracle.tile_windows(camera, 8)
+    expected = oracle.fit_windows(
+        np.where(unseen, 0, depth), camera, windows, method, change=CHANGE[implementation]
+    )
+    compared = assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation])
+    assert compared >= 0.8 * np.count_nonzero(tiles.fitted) > 0
+    assert {rp.TileStatus.TOO_FEW, rp.TileStatus.OK} <= set(tiles.status.flat)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 @pytest.mark.parametrize("distortion", ["pinhole", "five"])
 def test_disparity_equals_oracle(method, implementation, distortion, rng):
     camera = make_camera(
