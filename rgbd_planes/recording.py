@@ -47,8 +47,9 @@ def record(
 
     Notes
     -----
-    Entities: ``camera`` (pinhole and depth image, in metres; a lens distortion is not shown; where fx or fy is
-    negative, x is to the right of the image all the same, and y down),
+    Entities: ``camera`` (pinhole and depth image, in metres; the distortion of an ordinary lens is not shown, and a
+    fisheye has ``points`` in place of the pinhole; where fx or fy is negative, x is to the right of the image all the
+    same, and y down),
     ``planes/outlines`` and ``planes/normals`` (a tile's polygon and, from its middle, its normal, of the
     length of the tile; red right, green up, blue towards the camera), ``fitted`` (number of fitted tiles).
     Timelines: ``frame``, and ``time`` where the sequence has times.
@@ -133,12 +134,17 @@ def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:
     stream.set_time("frame", sequence=index)
     if math.isfinite(frame.timestamp):
         stream.set_time("time", timestamp=frame.timestamp)
-    pinhole = rr.Pinhole(
-        focal_length=(abs(camera.fx), abs(camera.fy)),
-        principal_point=(camera.cx, camera.cy),
-        width=camera.width,
-        height=camera.height,
-    )
-    stream.log("camera", pinhole)
-    metres = np.nan_to_num(camera.points(frame.depth)[..., 2]).astype(np.float32)
+    points = camera.points(frame.depth)
+    if camera.distortion_model == "fisheye":  # rerun has no such camera
+        measured = np.isfinite(points[..., 2])
+        stream.log("points", rr.Points3D(in_image(points[measured], camera)))
+    else:
+        pinhole = rr.Pinhole(
+            focal_length=(abs(camera.fx), abs(camera.fy)),
+            principal_point=(camera.cx, camera.cy),
+            width=camera.width,
+            height=camera.height,
+        )
+        stream.log("camera", pinhole)
+    metres = np.nan_to_num(points[..., 2]).astype(np.float32)
     stream.log("camera/depth", rr.DepthImage(metres, meter=1.0))

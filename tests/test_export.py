@@ -220,6 +220,19 @@ def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
     np.testing.assert_allclose(levels[1], levels[0], atol=1)
 
 
+def test_rerun_shows_the_points_of_a_fisheye(tmp_path):
+    """It would draw the depth as if the camera were a pinhole, far beside the planes."""
+    pytest.importorskip("rerun")
+    camera = rp.Camera(80, 60, 40.0, -40.0, 39.5, 29.5, distortion_model="fisheye")
+    depth = rp.scenes.room().render(camera).depth
+    sequence = FrameSequence([FrameEntry("0", 0.0, camera, 0)], [depth].__getitem__)
+    recording.record(sequence, tmp_path / "planes.rrd", (12, 16))
+    columns = columns_of(tmp_path / "planes.rrd")
+    points = camera.points(depth)[np.isfinite(depth)] * [1.0, -1.0, 1.0]
+    np.testing.assert_allclose(columns["/points", "Points3D:positions"][0], points, rtol=1e-6)
+    assert not any(entity == "/camera" for entity, _ in columns)
+
+
 def test_what_cannot_be_exported(tiles, depth, tmp_path, monkeypatch):
     batch = rp.TileFitter(CAMERA).fit_batch([depth, depth])
     with pytest.raises(ValueError, match=r"got a batch of shape \(2, 4, 5\): take tiles\[i\]"):

@@ -92,6 +92,9 @@ def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
     paths: list[Path] = arguments.frames
     if len(paths) == 1 and paths[0].suffix.lower() not in DEPTH_SUFFIXES:
         return read_sequence(arguments, paths[0])
+    for option in ("format", "topic"):
+        if getattr(arguments, option) is not None:
+            raise CommandError(f"--{option} is for a data set or a recording, got depth images")
     if arguments.camera is None:
         raise CommandError("depth images need --camera")
     return image_sequence(paths, Camera.load(arguments.camera), Path())
