@@ -1,5 +1,7 @@
 """What all tests share."""
 
+import os
+
 import numpy as np
 import pytest
 import real_data
@@ -9,6 +11,20 @@ from hypothesis import settings
 # ``pytest --hypothesis-profile=default`` looks for others.
 settings.register_profile("same", derandomize=True, database=None)
 settings.load_profile("same")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """With ``-n auto`` few processes: nearly all time goes into compiling, and more compile the same."""
+    return min(os.cpu_count() or 1, 4)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keep a file's tests in one process: they need the same kernels."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log) if config.getoption("dist") == "load" else None
 
 
 @pytest.fixture
