@@ -16,6 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.polynomials import first_zero
+
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-10
@@ -86,10 +88,7 @@ def fold_radius(coefficients: Sequence[float]) -> float:
     degree = np.arange(4)
     slope = np.convolve(degree * numerator, denominator) - np.convolve(numerator, degree * denominator)
     growth = np.convolve(numerator, denominator) + 2.0 * slope  # degree * c are the coefficients of s c'
-    # Taken from the lowest power on, these are polynomials in 1 / s that begin with 1: no division overflows.
-    inverse = np.concatenate([np.roots(growth), np.roots(denominator)])
-    real = inverse.real[(abs(inverse.imag) <= 1e-9 * abs(inverse)) & (inverse.real > 0)]
-    return float(1.0 / np.sqrt(real.max())) if len(real) else np.inf
+    return first_zero(growth, denominator)
 
 
 def undistort(

@@ -212,6 +212,7 @@ class Camera:
     @property
     def _without_ray(self) -> NDArray[np.bool_] | None:
         """(H, W) bool: the pixels of a fisheye that have no ray within 85 degrees of the axis; None where all have."""
+        # Asked of every frame: an ordinary camera may never need its tables.
         return self._tables[2] if self.distortion_model == "fisheye" else None
 
     @property

@@ -11,7 +11,6 @@ from rgbd_planes.checks import check_choice
 Floats = NDArray[np.float64]
 
 _COUNTS = {"brown_conrady": (0, 4, 5, 8), "inverse_brown_conrady": (0, 5), "fisheye": (0, 4)}
-_NAMES = {"fisheye": "k1 k2 k3 k4"}
 
 MODELS = tuple(_COUNTS)
 
@@ -31,9 +30,10 @@ def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
     check_choice("distortion_model", model, MODELS)
     allowed = _COUNTS[model]
     if len(coefficients) not in allowed:
+        names = "k1 k2 k3 k4" if model == "fisheye" else "k1 k2 p1 p2 k3 [k4 k5 k6]"
         raise ValueError(
             f"expected {', '.join(map(str, allowed))} distortion coefficients for {model} "
-            f"({_NAMES.get(model, 'k1 k2 p1 p2 k3 [k4 k5 k6]')}), got {len(coefficients)}: {coefficients}"
+            f"({names}), got {len(coefficients)}: {coefficients}"
         )
     if model == "fisheye":
         return coefficients or (0.0,) * 4

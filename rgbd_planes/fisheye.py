@@ -14,6 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.polynomials import first_zero
+
 Floats = NDArray[np.float64]
 
 _MAX_ITERATIONS = 60
@@ -72,10 +74,7 @@ def undistort(
 def widest_angle(coefficients: Sequence[float]) -> float:
     """The angle up to which rays count: `FARTHEST`, or where a ray farther from the axis is no farther out."""
     k1, k2, k3, k4 = coefficients
-    # dr'/dθ in powers of 1 / θ², a polynomial that begins with 1: no division overflows.
-    inverse = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])
-    real = inverse.real[(abs(inverse.imag) <= 1e-9 * abs(inverse)) & (inverse.real > 0)]
-    return float(min([FARTHEST, *1.0 / np.sqrt(real)]))
+    return float(min(FARTHEST, first_zero([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])))  # of dr'/dθ
 
 
 def _radius(angle: Floats, coefficients: Sequence[float]) -> Floats:
