@@ -25,6 +25,7 @@ P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
 RATIO, ROOT = P, P + 1
 POSITION, FOUND = P, P + 1
 LIMIT = P + 2
+LATERAL, ROUNDING, UNEVENNESS = PLANE, PLANE + 3, PLANE + 4
 ROWS = 47
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
@@ -37,6 +38,11 @@ LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, SCALE = 0, 1,
 VARIANCES = np.uintp(6)
 STEEPEST = 8.0
 ONE = np.uintp(1)
+# Rows of what may be known of each tile's pixels beyond their moments, means over them. Where a lens makes rays differ
+# over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place of
+# those in ``noise``. And of a part of many depths: variances of q along the ray and of rounding, and how uneven both
+# together are, the root of their mean square over their mean.
+OF_LENS, OF_DEPTHS = 3, 6
 
 # Rows of the results.
 P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27
@@ -52,7 +58,7 @@ OF_RESULTS = np.array(
 
 @kernel(reduction=True)
 def assess(
-    moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, limits, start, stop,
+    moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, of_pixels, limits, start, stop,
     status, results,
 ):  # fmt: skip
     """Give status ROUGH to tiles whose residual is larger than noise explains; what noise makes of the planes.
@@ -72,6 +78,8 @@ def assess(
         are independent.
     noise : (7 or more,) float64
         See LATERAL_X.
+    of_pixels : (OF_LENS or OF_DEPTHS, R·C) float64, or without any row
+        See OF_LENS.
     limits : (LIMITS,) float64
         The largest permitted sum of squared residuals over its expected value, by powers of 1/√(degrees of freedom);
         with a spread of the variance the normal deviate of the level; empty for no test.
@@ -106,9 +114,22 @@ def assess(
             room[N_Y, i] = plane[4 * i + 1]
             room[N_Z, i] = plane[4 * i + 2]
             room[D, i] = plane[4 * i + 3]
-        pixel_variance(in_range_space, noise, last - first, room)
+        mean_inverse_depth(in_range_space, room)
+        if of_pixels.shape[0] < OF_DEPTHS:
+            pixel_variance(noise, last - first, room)
+        else:
+            load(of_pixels[OF_LENS : OF_LENS + 1], first, last, room, SHARED)
+            load(of_pixels[OF_LENS + 1 :], first, last, room, ROUNDING)
+        if of_pixels.shape[0] < OF_LENS:
+            lateral_variance(noise, room)
+        else:
+            load(of_pixels[:OF_LENS], first, last, room, LATERAL)
+            lateral_variance_of_lens(room)
         by_count(all_counts[first:last], tables, room)
         residual_ratio(room)
+        if of_pixels.shape[0] == OF_DEPTHS:
+            for i in range(BLOCK):
+                room[ROOT, i] = min(room[ROOT, i] * room[UNEVENNESS, i], chi_square.LEAST_FREEDOM**-0.5)
         if limits.shape[0] > 0:
             if noise[INVERSE_FREEDOM] > 0.0:
                 variance_ratio.limits(limits[0], noise[INVERSE_FREEDOM], tails, BLOCK)
@@ -152,8 +173,8 @@ def store(room, results, first, last):
 
 
 @kernel(inline=True)
-def pixel_variance(in_range_space, noise, count, room):
-    """Mean inverse depth of a block of tiles; the variance of its pixels' errors, and of those that are independent."""
+def mean_inverse_depth(in_range_space, room):
+    """Mean inverse depth of each tile of a block, and one over its pixels."""
     for i in range(BLOCK):
         share = 1.0 / room[0, i]
         room[SHARE, i] = share
@@ -161,6 +182,11 @@ def pixel_variance(in_range_space, noise, count, room):
     if not in_range_space:
         for i in range(BLOCK):
             room[MEAN_Q, i] = 1.0 / room[MEAN_Q, i]
+
+
+@kernel(inline=True)
+def pixel_variance(noise, count, room):
+    """Variances of errors along the ray and of rounding, of the pixels of each tile of a block."""
     if noise.shape[0] == VARIANCES + ONE:
         for i in range(BLOCK):
             room[SHARED, i] = noise[VARIANCES]
@@ -190,17 +216,37 @@ def pixel_variance(in_range_space, noise, count, room):
             spread = room[9, i] * room[SHARE, i] - mean_w * mean_w
             w = room[W_0, i] + mean_w
             room[SHARED, i] = variance * (1.0 + 0.5 * power * (power - 1.0) / (w * w) * spread)
-    x, y = noise[LATERAL_X], noise[LATERAL_Y]
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
-    if x > 0.0 or depth > 0.0:
+    if depth > 0.0:
         for i in range(BLOCK):
             square = room[MEAN_Q, i] * room[MEAN_Q, i]
-            n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
-            lateral = (x * n_x * n_x + y * n_y * n_y) / (d * d)
-            room[INDEPENDENT, i] = lateral + depth * square * square + disparity
+            room[ROUNDING, i] = depth * square * square + disparity
     else:
         for i in range(BLOCK):
-            room[INDEPENDENT, i] = disparity
+            room[ROUNDING, i] = disparity
+
+
+@kernel(inline=True)
+def lateral_variance(noise, room):
+    """Add what an error across the ray makes of q to rounding: the variance of errors that are independent."""
+    x, y = noise[LATERAL_X], noise[LATERAL_Y]
+    if x > 0.0:
+        for i in range(BLOCK):
+            n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
+            room[INDEPENDENT, i] = room[ROUNDING, i] + (x * n_x * n_x + y * n_y * n_y) / (d * d)
+    else:
+        for i in range(BLOCK):
+            room[INDEPENDENT, i] = room[ROUNDING, i]
+
+
+@kernel(inline=True)
+def lateral_variance_of_lens(room):
+    """The same where a lens makes rays differ over the image."""
+    for i in range(BLOCK):
+        n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
+        xx, xy, yy = room[LATERAL, i], room[LATERAL + 1, i], room[LATERAL + 2, i]
+        lateral = (xx * n_x * n_x + 2.0 * xy * n_x * n_y + yy * n_y * n_y) / (d * d)
+        room[INDEPENDENT, i] = room[ROUNDING, i] + lateral
 
 
 @kernel(inline=True)

@@ -14,6 +14,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
+from rgbd_planes.ray_pitch import pitch_square
 from rgbd_planes.residual_statistics import inverse_freedom
 from rgbd_planes.threads import Work
 
@@ -54,10 +55,12 @@ class FitStatistics:
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
         self.rows = np.empty((*frames, statistics.RESULTS, *cells))
         """What `kernels.statistics.assess` writes: also whenever the fit's arrays are written into."""
-        assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes)
+        assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint)
+        error_sums = fits._error_sums
         arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
         for frame in np.ndindex(frames):
-            assess.of({name: array[frame] for name, array in arrays.items()})(0, math.prod(cells))
+            of_frame = {name: array[frame] for name, array in arrays.items()}
+            assess.of(of_frame, error_sums)(0, math.prod(cells))
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
@@ -79,9 +82,14 @@ class FitStatistics:
         return matrix.transpose(*range(2, matrix.ndim), 0, 1)
 
 
+def settings_of(camera: Camera) -> Floats:
+    """A camera's noise, as `kernels.statistics` takes it."""
+    assert camera.noise is not None
+    return _settings(camera.noise, camera.fx, camera.fy)
+
+
 @functools.lru_cache(maxsize=32)
 def _settings(noise: NoiseModel, fx: float, fy: float) -> Floats:
-    """A camera's noise, as `kernels.statistics` takes it."""
     lateral = np.array([noise.lateral / fx, noise.lateral / fy]) ** 2
     rounding = np.array([noise.step, noise.disparity_step]) ** 2 / 12.0
     return np.concatenate([lateral, rounding, [inverse_freedom(noise.spread)], noise._variances])
@@ -182,10 +190,17 @@ class Assessment:
     sizes : (N, 2) int64 or float64
         Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, what
         `residual_statistics.like_rectangles` gives.
+    footprint : (N, 5) int64
+        Of each tile's pixels, missing ones included: how many, Σx, Σy, Σx² and Σy².
     """
 
     def __init__(
-        self, camera: Camera, method: str, significance: float | None, sizes: npt.NDArray[Any]
+        self,
+        camera: Camera,
+        method: str,
+        significance: float | None,
+        sizes: npt.NDArray[Any],
+        footprint: npt.NDArray[np.int64],
     ) -> None:
         significance = check_significance(significance, camera)
         self._noise = camera.noise
@@ -198,13 +213,17 @@ class Assessment:
         self._first: npt.NDArray[np.int32] | None = None
         if not camera.noise.is_independent:
             self._tables, self._first = _tables_of(camera.noise, sizes)
-        self._of_noise = _settings(camera.noise, camera.fx, camera.fy)
+        self._of_noise = settings_of(camera)
+        self._of_lens = np.empty((0, len(sizes)))
+        if camera.is_distorted and camera.noise.lateral > 0.0:
+            self._of_lens = camera.noise.lateral**2 * pitch_square(camera, footprint)
         self._in_range_space = method.startswith("range")
 
-    def of(self, arrays: "Arrays") -> Work:
+    def of(self, arrays: "Arrays", error_sums: Floats | None = None) -> Work:
         """Return what marks tiles ``start`` to ``stop`` of one frame, and writes their statistics.
 
         ``arrays`` are those of `plane_fits.allocate` and perhaps ``_statistics``, (RESULTS, R, C) or (RESULTS, K).
+        ``error_sums`` are those of `error_sums`, where a part may span many depths.
         """
         noise, results = self._noise, arrays.get("_statistics")
         if noise is None or (results is None and not len(self._limits)):
@@ -216,7 +235,8 @@ class Assessment:
             moments, reference, results = moments[:, None], reference[:, None], results[:, None]
             planes, errors, counts, status = planes[None], errors[None], counts[None], status[None]
         fits = moments, reference, planes, errors
-        settings = self._in_range_space, self._of_noise, self._limits
+        of_pixels = self._of_lens if error_sums is None else self._of_depths(error_sums, counts)
+        settings = self._in_range_space, self._of_noise, of_pixels, self._limits
 
         def assess(start: int, stop: int) -> None:
             index, tables = counts, self._tables
@@ -229,3 +249,16 @@ class Assessment:
             statistics.assess(*fits, index, tables, *settings, start, stop, status, results)
 
         return assess
+
+    def _of_depths(self, error_sums: Floats, counts: npt.NDArray[np.int32]) -> Floats:
+        """(OF_DEPTHS, N) float64: means over the pixels of each part."""
+        of_pixels = np.zeros((statistics.OF_DEPTHS, counts.size))
+        lateral_x, lateral_y = self._of_noise[[statistics.LATERAL_X, statistics.LATERAL_Y]]
+        of_pixels[0], of_pixels[2] = lateral_x, lateral_y
+        of_pixels[: len(self._of_lens)] = self._of_lens
+        of_pixels[statistics.OF_LENS :] = along, rounding, squares = error_sums.T / np.maximum(
+            counts.ravel(), 1
+        )
+        total = along + rounding
+        of_pixels[-1] = np.sqrt(squares) / np.where(total > 0.0, total, 1.0)
+        return of_pixels

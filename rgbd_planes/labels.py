@@ -20,6 +20,7 @@ from rgbd_planes.checks import (
 )
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.error_sums import Floats, Pixels, sums_of_labels
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
@@ -41,11 +42,15 @@ class LabelPlanes(PlacedFits):
     """
 
     labels: npt.NDArray[np.int32]
-    _pixels: npt.NDArray[np.int64]
+    _pixels: Pixels
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
-        return self._pixels
+        return self._pixels.footprint
+
+    @property
+    def _error_sums(self) -> Floats | None:
+        return self._pixels.error_sums_by(self.camera.noise)
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return self.labels[rows[:, None], columns].astype(np.int64) - 1
@@ -111,8 +116,10 @@ def fit_labels(
         )  # fmt: skip
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
-        Assessment(camera, method, significance, like_rectangles(footprint)).of(arrays)(0, count)
-    return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=footprint, **arrays)
+        pixels = Pixels(footprint, camera.noise, sums_of_labels(frame, camera, numbers, arrays["alpha"]))
+        assessment = Assessment(camera, method, significance, like_rectangles(footprint), footprint)
+        assessment.of(arrays, pixels.error_sums)(0, count)
+    return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=pixels, **arrays)
 
 
 def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:

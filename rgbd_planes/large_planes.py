@@ -12,6 +12,7 @@ from rgbd_planes.merging import merge
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.noise_samples import bins_of, mean_depth
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
@@ -92,12 +93,9 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     q = 1.0 / mean_depth(tiles)[on_plane]
     squares = count * noise._along(q) ** 2, count * tiles.rmse[on_plane] ** 2, noise._rounding(q)
     along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
-    pitch = np.array([1.0 / tiles.camera.fx, 1.0 / tiles.camera.fy])
-    slope_square = np.sum((merged.alpha[:, :2] * pitch) ** 2, axis=1)
+    lateral = noise.lateral**2 * slope_square(merged.alpha, tiles.camera, merged._footprint)
     # Each tile has three coefficients, which take up as much of what is independent.
-    independent = (
-        3.0 * (1.0 - 1.0 / np.maximum(many, 1)) * (rounding + many * noise.lateral**2 * slope_square)
-    )
+    independent = 3.0 * (1.0 - 1.0 / np.maximum(many, 1)) * (rounding + many * lateral)
     bend = (merged.valid_count * merged.rmse**2 - within - independent)[large] / along[large]
     numbers = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
     side = np.sqrt(like_rectangles(merged._footprint).prod(axis=1))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.checks import check_labels, plain_array
+from rgbd_planes.error_sums import Floats, Pixels, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
@@ -28,11 +30,15 @@ class MergedPlanes(PlaneFits):
     """
 
     labels: npt.NDArray[np.int32]
-    _pixels: npt.NDArray[np.int64]
+    _pixels: Pixels
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
-        return self._pixels
+        return self._pixels.footprint
+
+    @property
+    def _error_sums(self) -> Floats | None:
+        return self._pixels.error_sums_by(self.camera.noise)
 
 
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
@@ -90,13 +96,24 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         moments[:, None], reference[:, None], flat, arrays["_moments"][:, None], arrays["_reference"][:, None]
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
-    sums = [np.bincount(flat, column, count + 1)[1:] for column in fits._footprint.T]
-    footprint = np.stack(sums, axis=1).astype(np.int64)
-    assessment = Assessment(fits.camera, fits.method, significance, like_rectangles(footprint))
-    assessment.of(arrays)(0, count)
+    footprint = _sums(fits._footprint, flat, count).astype(np.int64)
+    error_sums = sums_of_fits(fits)
+    if error_sums is not None:
+        error_sums = _sums(error_sums, flat, count)
+    assessment = Assessment(fits.camera, fits.method, significance, like_rectangles(footprint), footprint)
+    assessment.of(arrays, error_sums)(0, count)
     return MergedPlanes(
-        camera=fits.camera, method=fits.method, labels=flat.reshape(fits.shape), _pixels=footprint, **arrays
+        camera=fits.camera,
+        method=fits.method,
+        labels=flat.reshape(fits.shape),
+        _pixels=Pixels(footprint, fits.camera.noise, error_sums),
+        **arrays,
     )
+
+
+def _sums(values: npt.NDArray[Any], labels: npt.NDArray[np.int32], count: int) -> Floats:
+    """(N, ...): sums of rows over each union."""
+    return np.stack([np.bincount(labels, column, count + 1)[1:] for column in values.T], axis=1)
 
 
 def _means(

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.noise import NoiseModel
+from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tile_planes import TilePlanes
 
@@ -82,8 +83,6 @@ class Samples:
         if size < windows.tile[0]:
             side = windows.tile[0]
             of_window = windows.alpha[frame, row * size // side, column * size // side]
-        pitch = np.array([1.0 / planes.camera.fx, 1.0 / planes.camera.fy])
-        slope_square = np.sum((of_window[:, :2] * pitch) ** 2, axis=1)
         # Independent errors of variance 1 make its mean 1, less what the window shares of them.
         n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = planes._moments[frame, :, row, column].T
         tilt_x, tilt_y = (alpha - of_window)[:, :2].T
@@ -94,7 +93,7 @@ class Samples:
         )
         return cls(
             q[chosen],
-            slope_square,
+            slope_square(of_window, planes.camera, planes._footprint[row * columns + column]),
             tilt_square,
             windows.tile[0],
             rss[chosen],

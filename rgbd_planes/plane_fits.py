@@ -96,7 +96,8 @@ class PlaneFits:
 
         Of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
         spread, of its ratio to a variance that differs from place to place. On surfaces that are flat
-        it is uniform between 0 and 1; below the significance level a tile is ROUGH. This, the covariances
+        it is uniform between 0 and 1; below the significance level a tile is ROUGH. That of the ``standard_`` methods,
+        whose residual is in metres, is so only where a part spans a small range of depths. This, the covariances
         and the standard deviations are computed together, when one of them is first asked for, and from then
         on by each fit that writes into this result.
 
@@ -156,6 +157,11 @@ class PlaneFits:
     def _footprint(self) -> npt.NDArray[np.int64]:
         """(N, 5): of each of one frame's parts, what `residual_statistics.like_rectangles` takes."""
         raise NotImplementedError
+
+    @property
+    def _error_sums(self) -> Floats | None:
+        """(N, 3): of each part, what `error_sums.Pixels` keeps; None where the moments say enough."""
+        return None
 
     @property
     def fitted(self) -> npt.NDArray[np.bool_]:

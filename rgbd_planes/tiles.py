@@ -28,7 +28,14 @@ from rgbd_planes.fitting import (
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_windows
+from rgbd_planes.tile_grid import (
+    central_rays,
+    check_tile,
+    grid_shape,
+    relative_rays,
+    tile_footprints,
+    tile_windows,
+)
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.window_moments import WindowMoments
 
@@ -85,7 +92,8 @@ class TileFitter:
         sizes = windows[:, 2:]
         self._needed = valid_needed(sizes.prod(axis=1), max_missing)
         self._compiled_for = method, implementation, camera.is_separable
-        self._assessment = Assessment(camera, method, significance, sizes)
+        footprint = tile_footprints(camera.shape, self.tile)
+        self._assessment = Assessment(camera, method, significance, sizes, footprint)
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles

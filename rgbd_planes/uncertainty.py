@@ -36,7 +36,8 @@ def same_plane(
     (...) float64
         P-value of δᵀ(Σ + Σ')⁻¹δ, chi-square with 3 degrees of freedom: small for two planes, NaN where one is
         missing. Of (n, d) δ is the difference of d and of the normals, across their mean; normals that point to
-        opposite sides have 0.
+        opposite sides have 0. A systematic error that neighbours share counts as if each had its own: then neighbours
+        on one plane have larger p-values than others.
 
     Examples
     --------

@@ -117,7 +117,7 @@ def fit_windows(
 
     arrays = allocate((), (len(rectangles),))
     sizes = rectangles[:, 2:]
-    assess = Assessment(camera, method, significance, sizes).of(arrays)
+    assess = Assessment(camera, method, significance, sizes, footprints(rectangles)).of(arrays)
     needed = valid_needed(sizes.prod(axis=1), max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):

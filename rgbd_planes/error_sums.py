@@ -1,0 +1,78 @@
+"""What a noise model says of all pixels of parts of a frame, where a part may span many depths."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.depth import DepthFrame
+from rgbd_planes.fit_statistics import settings_of
+from rgbd_planes.kernels.label_variances import label_variances
+from rgbd_planes.noise_model import NoiseModel
+from rgbd_planes.ray_pitch import GAUSS_PLACES, GAUSS_WEIGHTS
+
+if TYPE_CHECKING:
+    from rgbd_planes.plane_fits import PlaneFits
+
+Floats = npt.NDArray[np.float64]
+
+
+class Pixels(NamedTuple):
+    """What a fit keeps of the pixels of its N parts.
+
+    Attributes
+    ----------
+    footprint : (N, 5) int64
+        How many, missing ones included, Σx, Σy, Σx² and Σy².
+    noise : NoiseModel, optional
+    error_sums : (N, 3) float64, optional
+        By that noise, of the valid ones: see `kernels.label_variances`. None where all pixels have one variance.
+    """
+
+    footprint: npt.NDArray[np.int64]
+    noise: NoiseModel | None
+    error_sums: Floats | None
+
+    def error_sums_by(self, noise: NoiseModel | None) -> Floats | None:
+        """Those that are kept, if they are those of this noise."""
+        return self.error_sums if noise == self.noise else None
+
+
+def _depends_on_depth(noise: NoiseModel | None) -> bool:
+    """Whether pixels at different depths have different variances of q."""
+    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0)
+
+
+def sums_of_labels(
+    frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats
+) -> Floats | None:
+    """(K, 3) float64: see `kernels.label_variances`; None where all pixels have one variance."""
+    if not _depends_on_depth(camera.noise):
+        return None
+    sums = np.empty((len(alpha), 3))
+    label_variances(
+        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
+        labels, alpha, settings_of(camera), sums,
+    )  # fmt: skip
+    return sums
+
+
+def sums_of_fits(fits: "PlaneFits") -> Floats | None:
+    """The same of the parts of one frame, from the mean and the spread of each one's depths, if it has no sums."""
+    noise = fits.camera.noise
+    if noise is None or not _depends_on_depth(noise):
+        return None
+    if fits._error_sums is not None:
+        return fits._error_sums
+    moments = fits._moments.reshape(10, -1)
+    n, w, ww = moments[0], moments[3], moments[9]
+    mean = w / np.maximum(n, 1.0)
+    std = np.sqrt(np.maximum(ww / np.maximum(n, 1.0) - mean**2, 0.0))
+    mean = mean + fits._reference.reshape(3, -1)[2]
+    if not fits.method.startswith("range"):
+        mean = 1.0 / np.where(mean > 0.0, mean, np.inf)
+        std = std * mean**2
+    q = np.maximum(mean + GAUSS_PLACES[:, None] * std, 0.0)
+    along, rounding = noise._along(q) ** 2, noise._rounding(q)
+    return np.stack([n * (GAUSS_WEIGHTS @ of) for of in (along, rounding, (along + rounding) ** 2)], axis=1)

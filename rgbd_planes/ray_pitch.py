@@ -1,0 +1,59 @@
+"""How far the rays of neighbouring pixels are apart: with it an error across the ray is one of the inverse depth."""
+
+import functools
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+
+Floats = npt.NDArray[np.float64]
+
+# Gauss's three places along a side, in standard deviations of what lies evenly along it, and their weights.
+GAUSS_PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
+GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
+    """(3, N) float64: means of JJᵀ over parts of the image: its entries uu, uv and vv.
+
+    J is the change of (tanθx, tanθy) from pixel to pixel, which a lens makes differ over the image. ``footprint`` is
+    (N, 5), of each part's pixels: how many, Σx, Σy, Σx² and Σy². A part counts as a rectangle of such pixels.
+    """
+    if not camera.is_distorted:
+        made = np.array([1.0 / camera.fx**2, 0.0, 1.0 / camera.fy**2])
+        return np.repeat(made[:, None], len(footprint), axis=1)
+    from scipy.ndimage import map_coordinates
+
+    n, x, y, xx, yy = footprint.T.astype(np.float64)
+    number = np.maximum(n, 1.0)
+    columns, rows = (
+        sum_ / number
+        + GAUSS_PLACES[:, None] * np.sqrt(np.maximum(square / number - (sum_ / number) ** 2, 0.0))
+        for sum_, square in ((x, xx), (y, yy))
+    )
+    places = np.stack(np.broadcast_arrays(rows[:, None], columns))  # (2, 3, 3, N)
+    there = [map_coordinates(table, places, order=1, mode="nearest") for table in _of_pixels(camera)]
+    return np.asarray(np.einsum("i,j,kijn->kn", GAUSS_WEIGHTS, GAUSS_WEIGHTS, there))
+
+
+def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
+    """(N,) float64: squared slopes of q a pixel, ‖Jᵀ(α0, α1)‖², of planes (N, 3) over these parts of the image."""
+    uu, uv, vv = pitch_square(camera, footprint)
+    a, b = alpha[:, 0], alpha[:, 1]
+    return np.asarray(a * a * uu + 2.0 * a * b * uv + b * b * vv)
+
+
+@functools.lru_cache(maxsize=2)
+def _of_pixels(camera: Camera) -> Floats:
+    """(3, H, W) float64: JJᵀ at each pixel of a camera with distortion."""
+    u_x, v_x = _change(camera.tan_x, 1, 1.0 / camera.fx), _change(camera.tan_y, 1, 0.0)
+    u_y, v_y = _change(camera.tan_x, 0, 0.0), _change(camera.tan_y, 0, 1.0 / camera.fy)
+    return np.stack([u_x * u_x + u_y * u_y, u_x * v_x + u_y * v_y, v_x * v_x + v_y * v_y])
+
+
+def _change(table: Floats, axis: int, alone: float) -> Floats:
+    """From pixel to pixel along an axis; ``alone`` where there is one only."""
+    if table.shape[axis] == 1:
+        return np.full(table.shape, alone)
+    return np.asarray(np.gradient(table, axis=axis))

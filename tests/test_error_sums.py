@@ -1,0 +1,117 @@
+"""p-values of parts that span many depths, where the noise depends on the depth."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from test_tiles import make_camera, make_depth
+
+import rgbd_planes as rp
+
+CAMERA = rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5)
+FLOOR = np.array([0.0, np.cos(np.pi / 6), np.sin(np.pi / 6)]) / 1.2  # from 1.3 to 8 m
+NOISES = {
+    "time of flight": rp.noise.time_of_flight(0.005),
+    "time of flight, with a constant": rp.noise.time_of_flight(0.002, 0.001),
+    "Kinect v1 of Nguyen et al.": rp.noise.kinect_v1_nguyen(),
+    "table": rp.noise.table([0.1, 0.3, 0.8], [4e-3, 1e-3, 5e-3]),
+}
+
+
+def measured_floor(camera, frames, rng):
+    """(frames, H, W) depth, and where the floor is seen."""
+    q = FLOOR[1] * camera.tan_y + FLOOR[2] + 0.0 * camera.tan_x
+    seen = q > 1.0 / 8.0
+    sigma = camera.noise.sigma(np.where(seen, q, 1.0))
+    return np.where(seen, 1.0 / (q + sigma * rng.standard_normal((frames, *q.shape))), 0.0), seen
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_p_values_of_a_floor_are_uniform(name, rng):
+    """As a mask, as a union of tiles, and as a union of unions; of tiles alone they always are."""
+    camera = replace(CAMERA, noise=NOISES[name])
+    depth, seen = measured_floor(camera, 150, rng)
+    tiles = rp.TileFitter(camera, 8).fit_batch(depth)
+    halves = np.where(tiles[0].fitted, 1 + (np.arange(16) > 5), 0)
+    masks, unions, rejected = [], [], 0
+    for i in range(len(depth)):
+        mask = rp.fit_labels(depth[i], camera, seen)
+        union = rp.merge(rp.merge(tiles[i], halves), [1, 1])
+        masks.append(mask.p_value[0])
+        unions.append(union.p_value[0])
+        rejected += mask.status[0] == rp.TileStatus.ROUGH
+    assert rejected == np.count_nonzero(np.array(masks) < 0.01)
+    for p_values in (masks, unions):
+        assert stats.kstest(p_values, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_p_value_is_that_of_uneven_variances(name, rng):
+    """By NumPy and SciPy, from each pixel's variance on the plane."""
+    camera = replace(CAMERA, noise=NOISES[name])
+    depth, seen = measured_floor(camera, 20, rng)
+    for frame in depth:
+        fits = rp.fit_labels(frame, camera, seen)
+        n = fits.valid_count[0]
+        rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[seen]
+        variance = camera.noise.sigma(rays @ fits.alpha[0]) ** 2
+        expected = (1.0 - 3.0 / n) * variance.sum()
+        freedom = (n - 3.0) * variance.sum() ** 2 / (n * np.sum(variance**2))
+        p_value = stats.chi2.sf(freedom * n * fits.rmse[0] ** 2 / expected, freedom)
+        assert fits.p_value[0] == pytest.approx(p_value, abs=0.01)
+
+
+@pytest.mark.parametrize("distortion", [(), (0.2, -0.5, 0.001, 0.002, 0.3)])
+@pytest.mark.parametrize("disparity", [None, (-0.002, 3.0)])
+def test_sums_are_those_of_numpy(distortion, disparity, rng):
+    """Of each label's valid pixels at its plane's depth, or, where it has none, at their own."""
+    noise = rp.noise.quantised(rp.noise.time_of_flight(0.003, 0.002), 0.01)
+    scale = {"disparity": disparity, "depth_scale": None} if disparity else {}
+    camera = make_camera(distortion, noise=noise, **scale)
+    depth = make_depth(camera, rng)
+    raw = (((1.0 / depth - 3.0) / -0.002) if disparity else 1000.0 * depth).round().astype(np.uint16)
+    raw[rng.random(raw.shape) < 0.2] = 0
+    labels = rng.integers(0, 4, raw.shape)
+    labels[labels == 3] = 0
+    labels[10, 10:12] = 3  # too few for a plane
+    raw[10, 10:12] = 1200
+    fits = rp.fit_labels(raw, camera, labels)
+    assert not fits.fitted[2]
+    sums = fits._pixels.error_sums
+    for i in range(3):
+        chosen = (labels == i + 1) & np.isfinite(camera.points(raw)[..., 2])
+        rays = np.stack([camera.tan_x, camera.tan_y, np.ones(camera.shape)], axis=-1)
+        q = (
+            rays @ fits.alpha[i]
+            if fits.fitted[i]
+            else (3.0 - 0.002 * raw if disparity else 1000.0 / np.maximum(raw, 1))
+        )
+        along, rounding = noise._along(q[chosen]) ** 2, (0.01 * q[chosen] ** 2) ** 2 / 12.0
+        wanted = [along.sum(), rounding.sum(), np.sum((along + rounding) ** 2)]
+        np.testing.assert_allclose(sums[i], wanted, rtol=1e-4)  # the kernel looks them up in a table
+
+
+def test_constant_noise_needs_no_sums(rng):
+    camera = make_camera(noise=rp.noise.kinect_v1())
+    fits = rp.fit_labels(make_depth(camera, rng), camera, np.ones(camera.shape, int))
+    assert fits._pixels.error_sums is None
+    assert rp.merge(fits, [1])._pixels.error_sums is None
+    assert rp.fit_labels(
+        make_depth(camera, rng), replace(camera, noise=None), np.ones(camera.shape, int)
+    ).fitted
+
+
+def test_sums_are_those_of_the_noise_that_the_camera_has(rng):
+    """Another noise, given to what is fitted, counts; and sums go with a copy."""
+    camera = replace(CAMERA, noise=NOISES["time of flight"])
+    depth, seen = measured_floor(camera, 1, rng)
+    fits = rp.fit_labels(depth[0], camera, seen)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(fits)).p_value, fits.p_value)
+    louder = replace(camera, noise=rp.noise.time_of_flight(0.01))
+    other = replace(fits, camera=louder)
+    assert other.p_value[0] > 0.999
+    np.testing.assert_allclose(
+        other.alpha_covariance, rp.fit_labels(depth[0], louder, seen).alpha_covariance, rtol=0.2
+    )

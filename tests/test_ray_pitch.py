@@ -1,0 +1,87 @@
+"""How far rays are apart: with it the lateral error counts, through any lens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes.ray_pitch import pitch_square, slope_square
+from rgbd_planes.tile_grid import tile_footprints, tile_windows
+
+PINHOLE = rp.Camera(160, 120, 90.0, -95.0, 81.0, 57.0)
+LENSES = {
+    "pinhole": PINHOLE,
+    "barrel": replace(PINHOLE, distortion=(-0.25, 0.05, 0.002, -0.001, 0.0)),
+    "inverse": replace(
+        PINHOLE, distortion=(0.12, 0.05, 0.002, -0.001, 0.0), distortion_model="inverse_brown_conrady"
+    ),
+    "fisheye": rp.Camera(160, 160, 52.0, 52.0, 79.5, 79.5, (0.01, -0.005, 0.0, 0.0), "fisheye"),
+}
+
+
+def gradient(camera, alpha):
+    """Change of q = α·m from pixel to pixel along x and y, (2, H, W)."""
+    y, x = np.gradient(alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    return np.stack([x, y])
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_slopes_are_the_means_over_the_pixels(lens):
+    camera = LENSES[lens]
+    alpha = np.array([0.3, -0.5, 0.8])
+    square = np.sum(gradient(camera, alpha) ** 2, axis=0)
+    footprint = tile_footprints(camera.shape, (16, 16))
+    made = slope_square(np.tile(alpha, (len(footprint), 1)), camera, footprint)
+    mean = [square[y : y + h, x : x + w].mean() for y, x, h, w in tile_windows(camera.shape, (16, 16))]
+    middle = np.ones(len(mean), bool)
+    if lens == "fisheye":  # at its border a tile of 16 pixels sees 15 degrees or has pixels without a ray
+        rows, columns = np.indices((10, 10))
+        middle = (np.hypot(rows - 4.5, columns - 4.5) < 3.5).ravel()
+    np.testing.assert_allclose(made[middle], np.array(mean)[middle], rtol=0.01)
+
+
+def test_one_row_or_column_of_pixels_is_a_part_of_an_image_too():
+    for size in ((40, 1), (1, 40)):
+        camera = rp.Camera(*size, 90.0, 90.0, 0.0, 0.0, (-0.1, 0.0, 0.0, 0.0))
+        uu, uv, vv = pitch_square(camera, np.array([[40, 0, 0, 0, 0]]))
+        assert uu == pytest.approx(90.0**-2, rel=0.1)
+        assert vv == pytest.approx(90.0**-2, rel=0.1)
+        assert abs(uv) < 0.1 * 90.0**-2
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_lateral_error_is_in_p_values_and_covariances(lens, rng):
+    """Errors of half a pixel across the ray: a hundredth of the p-values below 0.01, and covariances that hold."""
+    noise = rp.noise.NoiseModel((5e-4,), lateral=0.5)
+    camera = replace(LENSES[lens], noise=noise)
+    alpha = np.array([0.5, 0.3, 0.9])
+    q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
+    far_out = np.hypot(camera.tan_x, camera.tan_y) > 3.0  # there a tile of a fisheye spans a range of depths
+    across = 0.5 * np.hypot(*gradient(camera, alpha))
+    errors = rng.standard_normal((2, 60, *q.shape))
+    depth = 1.0 / (q + 5e-4 * errors[0] + across * errors[1])
+    depth[:, far_out | (q < 0.05)] = 0.0
+    tiles = rp.TileFitter(camera, 8, max_missing=0.0).fit_batch(depth)
+    outer = np.hypot(*(np.indices(tiles.shape[1:]) - 7.0)) > 5.0
+    for where in (outer, ~outer):
+        chosen = tiles.fitted & where
+        assert np.mean(tiles.p_value[chosen] < 0.01) == pytest.approx(0.01, abs=0.008)
+        error = tiles.alpha[chosen] - alpha
+        squares = error[:, None] @ np.linalg.solve(tiles.alpha_covariance[chosen], error[..., None])
+        assert np.mean(squares) == pytest.approx(3.0, abs=0.2)
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "barrel"])
+def test_labels_windows_and_unions_have_that_of_their_pixels(lens, rng):
+    """Of the same pixels the same, whichever way they are fitted."""
+    camera = replace(LENSES[lens], noise=rp.noise.NoiseModel((5e-4,), lateral=0.5))
+    depth = 1.0 / (0.9 + 0.5 * camera.tan_x + 1e-3 * rng.standard_normal(camera.shape))
+    of_tiles = np.zeros((15, 20), int)
+    of_tiles[2:6, 3:9], of_tiles[8:12, 11:19] = 1, 2
+    merged = rp.merge(rp.fit_tiles(depth, camera, 8), of_tiles)
+    labelled = rp.fit_labels(depth, camera, np.kron(of_tiles, np.ones((8, 8), int)))
+    windows = rp.fit_windows(depth, camera, [(16, 24, 32, 48), (64, 88, 32, 64)])
+    for fits in (merged, windows):
+        np.testing.assert_allclose(fits.p_value, labelled.p_value, rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose(fits.alpha_covariance, labelled.alpha_covariance, rtol=1e-6, atol=1e-15)
