@@ -297,8 +297,12 @@ def test_ranges_have_all_ended_when_waiting_for_them_is_interrupted():
             time.sleep(0.2)
         ended.append(start)
 
-    with pytest.raises(KeyboardInterrupt):
-        threads.run_in_ranges(work, 3, 3)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            threads.run_in_ranges(work, 3, 3)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert sorted(ended) == [0, 1, 2]
 
 
