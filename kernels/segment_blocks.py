@@ -8,6 +8,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .segment_moments import solve
+from .segment_noise import through_lens
 
 # Pixels along a block's side.
 BLOCK = 4
@@ -39,6 +40,23 @@ def solve_squares(sums, count, rays, rss, slope_square):
         )  # fmt: skip
         rss[c] = error
         slope_square[c] = (rays.pitch_x * a) ** 2 + (rays.pitch_y * b) ** 2
+    if rays.lens.shape[1] > 0:
+        for c in range(count):
+            _, a, b, _ = solve(
+                sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c],
+                sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
+            )  # fmt: skip
+            slope_square[c] = through_lens(
+                a,
+                b,
+                rays.pitch_x**2,
+                rays.pitch_y**2,
+                rays.lens,
+                sums[0, c],
+                sums[4, c],
+                sums[5, c],
+                sums[7, c],
+            )
 
 
 @kernel(inline=True)

@@ -22,7 +22,7 @@ from .segment_contest import (
     take_middle,
 )
 from .segment_moments import misfit
-from .segment_noise import about_plane, sensor_variance
+from .segment_noise import in_square, sensor_variance
 from .segment_settled import (
     decide,
     list_unsettled,
@@ -123,7 +123,8 @@ def take_out(
         if a >= 0:
             for j in range(10):
                 moments[a, j] -= of_block[j, i]
-            squares[a] -= max(misfit(of_block, i, last_alpha, b), 0.0) / about_plane(sensor, planes, a)
+            error = max(misfit(of_block, i, last_alpha, b), 0.0)
+            squares[a] -= error / in_square(sensor, planes, a, pyramid.slope_square[i])
         if b != MIXED:
             continue
         found = 0
@@ -141,7 +142,7 @@ def take_out(
         for j in range(found):
             b = listed[j]
             a = number[b]
-            share = 1.0 / about_plane(sensor, planes, a)
+            share = 1.0 / in_square(sensor, planes, a, pyramid.slope_square[i])
             for p in range(BLOCK * BLOCK):
                 e = middle[0, p] - (
                     last_alpha[b, 0] * middle[1, p] + last_alpha[b, 1] * middle[2, p] + last_alpha[b, 2]
@@ -159,7 +160,7 @@ def contest(
     ``block`` (R·C, 3) int32 has their rows and columns, first of all; the rest is as in `own_pixels`.
     """
     columns = region.shape[1]
-    tan_x, tan_y, centre_u, centre_v, _, _ = rays
+    tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
     of_block, alpha = pyramid.moments, planes.alpha
     owner, pixel_owner = owners
     moments, squares = sums
@@ -187,7 +188,7 @@ def contest(
         near_count = 0
         for i in range(contending):
             a = candidate[i]
-            total = about_plane(sensor, planes, a)
+            total = in_square(sensor, planes, a, pyramid.slope_square[here])
             owned[i] = 0
             near[near_count] = i
             penalty[i] = total

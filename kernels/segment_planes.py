@@ -13,7 +13,7 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
-    alpha, of_slope, waviness_square = planes
+    alpha, of_slope, waviness_square, _, _ = planes
     for i in range(len(moments)):
         if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf
@@ -21,7 +21,7 @@ def fit_regions(moments, noise, planes):
             waviness_square[i] = 1.0
             continue
         waviness_square[i] = waviness(moments[i, 0], noise.growth) ** 2
-        of_slope[i] = slope_variance(alpha[i], noise)
+        of_slope[i] = slope_variance(moments[i], alpha[i], noise)
 
 
 @kernel()

@@ -54,8 +54,9 @@ class Rays(NamedTuple):
     tan_y: Array  # (H, 1) or (H, W)
     centre_u: Array  # (R, C) float64: tanθx, tanθy in the middle of each block
     centre_v: Array
-    pitch_x: float  # change of tanθx and tanθy from pixel to pixel
+    pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
+    lens: Array  # (2, K) float64: see `segment_noise.through_lens`; (2, 0) without a lens
 
 
 class Pyramid(NamedTuple):
@@ -75,6 +76,7 @@ class Noise(NamedTuple):
     lateral_variance: float  # in pixels², of where within its pixel a measurement lies
     lateral_variance_x: float  # the same of tanθx, tanθy
     lateral_variance_y: float
+    lens: Array  # that of `Rays`
     growth: Array  # (S,) float64: see `segment_noise.waviness`
     together: float  # pixels that have one error between them: n of them tell as much as n / together
 
@@ -85,6 +87,8 @@ class Planes(NamedTuple):
     alpha: Array  # (N, 3) float64
     slope_variance: Array  # (N,) float64
     waviness_square: Array  # (N,) float64
+    even: float  # 1 where the slope's share is the same all over a region; 0 where a lens makes it differ
+    lateral_variance: float  # that of `Noise` where it does; 0 where not
 
 
 class Sums(NamedTuple):

@@ -12,7 +12,7 @@ from ._jit import kernel
 from .segment_blocks import BLOCK, EMPTY, MISSING, MIXED, UNSEEN
 from .segment_contest import NEIGHBOURS, contenders, find_centres, is_undisputed
 from .segment_moments import misfit
-from .segment_noise import about_plane, sensor_variance
+from .segment_noise import about_plane, in_square, sensor_variance
 
 # What is around a block: its own region only, or nothing else, or other regions. SETTLED: no need to know.
 OTHERS, OWN_OR_NONE, ALIKE, SETTLED = 0, 1, 2, 3
@@ -72,7 +72,8 @@ def settle_unchanged(before, last_before, number, planes, last_alpha, sigma, ray
         became[b] = a
         if a < 0:
             continue
-        deviation = math.sqrt(about_plane(sensor_variance(moments[a, 3] / moments[a, 0], sigma), planes, a))
+        sensor = sensor_variance(moments[a, 3] / moments[a, 0], sigma)
+        deviation = math.sqrt(about_plane(sensor, planes, a))
         for k in range(3):
             moved[b, k] = (alpha[a, k] - last_alpha[b, k]) / deviation
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
@@ -142,7 +143,8 @@ def settle_squares(
                     alike &= around[r, c] == ALIKE
             if not alike:
                 continue
-            total = about_plane(sensor_variance(of_square[3, i] / pixels, sigma), planes, a)
+            sensor = sensor_variance(of_square[3, i] / pixels, sigma)
+            total = in_square(sensor, planes, a, pyramid.slope_square[i])
             error = misfit(of_square, i, alpha, a)
             if error > settled * settled * least * total:
                 continue
@@ -200,7 +202,8 @@ def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
         if a < 0:
             continue
         pixels = of_block[0, i]
-        total = about_plane(sensor_variance(of_block[3, i] / pixels, sigma), planes, a)
+        sensor = sensor_variance(of_block[3, i] / pixels, sigma)
+        total = in_square(sensor, planes, a, pyramid.slope_square[i])
         if misfit(of_block, i, alpha, a) > settled_square * pixels * total:
             continue
         if contending > 1:
@@ -233,7 +236,8 @@ def settle(block, count, inverse_depth, pyramid, planes, sigma, region, owners, 
         sensor = sensor_variance(of_block[3, i] / pixels, sigma)
         for j in range(10):
             moments[a, j] += of_block[j, i]
-        squares[a] += max(misfit(of_block, i, alpha, a), 0.0) / about_plane(sensor, planes, a)
+        error = max(misfit(of_block, i, alpha, a), 0.0)
+        squares[a] += error / in_square(sensor, planes, a, pyramid.slope_square[i])
         owner[row, column] = a
         if pixels <= SPARSE:
             owner[row, column] = MIXED

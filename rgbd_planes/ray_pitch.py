@@ -12,6 +12,7 @@ Floats = npt.NDArray[np.float64]
 # Gauss's three places along a side, in standard deviations of what lies evenly along it, and their weights.
 GAUSS_PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
 GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+_STRETCHES = 129  # angles off the axis of a table
 
 
 def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
@@ -42,6 +43,29 @@ def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]
     uu, uv, vv = pitch_square(camera, footprint)
     a, b = alpha[:, 0], alpha[:, 1]
     return np.asarray(a * a * uu + 2.0 * a * b * uv + b * b * vv)
+
+
+def stretch_of_lens(camera: Camera) -> Floats:
+    """(2, K) float64: what a lens makes of the pitch, by the angle off the axis, as `kernels.segment_noise` takes it.
+
+    A lens is taken to be round here, whatever little is tangential. (2, 0) without distortion.
+    """
+    if not camera.is_distorted:
+        return np.empty((2, 0))
+    seen = np.ones(camera.shape, bool) if camera._without_ray is None else ~camera._without_ray
+    u, v = camera.tan_x[seen], camera.tan_y[seen]
+    uu, uv, vv = abs(camera.fx * camera.fy) * _of_pixels(camera)[:, seen]
+    square = np.maximum(u * u + v * v, 1e-300)
+    along = (u * u * uu + 2.0 * u * v * uv + v * v * vv) / square
+    across = uu + vv - along
+    radius = np.sqrt(square)
+    places = np.rint(radius / (1.0 + radius) * (_STRETCHES - 1)).astype(np.intp)
+    number, sums, differences, squares = (
+        np.bincount(places, of, _STRETCHES) for of in (None, across, along - across, square)
+    )
+    there = np.flatnonzero(number)
+    means = sums[there] / number[there], differences[there] / squares[there]
+    return np.stack([np.interp(np.arange(_STRETCHES), there, mean) for mean in means])
 
 
 @functools.lru_cache(maxsize=2)

@@ -19,6 +19,7 @@ from rgbd_planes.kernels import (
     segment_inside,
     segment_labels,
     segment_merge,
+    segment_noise,
     segment_parts,
     segment_planes,
     segment_quadtree,
@@ -149,7 +150,7 @@ def segment_frame(
         work.contacts, work.sums,
     )  # fmt: skip
     sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
-    planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count))
+    planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), *segment_noise.of_lens(noise))
     segment_planes.fit_regions(sums.moments, noise, planes)
 
     contacts = segment_merge.neighbours(region, rays, work.contacts)

@@ -106,6 +106,7 @@ def noise_of(
         lateral_variance=lateral**2,
         lateral_variance_x=(lateral * rays.pitch_x) ** 2,
         lateral_variance_y=(lateral * rays.pitch_y) ** 2,
+        lens=rays.lens,
         growth=growth,
         together=max(together, 1.0),
     )

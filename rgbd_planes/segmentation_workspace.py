@@ -8,6 +8,7 @@ import numpy as np
 from rgbd_planes.camera import Camera
 from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.kernels.segment_records import Contacts, Owners, Pyramid, Rays, Runs, Sums
+from rgbd_planes.ray_pitch import stretch_of_lens
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
 
@@ -27,6 +28,7 @@ def rays_of(camera: Camera) -> Rays:
         centre_v=camera.tan_y[middle],
         pitch_x=1.0 / camera.fx,
         pitch_y=1.0 / camera.fy,
+        lens=stretch_of_lens(camera),
     )
 
 

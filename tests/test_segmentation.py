@@ -269,8 +269,9 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     moments = np.zeros((2, 10))
     moments[:, 0] = 8192.0
     box = np.array([[0, 32, 0, 32]] * 2)
-    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2))
-    found = segment_shape.continues(region, means, 0, 1, moments, planes, np.array([1.0, 1e-3, 1e-3]), box)
+    sigma = np.array([1.0, 1e-3, 1e-3])
+    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), 1.0, 0.0)
+    found = segment_shape.continues(region, means, 0, 1, moments, planes, sigma, box)
     assert found == (-1.0, 0.0, 0.0)
 
 
@@ -1046,7 +1047,7 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
 
     everything = np.array([moments(labels == label) for label in (1, 2, 3)])
     found = np.empty_like(everything)
-    segment_inside.inside_moments(labels, q, Rays(u, v, u, v, 0.0, 0.0), everything, found)
+    segment_inside.inside_moments(labels, q, Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0))), everything, found)
     surely = inside(labels, q > 0.0)
     for label, all_of_it, row in zip((1, 2, 3), everything, found, strict=True):
         own = surely & (labels == label)
