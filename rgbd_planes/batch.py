@@ -27,7 +27,6 @@ from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
 from rgbd_planes.batch_rows import Columns
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads, warn_caller
-from rgbd_planes.distances import SAYING
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, write_beside
 from rgbd_planes.sequences.frames import FrameSequence
@@ -157,7 +156,8 @@ def fit_sequence(
     Warns
     -----
     UserWarning
-        A frame's surfaces, without noise, are bent as depth and flat as distances along the ray.
+        What `fit_tiles` or `segment` warns of, or that surfaces, without noise, are bent as depth and flat as
+        distances along the ray: each once, of one of the frames of which it is to be said.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
@@ -195,12 +195,13 @@ def fit_sequence(
         report.seconds.clear()
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
-        warned = False
+        said = set()
         for task, part in workers.run(sequence, settings, columns, missing, folder):
             report.add(part)
-            if part.distances and not warned:
-                warn_caller(f"{part.distances}: {SAYING}")
-                warned = True
+            for kind, (name, message) in part.warnings.items():
+                if kind not in said:
+                    said.add(kind)
+                    warn_caller(f"{name}: {message}")
             if progress is not None:
                 progress(Progress(task[2] - task[1], part.problems))
     report.problems.sort(key=lambda problem: problem.frame)

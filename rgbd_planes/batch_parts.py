@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -13,9 +14,9 @@ import numpy as np
 
 from rgbd_planes.batch_rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import number
+from rgbd_planes.checks import collected_warnings, number
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.distances import are_distances
+from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
 from rgbd_planes.segmentation import segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
@@ -100,14 +101,14 @@ class Problem(NamedTuple):
 class Part(NamedTuple):
     """Some frames' rows: the content of a Parquet file, unless that is written already, and what is in it.
 
-    And the name of the first frame that could be fitted, if it holds distances along the ray.
+    And what is to be warned of, by `kind_of`: the first frame of each, and what was said of it.
     """
 
     content: bytes
     status: dict[str, int]
     problems: tuple[Problem, ...]
     seconds: dict[str, float]
-    distances: str = ""
+    warnings: dict[str, tuple[str, str]]
 
     @classmethod
     def of_file(cls, path: Path) -> "Part | None":
@@ -117,7 +118,7 @@ class Part(NamedTuple):
 
         try:
             about = json.loads(pyarrow.parquet.read_schema(path).metadata[KEY])
-            return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), {})
+            return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), {}, {})
         except (OSError, pyarrow.ArrowException, KeyError, TypeError, ValueError):
             return None
 
@@ -155,23 +156,28 @@ def fit_part(
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
     rows = empty_rows(columns, len(sequence) * settings.rows_of_frame(sequence.camera))
     add = _add_segments if settings.segments else _TileAdder(settings)
-    distances = ""
-    asked = settings.segments and where is not None  # segment warns by itself, but not from another machine
+    said: list[str] = []
+    warnings: dict[str, tuple[str, str]] = {}
+    asked = settings.segments  # by `segment` itself
     for i, entry in enumerate(sequence.entries):
         if stopped():
             raise StoppedError
         begin = middle = time.perf_counter()
         try:
-            frame = sequence[i]
-            middle = time.perf_counter()
-            add(frame, i, rows)
-            if not asked and are_distances(as_depth_frame(frame.depth, frame.camera), frame.camera):
-                distances = entry.name
+            with collected_warnings(said):
+                frame = sequence[i]
+                middle = time.perf_counter()
+                add(frame, i, rows)
+                if not asked:
+                    warn_of_distances(as_depth_frame(frame.depth, frame.camera), frame.camera)
             asked = True
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are worth having
             problems.append(Problem(first + i, entry.name, _reason(error, entry.name)))
+        for message in said:
+            warnings.setdefault(kind_of(message), (entry.name, message))
+        said.clear()
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle
     begin = time.perf_counter()
@@ -187,7 +193,12 @@ def fit_part(
             file = pyarrow.OSFile(os.fspath(beside), "wb")
             rows.write(file, first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
-    return Part(content, status, tuple(problems), seconds, distances)
+    return Part(content, status, tuple(problems), seconds, warnings)
+
+
+def kind_of(message: str) -> str:
+    """What a warning says without its numbers, which differ from frame to frame."""
+    return re.sub(r"\d+(\.\d+)?", "#", message)
 
 
 def _reason(error: Exception, name: str) -> str:

@@ -16,19 +16,16 @@ _CLEARLY, _FEWEST = 100.0, 5
 _ROUNDING = 1e-6  # residuals below this share of 1/Z tell nothing
 
 
-SAYING = (
-    "this frame's surfaces are bent as depth along the optical axis, and flat as distances along the ray: if "
-    "it holds distances, divide it by np.sqrt(1 + camera.tan_x**2 + camera.tan_y**2)"
-)
-
-
 def warn_of_distances(frame: DepthFrame, camera: Camera) -> None:
-    """Warn of a frame of `are_distances`."""
-    if are_distances(frame, camera):
-        warn_caller(SAYING)
+    """Warn of a frame that most likely holds distances along the ray."""
+    if _are_distances(frame, camera):
+        warn_caller(
+            "this frame's surfaces are bent as depth along the optical axis, and flat as distances along the ray: if "
+            "it holds distances, divide it by np.sqrt(1 + camera.tan_x**2 + camera.tan_y**2)"
+        )
 
 
-def are_distances(frame: DepthFrame, camera: Camera) -> bool:
+def _are_distances(frame: DepthFrame, camera: Camera) -> bool:
     """Whether surfaces are flat if the numbers are distances, and bent if they are depth.
 
     Only frames of floats without noise tell, as renderers make them; all others pass.

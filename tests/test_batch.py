@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+import warnings
 from dataclasses import replace
 from fractions import Fraction
 
@@ -659,6 +660,25 @@ def slow_frame(location):
     (notes / f"{path.stem}-{os.getpid()}-{time.monotonic_ns()}").touch()
     time.sleep(0.05)
     return images.read_depth(path)
+
+
+@pytest.mark.parametrize("segments", [False, True])
+def test_a_warning_is_said_once_where_the_batch_was_called(tmp_path, segments):
+    """Whichever thread has read the frame, and whatever filters are set."""
+    camera = replace(CAMERA, depth_scale=None)
+    camera.save(tmp_path / "camera.json")
+    for i in range(6):  # millimetres, for metres
+        np.save(tmp_path / f"{i}.npy", np.full(camera.shape, 2000.0 + i))
+    sequence = rp.open_sequence(tmp_path)
+    with pytest.warns(UserWarning, match="of this frame is") as caught:
+        rp.fit_sequence(sequence, tmp_path / "out", FitSettings(segments=segments), num_threads=2)
+    assert [warning.filename for warning in caught] == [__file__]
+    assert str(caught[0].message).split(": ")[0] in sequence.names
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match="of this frame is"):
+            rp.fit_sequence(sequence, tmp_path / "other", FitSettings(segments=segments), num_threads=2)
+    assert not rp.fit_sequence(sequence, tmp_path / "other", FitSettings(segments=segments)).problems
 
 
 def test_a_cluster_loses_a_worker_and_no_row(recording, tmp_path, cluster):
