@@ -24,7 +24,7 @@ scale, offset, is_disparity
 q, alpha
     Inverse depth 1/Z, and the plane -n/d: q = α·(tanθx, tanθy, 1); 1/m.
 tan_x, tan_y
-    (H, W) float64: tanθx and tanθy of each pixel's ray.
+    tanθx and tanθy of each pixel's ray: (H, W) float64, where nothing else is said.
 u, v, w
     The coordinates that are summed up: (tanθx, tanθy, q) in range space, (X, Y, Z) in the standard form.
 moments, reference

@@ -1,4 +1,4 @@
-"""The camera: a pinhole with lens distortion, and how its depth is to be read."""
+"""The camera: where its pixels look, through a lens or a pinhole, and how its depth is to be read."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rgbd_planes.noise import NoiseModel
 Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
 
-_FARTHEST = 75.0  # degrees from the optical axis; no lens of these models sees more
+_FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; of other lenses none sees more
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with lens distortion, and the contract of its depth frames.
+    """A pinhole camera with lens distortion, or a fisheye, and the contract of its depth frames.
 
     Axes x right, y down, z forward; pixel centres at integers.
 
@@ -65,8 +65,8 @@ class Camera:
     Warns
     -----
     UserWarning
-        The image reaches farther than 75 degrees from the optical axis: most likely intrinsics in other units,
-        or of another image size.
+        The image reaches farther than 75 degrees from the optical axis, and not through a fisheye: most likely
+        intrinsics in other units, or of another image size.
 
     Notes
     -----
@@ -111,14 +111,14 @@ class Camera:
 
     def _warn_of_intrinsics(self) -> None:
         """Warn of what can be, but most likely is a focal length in millimetres, or as a share of the width."""
-        if self.distortion_model == "fisheye":  # sees as far; what it cannot see is an error
+        if self.distortion_model == "fisheye":  # sees as far; an image of which it sees hardly anything is an error
             return
         for size, focal, centre, names in (
             (self.width, self.fx, self.cx, ("fx", "cx", "width")),
             (self.height, self.fy, self.cy, ("fy", "cy", "height")),
         ):
             angle = math.degrees(math.atan(max(abs(centre), abs(size - 1 - centre)) / abs(focal)))
-            if angle > _FARTHEST:
+            if angle > _FARTHEST_BUT_FISHEYE:
                 warn_caller(
                     f"with {names[0]} = {focal:g} and {names[1]} = {centre:g}, an image of {names[2]} {size} reaches "
                     f"{angle:.0f} degrees from the optical axis: are they in pixels, and of this image size?"

@@ -22,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 1 if a frame has no measurement or frames of a batch were skipped; 2 after an error.
+        0; 1 if a frame has no measurement or frames of a batch were skipped; 2 after an error; 130 after Ctrl-C.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed: what is said to nobody must not fail, nor go to the other

@@ -40,12 +40,12 @@ class NoiseEvidence:
         Of those tiles; uniform if the model is right.
     noise_map : (R, C) float64
         Their residual over the model's, by place in the image, as far as whole windows go; NaN where no frame is flat.
-    flatness : (H / 8, W / 8) float64
+    flatness : (⌈H / 8⌉, ⌈W / 8⌉) float64
         The sensor's own bias over the image in 1/m, in cells of 8 pixels: what all large planes of all frames
         have in common. NaN where none was seen. A part that is itself planar over the image does not show.
-    flatness_count : (H / 8, W / 8) int64
+    flatness_count : (⌈H / 8⌉, ⌈W / 8⌉) int64
         How many pixels each cell's mean is of.
-    flatness_std : (H / 8, W / 8) float64
+    flatness_std : (⌈H / 8⌉, ⌈W / 8⌉) float64
         Standard deviation in 1/m that random errors alone, with what neighbouring pixels share of them, give each cell.
     """
 
