@@ -19,7 +19,7 @@ class Rules(NamedTuple):
 
     rough_block: float = 3.0  # deviations of a planar block
     steep_block: float = 0.6  # the same for the part that the block's own slope makes
-    square_floor: float = 1.0  # when four squares are one plane: see `segment_quadtree.join_blocks`
+    square_floor: float = 1.0  # when four squares are one plane: see `segment_joining.join_blocks`
     square_spread: float = 30.0
     region_floor: float = 4.5  # when two regions are one plane: see `segment_merge.merge`
     region_jump: float = 6.0

@@ -5,12 +5,12 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .segment_blocks import EMPTY
+from .segment_joining import leaves
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
 from .segment_noise import in_square, of_lens, sensor_variance
 from .segment_pixels import own_pixels
 from .segment_planes import fit_regions
-from .segment_quadtree import leaves
 from .segment_records import Contacts, Planes, Sums
 
 # The four blocks beside one.
@@ -83,7 +83,7 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
         0 where there is no measurement.
     rays : Rays
     pyramid, state
-        See `segment_quadtree.join_blocks`.
+        See `segment_joining.join_blocks`.
     noise : Noise
     rules : Rules
         Regions of a residual above ``rough`` standard deviations are merged anew, by half the tolerance.

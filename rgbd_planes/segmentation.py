@@ -17,12 +17,12 @@ from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
     segment_inside,
+    segment_joining,
     segment_labels,
     segment_merge,
     segment_noise,
     segment_parts,
     segment_planes,
-    segment_quadtree,
     segment_regions,
     segment_runs,
     segment_shape,
@@ -143,7 +143,7 @@ def segment_frame(
     rules = rules.tolerating(tolerance)
 
     state = np.empty(pyramid.offsets[-1], np.int8)
-    segment_quadtree.join_blocks(pyramid, noise, rules, state)
+    segment_joining.join_blocks(pyramid, noise, rules, state)
     region = np.empty(work.blocks, np.int32)
     number, count = segment_regions.find_regions(
         inverse_depth, rays, pyramid, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
