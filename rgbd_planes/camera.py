@@ -111,7 +111,9 @@ class Camera:
 
     def _warn_of_intrinsics(self) -> None:
         """Warn of what can be, but most likely is a focal length in millimetres, or as a share of the width."""
-        if self.distortion_model == "fisheye":  # sees as far; an image of which it sees hardly anything is an error
+        if (
+            self.distortion_model == "fisheye"
+        ):  # sees as far; an image of which it sees hardly anything is an error
             return
         for size, focal, centre, names in (
             (self.width, self.fx, self.cx, ("fx", "cx", "width")),

@@ -71,14 +71,14 @@ class NoiseEvidence:
         return percent(np.mean(self.p_values < 0.01))
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Draw the fit and the maps; see `noise_plotting.plot_evidence`.
+        """Draw the fit and the maps; see `plotting_noise.plot_evidence`.
 
         Parameters
         ----------
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.noise_plotting import plot_evidence
+        from rgbd_planes.plotting_noise import plot_evidence
 
         return plot_evidence(self, figure)
 

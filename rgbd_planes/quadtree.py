@@ -86,7 +86,7 @@ class QuadtreeSegmentation:
         return quadtree_html(self)
 
     def plot(self, depth: npt.ArrayLike, figure: Figure | None = None) -> Figure:
-        """Draw the depth, and the elements as the paper does; see `quadtree_figure.plot_quadtree`.
+        """Draw the depth, and the elements as the paper does; see `plotting_quadtree.plot_quadtree`.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class QuadtreeSegmentation:
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.quadtree_figure import plot_quadtree
+        from rgbd_planes.plotting_quadtree import plot_quadtree
 
         return plot_quadtree(self, as_depth_frame(depth, self.elements.camera).metres, figure)
 

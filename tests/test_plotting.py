@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import rgbd_planes as rp
 from rgbd_planes import plotting, scenes
-from rgbd_planes.surface_plots import plot_surfaces
+from rgbd_planes.plotting_surfaces import plot_surfaces
 
 
 def fitted(tile=8, **options):

@@ -59,7 +59,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
                 np.save(file, found)
             print(f"Wrote {arguments.out}")
         if arguments.figure is not None:
-            from rgbd_planes.surface_plots import plot_surfaces
+            from rgbd_planes.plotting_surfaces import plot_surfaces
 
             curvature = rp.curvature(depth, camera, arguments.window, **options)
             write_figure(plot_surfaces(depth, camera, found, curvature), arguments.figure)
