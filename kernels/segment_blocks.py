@@ -189,7 +189,7 @@ def sum_by_fours(pyramid, rays):
 
     The lowest is that of `block_moments`.
     """
-    moments, rss, slope_square, offsets, shapes = pyramid
+    moments, rss, slope_square, offsets, shapes, _ = pyramid
     sums = np.empty((10, CHUNK))
     for level in range(1, shapes.shape[0]):
         columns = shapes[level, 1]

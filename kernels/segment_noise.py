@@ -4,9 +4,6 @@ import math
 
 from ._jit import kernel
 
-# Times that the slope of a square may make more noise than that of its region on the whole: on an edge it is no slope.
-STEEPER = 8.0
-
 
 @kernel(inline=True)
 def sensor_variance(q, sigma):
@@ -39,21 +36,38 @@ def waviness(pixels, growth):
 
 
 @kernel(inline=True)
-def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
-    """Variance x·a² + y·b² that a plane's slopes a and b make, where a lens makes rays differ over the image.
+def at_angle(square, lens):
+    """What a lens stretches a pixel by, squared, across the radius, and by how many times ρ² more along it.
 
-    A lens stretches what is a pixel in tanθx and tanθy: ``lens[0]`` times across the radius (squared), and by
-    ``lens[1]`` times ρ² more along it, by ρ / (1 + ρ) from 0 to 1; ρ is that of the mean of n pixels' tan²θ.
+    ``square`` is ρ², tan² of the angle off the axis; ``lens`` (2, K) has both by ρ / (1 + ρ), from 0 to 1.
     """
-    share = 1.0 / max(n, 1.0)
-    radius = math.sqrt((s_uu + s_vv) * share)
+    radius = math.sqrt(square)
     position = radius / (1.0 + radius) * (lens.shape[1] - 1.0)
     k = min(int(position), lens.shape[1] - 2)
     part = position - k
-    across = lens[0, k] + part * (lens[0, k + 1] - lens[0, k])
-    along = lens[1, k] + part * (lens[1, k + 1] - lens[1, k])
+    return lens[0, k] + part * (lens[0, k + 1] - lens[0, k]), lens[1, k] + part * (
+        lens[1, k + 1] - lens[1, k]
+    )
+
+
+@kernel(inline=True)
+def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
+    """Variance x·a² + y·b² that slopes a and b make, where a lens makes the rays of n pixels differ."""
+    share = 1.0 / max(n, 1.0)
+    across, along = at_angle((s_uu + s_vv) * share, lens)
     of_radius = (a * a * s_uu + 2.0 * a * b * s_uv + b * b * s_vv) * share
     return across * (x * a * a + y * b * b) + along * math.sqrt(x * y) * of_radius
+
+
+@kernel(inline=True)
+def stretch_of(m, lens):
+    """What a lens stretches pixels of moments ``m`` by, squared: the mean along and across; 1 without a lens."""
+    stretch = 1.0
+    if lens.shape[1] > 0:
+        square = (m[4] + m[7]) / max(m[0], 1.0)
+        across, along = at_angle(square, lens)
+        stretch = across + 0.5 * along * square
+    return stretch
 
 
 @kernel(inline=True)
@@ -70,14 +84,6 @@ def slope_variance(m, alpha, noise):
     return made
 
 
-@kernel()
-def of_lens(noise):
-    """The fields of `Planes` that say what a lens does."""
-    if noise.lens.shape[1] > 0:
-        return 0.0, noise.lateral_variance
-    return 1.0, 0.0
-
-
 @kernel(inline=True)
 def variance(m, alpha, noise):
     """Variance of one pixel about its plane: the sensor's at the mean inverse depth, and the slope's."""
@@ -85,17 +91,15 @@ def variance(m, alpha, noise):
 
 
 @kernel(inline=True)
-def about_plane(sensor, planes, a):
-    """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region."""
-    return (sensor + planes.slope_variance[a]) * planes.waviness_square[a]
+def in_square(sensor, planes, a, stretch):
+    """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region.
+
+    The pixel is in a square, or in a block, of this stretch.
+    """
+    return (sensor + planes.slope_variance[a] * stretch) * planes.waviness_square[a]
 
 
 @kernel(inline=True)
-def in_square(sensor, planes, a, slope_square):
-    """The same in a square of blocks, or in one, of this squared slope, where a lens makes rays differ over the image.
-
-    A branch, or a table by the angle off the axis, would take a tenth of the time of the rounds of all cameras.
-    """
-    of_region = planes.slope_variance[a]
-    of_square = min(planes.lateral_variance * slope_square, STEEPER * of_region)
-    return (sensor + (planes.even * of_region + of_square)) * planes.waviness_square[a]
+def about_plane(sensor, planes, a):
+    """The same of a pixel of the region, on the whole."""
+    return in_square(sensor, planes, a, planes.stretch[a])

@@ -4,7 +4,7 @@ import math
 
 from ._jit import kernel
 from .segment_moments import fit
-from .segment_noise import about_plane, sensor_variance, slope_variance, waviness
+from .segment_noise import about_plane, sensor_variance, slope_variance, stretch_of, waviness
 
 
 @kernel()
@@ -13,15 +13,16 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
-    alpha, of_slope, waviness_square, _, _ = planes
+    alpha, of_slope, waviness_square, stretch = planes
     for i in range(len(moments)):
         if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf
             of_slope[i] = 1.0
-            waviness_square[i] = 1.0
+            waviness_square[i] = stretch[i] = 1.0
             continue
         waviness_square[i] = waviness(moments[i, 0], noise.growth) ** 2
-        of_slope[i] = slope_variance(moments[i], alpha[i], noise)
+        stretch[i] = stretch_of(moments[i], noise.lens)
+        of_slope[i] = slope_variance(moments[i], alpha[i], noise) / stretch[i]
 
 
 @kernel()

@@ -57,6 +57,7 @@ class Rays(NamedTuple):
     pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
     lens: Array  # (2, K) float64: see `segment_noise.through_lens`; (2, 0) without a lens
+    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `segment_noise.in_square`
 
 
 class Pyramid(NamedTuple):
@@ -67,6 +68,7 @@ class Pyramid(NamedTuple):
     slope_square: Array  # (T,) float64: of its plane, change of q from pixel to pixel
     offsets: Array  # (L + 1,) int64: where each level begins
     shapes: Array  # (L, 2) int64: its rows and columns, twice those of the next
+    stretch: Array  # that of `Rays`
 
 
 class Noise(NamedTuple):
@@ -85,10 +87,9 @@ class Planes(NamedTuple):
     """Planes of regions, and what adds to a pixel's variance about them: see `segment_noise.about_plane`."""
 
     alpha: Array  # (N, 3) float64
-    slope_variance: Array  # (N,) float64
+    slope_variance: Array  # (N,) float64: where ``stretch`` is 1
     waviness_square: Array  # (N,) float64
-    even: float  # 1 where the slope's share is the same all over a region; 0 where a lens makes it differ
-    lateral_variance: float  # that of `Noise` where it does; 0 where not
+    stretch: Array  # (N,) float64: see `segment_noise.stretch_of`
 
 
 class Sums(NamedTuple):

@@ -8,7 +8,7 @@ from .segment_blocks import EMPTY
 from .segment_joining import leaves
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
-from .segment_noise import in_square, of_lens, sensor_variance
+from .segment_noise import in_square, sensor_variance
 from .segment_pixels import own_pixels
 from .segment_planes import fit_regions
 from .segment_records import Contacts, Planes, Sums
@@ -51,7 +51,7 @@ def spread_out(region, owner, pyramid, planes, sigma, settled):
                     continue
                 a = region[r, c]
                 error = misfit(moments, i, alpha, a) / (
-                    pixels * in_square(sensor, planes, a, pyramid.slope_square[i])
+                    pixels * in_square(sensor, planes, a, pyramid.stretch[i])
                 )
                 if error < best:
                     best = error
@@ -141,7 +141,7 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
         count = merged
         last_alpha = alpha
         alpha = np.empty((count, 3))
-        planes = Planes(alpha, np.empty(count), np.empty(count), *of_lens(noise))
+        planes = Planes(alpha, np.empty(count), np.empty(count), np.empty(count))
         fit_regions(moments[:count], noise, planes)
         if trip == 1:  # before that it would spread over what becomes a region of its own
             spread_out(region, owners.block, pyramid, planes, noise.sigma, rules.settled)

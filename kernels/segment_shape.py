@@ -211,7 +211,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
-    alpha, slope_variance, waviness_square, _, _ = planes
+    alpha, slope_variance, waviness_square, stretch = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     h = np.empty(3)
     centre = np.empty(2)
@@ -221,7 +221,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
         m = region_moments[a]
         if breadth(box[a]) < FEWEST or not alpha[a, 0] < math.inf:
             continue
-        variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a]
+        variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         deviation = math.sqrt(variance)
         centre[0], centre[1] = m[1] / m[0], m[2] / m[0]
         scale = extent(m)
@@ -261,13 +261,13 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
     covered : float
         The share of ``b``'s pixels that are looked at.
     """
-    alpha, slope_variance, _, _, _ = planes
+    alpha, slope_variance, _, stretch = planes
     m = region_moments[a]
     window = np.empty(4, np.int64)
     high, wide = box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]
     window[0], window[1] = max(box[a, 0] - high, 0), min(box[a, 1] + high, region.shape[0])
     window[2], window[3] = max(box[a, 2] - wide, 0), min(box[a, 3] + wide, region.shape[1])
-    variance = sensor_variance(m[3] / m[0], sigma) + min(slope_variance[a], slope_variance[b])
+    variance = sensor_variance(m[3] / m[0], sigma) + stretch[a] * min(slope_variance[a], slope_variance[b])
     deviation = math.sqrt(variance)
     centre = np.array([m[1] / m[0], m[2] / m[0]])
     scale = extent(m)

@@ -45,8 +45,8 @@ def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]
     return np.asarray(a * a * uu + 2.0 * a * b * uv + b * b * vv)
 
 
-def stretch_of_lens(camera: Camera) -> Floats:
-    """(2, K) float64: what a lens makes of the pitch, by the angle off the axis, as `kernels.segment_noise` takes it.
+def lens_by_angle(camera: Camera) -> Floats:
+    """(2, K) float64: what a lens makes of the pitch, by the angle off the axis: `kernels.segment_noise.at_angle`.
 
     A lens is taken to be round here, whatever little is tangential. (2, 0) without distortion.
     """
@@ -66,6 +66,16 @@ def stretch_of_lens(camera: Camera) -> Floats:
     there = np.flatnonzero(number)
     means = sums[there] / number[there], differences[there] / squares[there]
     return np.stack([np.interp(np.arange(_STRETCHES), there, mean) for mean in means])
+
+
+def stretch(lens: Floats, u: Floats, v: Floats) -> Floats:
+    """What a lens stretches pixels by, squared, that look at (u, v): the mean of that along and across the radius."""
+    if not lens.size:
+        return np.ones(u.shape)
+    square = u * u + v * v
+    position = np.sqrt(square) / (1.0 + np.sqrt(square)) * (_STRETCHES - 1)
+    across, along = (np.interp(position, np.arange(_STRETCHES), row) for row in lens)
+    return np.asarray(across + 0.5 * along * square)
 
 
 @functools.lru_cache(maxsize=2)

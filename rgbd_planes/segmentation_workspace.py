@@ -8,7 +8,7 @@ import numpy as np
 from rgbd_planes.camera import Camera
 from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.kernels.segment_records import Contacts, Owners, Pyramid, Rays, Runs, Sums
-from rgbd_planes.ray_pitch import stretch_of_lens
+from rgbd_planes.ray_pitch import lens_by_angle, stretch
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
 
@@ -18,17 +18,23 @@ def rays_of(camera: Camera) -> Rays:
     """Where the pixels of a camera look."""
     height, width = camera.shape
     rows, columns = _shapes(camera)[0]
+    lens = lens_by_angle(camera)
     middle = np.ix_(
         np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
         np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
     )
+    centre_u, centre_v = camera.tan_x[middle], camera.tan_y[middle]
+    stretches = [stretch(lens, centre_u, centre_v)]
+    for high, wide in _shapes(camera)[1:]:
+        stretches.append(stretches[-1].reshape(high, 2, wide, 2).mean(axis=(1, 3)))
     return Rays(
         *camera._rays,
-        centre_u=camera.tan_x[middle],
-        centre_v=camera.tan_y[middle],
+        centre_u=centre_u,
+        centre_v=centre_v,
         pitch_x=1.0 / camera.fx,
         pitch_y=1.0 / camera.fy,
-        lens=stretch_of_lens(camera),
+        lens=lens,
+        stretch=np.concatenate([of_level.ravel() for of_level in stretches]),
     )
 
 
@@ -50,7 +56,12 @@ class Workspace:
         self.blocks = _shapes(camera)[0]  # rows and columns of blocks
         blocks, squares = int(offsets[1]), int(offsets[-1])
         self.inverse_depth = np.empty(camera.shape, np.float32)
-        self.pyramid = Pyramid(np.empty((10, squares)), np.empty(squares), np.empty(squares), offsets, shapes)
+        rss, slope_square, no_stretch = (
+            np.empty(squares),
+            np.empty(squares),
+            np.empty(0),
+        )  # this is the camera's
+        self.pyramid = Pyramid(np.empty((10, squares)), rss, slope_square, offsets, shapes, no_stretch)
         self.owners = Owners(np.empty(self.blocks, np.int32), np.empty((blocks, BLOCK**2), np.int32))
         self.sums = Sums(np.empty((blocks, 10)), np.empty(blocks))
         self.contacts = Contacts(

@@ -7,7 +7,7 @@ import pytest
 
 import rgbd_planes as rp
 from rgbd_planes.kernels.segment_noise import through_lens
-from rgbd_planes.ray_pitch import pitch_square, slope_square, stretch_of_lens
+from rgbd_planes.ray_pitch import lens_by_angle, pitch_square, slope_square
 from rgbd_planes.tile_grid import tile_footprints, tile_windows
 
 PINHOLE = rp.Camera(160, 120, 90.0, -95.0, 81.0, 57.0)
@@ -96,7 +96,7 @@ def test_table_by_angle_is_that_of_round_lenses(lens):
     alpha = np.array([0.3, -0.5, 0.8])
     windows = tile_windows(camera.shape, (4, 4))
     square = slope_square(np.tile(alpha, (len(windows), 1)), camera, tile_footprints(camera.shape, (4, 4)))
-    table = stretch_of_lens(camera)
+    table = lens_by_angle(camera)
     found = np.empty(len(windows))
     for i, (y, x, h, w) in enumerate(windows):
         u, v = camera.tan_x[y : y + h, x : x + w].ravel(), camera.tan_y[y : y + h, x : x + w].ravel()
@@ -106,7 +106,7 @@ def test_table_by_angle_is_that_of_round_lenses(lens):
     ratio = found[radius < 3.0] / square[radius < 3.0]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
     assert np.quantile(np.abs(np.log(ratio)), 0.98) < 0.1
-    assert stretch_of_lens(PINHOLE).shape == (2, 0)
+    assert lens_by_angle(PINHOLE).shape == (2, 0)
 
 
 @pytest.mark.parametrize("given", [True, False])
