@@ -2,8 +2,11 @@
 
 import math
 
+import numpy as np
+
 from ._jit import kernel
 from .depth import inverse_depth
+from .label_moments import end_of_run
 from .statistics import DEPTH_STEP, DISPARITY_STEP, ONE, SCALE, VARIANCES
 
 
@@ -13,7 +16,7 @@ def variance_at(q, noise):
     if noise.shape[0] == VARIANCES + ONE:
         return noise[VARIANCES]
     position = max(q * noise[SCALE], 0.0)
-    k = min(int(position), noise.shape[0] - 8)
+    k = np.uintp(min(position, noise.shape[0] - VARIANCES - 2.0))
     below, above = noise[VARIANCES + k], noise[VARIANCES + k + ONE]
     return below + (position - k) * (above - below)
 
@@ -39,19 +42,27 @@ def label_variances(
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
     sums[:] = 0.0
     for row in range(height):
-        for column in range(width):
-            i = labels[row, column] - 1
-            value = raw[row, column]
-            if i < 0 or not lowest <= value <= highest:
+        stop = 0
+        while stop < width:
+            start, stop = stop, end_of_run(labels[row], stop)
+            i = labels[row, start] - 1
+            if i < 0:
                 continue
-            u, v = tan_x[row * step_y, column], tan_y[row, column * step_x]
-            q = alpha[i, 0] * u + alpha[i, 1] * v + alpha[i, 2]
-            if math.isnan(q):
-                q = inverse_depth(value, scale, offset, is_disparity)
-            variance = variance_at(q, noise)
-            square = q * q
-            rounding = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP]
-            total = variance + rounding
-            sums[i, 0] += variance
-            sums[i, 1] += rounding
-            sums[i, 2] += total * total
+            a, b, c = alpha[i, 0], alpha[i, 1], alpha[i, 2]
+            along = of_rounding = squares = 0.0
+            for column in range(start, stop):
+                value = raw[row, column]
+                if not lowest <= value <= highest:
+                    continue
+                q = a * tan_x[row * step_y, column] + b * tan_y[row, column * step_x] + c
+                if math.isnan(q):
+                    q = inverse_depth(value, scale, offset, is_disparity)
+                variance = variance_at(q, noise)
+                square = q * q
+                rounding = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP]
+                along += variance
+                of_rounding += rounding
+                squares += (variance + rounding) * (variance + rounding)
+            sums[i, 0] += along
+            sums[i, 1] += of_rounding
+            sums[i, 2] += squares

@@ -74,5 +74,6 @@ def sums_of_fits(fits: "PlaneFits") -> Floats | None:
         mean = 1.0 / np.where(mean > 0.0, mean, np.inf)
         std = std * mean**2
     q = np.maximum(mean + GAUSS_PLACES[:, None] * std, 0.0)
-    along, rounding = noise._along(q) ** 2, noise._rounding(q)
+    scale, *variances = noise._variances  # a function need not be defined at 0
+    along, rounding = np.interp(scale * q, np.arange(len(variances)), variances), noise._rounding(q)
     return np.stack([n * (GAUSS_WEIGHTS @ of) for of in (along, rounding, (along + rounding) ** 2)], axis=1)

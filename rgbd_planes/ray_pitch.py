@@ -24,9 +24,15 @@ def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     if not camera.is_distorted:
         made = np.array([1.0 / camera.fx**2, 0.0, 1.0 / camera.fy**2])
         return np.repeat(made[:, None], len(footprint), axis=1)
+    return _pitch_square(camera, np.ascontiguousarray(footprint).tobytes())
+
+
+@functools.lru_cache(maxsize=8)
+def _pitch_square(camera: Camera, footprint: bytes) -> Floats:
+    # Kept, as that of the tiles of one camera is asked for with each frame, and takes ten times as long as p-values.
     from scipy.ndimage import map_coordinates
 
-    n, x, y, xx, yy = footprint.T.astype(np.float64)
+    n, x, y, xx, yy = np.frombuffer(footprint, np.int64).reshape(-1, 5).T.astype(np.float64)
     number = np.maximum(n, 1.0)
     columns, rows = (
         sum_ / number
@@ -35,7 +41,9 @@ def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     )
     places = np.stack(np.broadcast_arrays(rows[:, None], columns))  # (2, 3, 3, N)
     there = [map_coordinates(table, places, order=1, mode="nearest") for table in _of_pixels(camera)]
-    return np.asarray(np.einsum("i,j,kijn->kn", GAUSS_WEIGHTS, GAUSS_WEIGHTS, there))
+    made = np.asarray(np.einsum("i,j,kijn->kn", GAUSS_WEIGHTS, GAUSS_WEIGHTS, there))
+    made.flags.writeable = False
+    return made
 
 
 def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:

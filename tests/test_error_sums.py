@@ -93,6 +93,19 @@ def test_sums_are_those_of_numpy(distortion, disparity, rng):
         np.testing.assert_allclose(sums[i], wanted, rtol=1e-4)  # the kernel looks them up in a table
 
 
+def test_tiles_without_a_pixel_add_nothing(rng):
+    """Whatever a function says of an inverse depth of 0."""
+    camera = replace(CAMERA, noise=rp.noise.function(lambda q: 2e-3 / np.sqrt(q)))
+    depth, seen = measured_floor(camera, 1, rng)
+    depth[:, :16] = 0.0
+    tiles = rp.fit_tiles(depth[0], camera, 8)
+    assert (tiles.valid_count == 0).any()
+    union = rp.merge(tiles, np.ones(tiles.shape, int))
+    mask = rp.fit_labels(depth[0], camera, seen)
+    np.testing.assert_allclose(union._pixels.error_sums, mask._pixels.error_sums, rtol=2e-3)
+    assert union.p_value[0] == pytest.approx(mask.p_value[0], abs=0.1)
+
+
 def test_constant_noise_needs_no_sums(rng):
     camera = make_camera(noise=rp.noise.kinect_v1())
     fits = rp.fit_labels(make_depth(camera, rng), camera, np.ones(camera.shape, int))
