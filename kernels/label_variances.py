@@ -2,23 +2,21 @@
 
 import math
 
-import numpy as np
-
 from ._jit import kernel
 from .depth import inverse_depth
 from .label_moments import end_of_run
-from .statistics import DEPTH_STEP, DISPARITY_STEP, ONE, SCALE, VARIANCES
+from .statistics import DEPTH_STEP, DISPARITY_STEP, SCALE, VARIANCES
 
 
 @kernel(inline=True)
 def variance_at(q, noise):
     """Variance of the errors along the ray at an inverse depth; ``noise`` is that of `statistics.assess`."""
-    if noise.shape[0] == VARIANCES + ONE:
-        return noise[VARIANCES]
+    table = noise[VARIANCES:]
+    if len(table) == 1:
+        return table[0]
     position = max(q * noise[SCALE], 0.0)
-    k = np.uintp(min(position, noise.shape[0] - VARIANCES - 2.0))
-    below, above = noise[VARIANCES + k], noise[VARIANCES + k + ONE]
-    return below + (position - k) * (above - below)
+    k = int(min(position, len(table) - 2.0))
+    return table[k] + (position - k) * (table[k + 1] - table[k])
 
 
 @kernel()
