@@ -47,16 +47,9 @@ def solve_squares(sums, count, rays, rss, slope_square):
                 sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c],
             )  # fmt: skip
             slope_square[c] = through_lens(
-                a,
-                b,
-                rays.pitch_x**2,
-                rays.pitch_y**2,
-                rays.lens,
-                sums[0, c],
-                sums[4, c],
-                sums[5, c],
-                sums[7, c],
-            )
+                a, b, rays.pitch_x**2, rays.pitch_y**2, rays.lens,
+                sums[0, c], sums[4, c], sums[5, c], sums[7, c],
+            )  # fmt: skip
 
 
 @kernel(inline=True)
@@ -189,7 +182,7 @@ def sum_by_fours(pyramid, rays):
 
     The lowest is that of `block_moments`.
     """
-    moments, rss, slope_square, offsets, shapes, _ = pyramid
+    moments, rss, slope_square, offsets, shapes = pyramid
     sums = np.empty((10, CHUNK))
     for level in range(1, shapes.shape[0]):
         columns = shapes[level, 1]

@@ -25,7 +25,7 @@ def join_blocks(pyramid, noise, rules, state):
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """
-    moments, rss, slope_square, offsets, shapes, _ = pyramid
+    moments, rss, slope_square, offsets, shapes = pyramid
     sigma, lateral_variance = noise.sigma, noise.lateral_variance
     for i in range(shapes[0, 0] * shapes[0, 1]):
         n = moments[0, i]
@@ -70,7 +70,7 @@ def leaves(pyramid, state, region, owner, region_moments):
     pixels; ``owner`` (R, C) int32 is written: EMPTY or UNSEEN; ``region_moments`` (R·C, 10) is written.
     Returns how many there are.
     """
-    moments, _, _, offsets, shapes, _ = pyramid
+    moments, _, _, offsets, shapes = pyramid
     levels = shapes.shape[0]
     number = np.full(len(state), -1, np.int64)
     count = 0

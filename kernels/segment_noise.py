@@ -45,9 +45,9 @@ def at_angle(square, lens):
     position = radius / (1.0 + radius) * (lens.shape[1] - 1.0)
     k = min(int(position), lens.shape[1] - 2)
     part = position - k
-    return lens[0, k] + part * (lens[0, k + 1] - lens[0, k]), lens[1, k] + part * (
-        lens[1, k + 1] - lens[1, k]
-    )
+    across = lens[0, k] + part * (lens[0, k + 1] - lens[0, k])
+    along = lens[1, k] + part * (lens[1, k + 1] - lens[1, k])
+    return across, along
 
 
 @kernel(inline=True)
@@ -60,14 +60,27 @@ def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
 
 
 @kernel(inline=True)
+def stretch_at(square, lens):
+    """What a lens stretches a pixel by, squared, at ``square`` of `at_angle`: the mean across and along the radius."""
+    across, along = at_angle(square, lens)
+    return across + 0.5 * along * square
+
+
+@kernel(inline=True)
 def stretch_of(m, lens):
-    """What a lens stretches pixels of moments ``m`` by, squared: the mean along and across; 1 without a lens."""
+    """That of pixels of moments ``m``; 1 without a lens."""
     stretch = 1.0
     if lens.shape[1] > 0:
-        square = (m[4] + m[7]) / max(m[0], 1.0)
-        across, along = at_angle(square, lens)
-        stretch = across + 0.5 * along * square
+        stretch = stretch_at((m[4] + m[7]) / max(m[0], 1.0), lens)
     return stretch
+
+
+@kernel()
+def stretches(u, v, lens, stretch):
+    """That of pixels that look at (u, v), (R, C) float64 each; ``stretch`` (R, C) is written."""
+    for row in range(u.shape[0]):
+        for column in range(u.shape[1]):
+            stretch[row, column] = stretch_at(u[row, column] ** 2 + v[row, column] ** 2, lens)
 
 
 @kernel(inline=True)
@@ -91,15 +104,15 @@ def variance(m, alpha, noise):
 
 
 @kernel(inline=True)
-def in_square(sensor, planes, a, stretch):
+def in_square(sensor, planes, a, i):
     """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region.
 
-    The pixel is in a square, or in a block, of this stretch.
+    The pixel is in square ``i`` of a pyramid, or in a block.
     """
-    return (sensor + planes.slope_variance[a] * stretch) * planes.waviness_square[a]
+    return (sensor + planes.slope_variance[a] * planes.square_stretch[i]) * planes.waviness_square[a]
 
 
 @kernel(inline=True)
 def about_plane(sensor, planes, a):
     """The same of a pixel of the region, on the whole."""
-    return in_square(sensor, planes, a, planes.stretch[a])
+    return (sensor + planes.slope_variance[a] * planes.stretch[a]) * planes.waviness_square[a]

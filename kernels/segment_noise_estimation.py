@@ -117,7 +117,7 @@ def varied_squares(pyramid):
     to see: a square up to 32 pixels with a constant quarter has no residual then. Where hardly one of the others is
     left, things that show no noise end before each other.
     """
-    moments, rss, slope_square, offsets, shapes, stretch = pyramid
+    moments, rss, slope_square, offsets, shapes = pyramid
     count = constant = varied = 0
     for i in range(offsets[1], offsets[2]):
         if moments[0, i] >= FULL * (BLOCK << 1) ** 2:
@@ -143,7 +143,7 @@ def varied_squares(pyramid):
                     varied += moments[0, i] >= FULL * (BLOCK << 1) ** 2
     if varied <= FEWEST_VARIED * (count - constant):
         return pyramid
-    return Pyramid(moments, rss, slope_square, offsets, shapes, stretch)
+    return Pyramid(moments, rss, slope_square, offsets, shapes)
 
 
 @kernel(inline=True)
@@ -185,7 +185,7 @@ def keep_clean_squares(pyramid, level, sigma, most, mean_square):
 
     ``mean_square`` is that of `square_residuals`, whose first entries become those of the squares kept.
     """
-    moments, rss, _, offsets, shapes, _ = pyramid
+    moments, rss, _, offsets, shapes = pyramid
     side = 1 << (level - 1)
     seen = count = 0
     for row in range(shapes[level, 0]):
@@ -230,7 +230,7 @@ def together_of(pyramid, coarse, fine, sigma, typical):
     ``fine``; 0 where they are too few. The parts show no more than their own pixels n of it: 1/shown = 1/n +
     1/together, for errors of any reach.
     """
-    moments, rss, _, offsets, shapes, _ = pyramid
+    moments, rss, _, offsets, shapes = pyramid
     least, most = FULL * (BLOCK << coarse) ** 2, FLAT * typical
     side = 1 << (coarse - fine)
     ratio = np.empty(offsets[coarse + 1] - offsets[coarse])

@@ -124,7 +124,7 @@ def take_out(
             for j in range(10):
                 moments[a, j] -= of_block[j, i]
             error = max(misfit(of_block, i, last_alpha, b), 0.0)
-            squares[a] -= error / in_square(sensor, planes, a, pyramid.stretch[i])
+            squares[a] -= error / in_square(sensor, planes, a, i)
         if b != MIXED:
             continue
         found = 0
@@ -142,7 +142,7 @@ def take_out(
         for j in range(found):
             b = listed[j]
             a = number[b]
-            share = 1.0 / in_square(sensor, planes, a, pyramid.stretch[i])
+            share = 1.0 / in_square(sensor, planes, a, i)
             for p in range(BLOCK * BLOCK):
                 e = middle[0, p] - (
                     last_alpha[b, 0] * middle[1, p] + last_alpha[b, 1] * middle[2, p] + last_alpha[b, 2]
@@ -188,7 +188,7 @@ def contest(
         near_count = 0
         for i in range(contending):
             a = candidate[i]
-            total = in_square(sensor, planes, a, pyramid.stretch[here])
+            total = in_square(sensor, planes, a, here)
             owned[i] = 0
             near[near_count] = i
             penalty[i] = total

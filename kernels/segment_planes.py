@@ -13,7 +13,7 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
-    alpha, of_slope, waviness_square, stretch = planes
+    alpha, of_slope, waviness_square, stretch, _ = planes
     for i in range(len(moments)):
         if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf

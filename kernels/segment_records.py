@@ -68,7 +68,6 @@ class Pyramid(NamedTuple):
     slope_square: Array  # (T,) float64: of its plane, change of q from pixel to pixel
     offsets: Array  # (L + 1,) int64: where each level begins
     shapes: Array  # (L, 2) int64: its rows and columns, twice those of the next
-    stretch: Array  # that of `Rays`
 
 
 class Noise(NamedTuple):
@@ -90,6 +89,7 @@ class Planes(NamedTuple):
     slope_variance: Array  # (N,) float64: where ``stretch`` is 1
     waviness_square: Array  # (N,) float64
     stretch: Array  # (N,) float64: see `segment_noise.stretch_of`
+    square_stretch: Array  # that of `Rays`
 
 
 class Sums(NamedTuple):

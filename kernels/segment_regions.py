@@ -50,9 +50,7 @@ def spread_out(region, owner, pyramid, planes, sigma, settled):
                 if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] < 0:
                     continue
                 a = region[r, c]
-                error = misfit(moments, i, alpha, a) / (
-                    pixels * in_square(sensor, planes, a, pyramid.stretch[i])
-                )
+                error = misfit(moments, i, alpha, a) / (pixels * in_square(sensor, planes, a, i))
                 if error < best:
                     best = error
                     joins[k] = a
@@ -141,7 +139,7 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
         count = merged
         last_alpha = alpha
         alpha = np.empty((count, 3))
-        planes = Planes(alpha, np.empty(count), np.empty(count), np.empty(count))
+        planes = Planes(alpha, np.empty(count), np.empty(count), np.empty(count), rays.stretch)
         fit_regions(moments[:count], noise, planes)
         if trip == 1:  # before that it would spread over what becomes a region of its own
             spread_out(region, owners.block, pyramid, planes, noise.sigma, rules.settled)

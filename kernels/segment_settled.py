@@ -144,7 +144,7 @@ def settle_squares(
             if not alike:
                 continue
             sensor = sensor_variance(of_square[3, i] / pixels, sigma)
-            total = in_square(sensor, planes, a, pyramid.stretch[i])
+            total = in_square(sensor, planes, a, i)
             error = misfit(of_square, i, alpha, a)
             if error > settled * settled * least * total:
                 continue
@@ -203,7 +203,7 @@ def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
             continue
         pixels = of_block[0, i]
         sensor = sensor_variance(of_block[3, i] / pixels, sigma)
-        total = in_square(sensor, planes, a, pyramid.stretch[i])
+        total = in_square(sensor, planes, a, i)
         if misfit(of_block, i, alpha, a) > settled_square * pixels * total:
             continue
         if contending > 1:
@@ -237,7 +237,7 @@ def settle(block, count, inverse_depth, pyramid, planes, sigma, region, owners, 
         for j in range(10):
             moments[a, j] += of_block[j, i]
         error = max(misfit(of_block, i, alpha, a), 0.0)
-        squares[a] += error / in_square(sensor, planes, a, pyramid.stretch[i])
+        squares[a] += error / in_square(sensor, planes, a, i)
         owner[row, column] = a
         if pixels <= SPARSE:
             owner[row, column] = MIXED

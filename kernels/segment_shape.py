@@ -211,7 +211,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
-    alpha, slope_variance, waviness_square, stretch = planes
+    alpha, slope_variance, waviness_square, stretch, _ = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     h = np.empty(3)
     centre = np.empty(2)
@@ -261,7 +261,7 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
     covered : float
         The share of ``b``'s pixels that are looked at.
     """
-    alpha, slope_variance, _, stretch = planes
+    alpha, slope_variance, _, stretch, _ = planes
     m = region_moments[a]
     window = np.empty(4, np.int64)
     high, wide = box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]

@@ -34,9 +34,21 @@ class Pixels(NamedTuple):
     noise: NoiseModel | None
     error_sums: Floats | None
 
-    def error_sums_by(self, noise: NoiseModel | None) -> Floats | None:
-        """Those that are kept, if they are those of this noise."""
-        return self.error_sums if noise == self.noise else None
+
+class KeepsPixels:
+    """What `PlaneFits` asks of its parts' pixels, where they are kept; a base beside it."""
+
+    camera: Camera
+    _pixels: Pixels
+
+    @property
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        return self._pixels.footprint
+
+    @property
+    def _error_sums(self) -> Floats | None:
+        # Another noise, given to what is fitted, has others.
+        return self._pixels.error_sums if self._pixels.noise == self.camera.noise else None
 
 
 def _depends_on_depth(noise: NoiseModel | None) -> bool:

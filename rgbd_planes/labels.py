@@ -20,7 +20,7 @@ from rgbd_planes.checks import (
 )
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.error_sums import Floats, Pixels, sums_of_labels
+from rgbd_planes.error_sums import KeepsPixels, Pixels, sums_of_labels
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
@@ -30,7 +30,7 @@ from rgbd_planes.wording import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LabelPlanes(PlacedFits):
+class LabelPlanes(KeepsPixels, PlacedFits):
     """The planes of labels 1 to K of a frame, arrays of shape S = (K,).
 
     p-values, covariances and `plot` are those of `TilePlanes`.
@@ -43,14 +43,6 @@ class LabelPlanes(PlacedFits):
 
     labels: npt.NDArray[np.int32]
     _pixels: Pixels
-
-    @property
-    def _footprint(self) -> npt.NDArray[np.int64]:
-        return self._pixels.footprint
-
-    @property
-    def _error_sums(self) -> Floats | None:
-        return self._pixels.error_sums_by(self.camera.noise)
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return self.labels[rows[:, None], columns].astype(np.int64) - 1

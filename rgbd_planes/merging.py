@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.checks import check_labels, plain_array
-from rgbd_planes.error_sums import Floats, Pixels, sums_of_fits
+from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
@@ -18,7 +18,7 @@ from rgbd_planes.residual_statistics import like_rectangles
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MergedPlanes(PlaneFits):
+class MergedPlanes(KeepsPixels, PlaneFits):
     """The planes of N unions of tiles, arrays of shape S = (N,): row i belongs to label i + 1.
 
     p-values and covariances are those of `TilePlanes`.
@@ -31,14 +31,6 @@ class MergedPlanes(PlaneFits):
 
     labels: npt.NDArray[np.int32]
     _pixels: Pixels
-
-    @property
-    def _footprint(self) -> npt.NDArray[np.int64]:
-        return self._pixels.footprint
-
-    @property
-    def _error_sums(self) -> Floats | None:
-        return self._pixels.error_sums_by(self.camera.noise)
 
 
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:

@@ -12,7 +12,7 @@ Floats = npt.NDArray[np.float64]
 # Gauss's three places along a side, in standard deviations of what lies evenly along it, and their weights.
 GAUSS_PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
 GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
-_STRETCHES = 129  # angles off the axis of a table
+_ANGLES = 129  # off the axis, of a table
 
 
 def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
@@ -67,23 +67,13 @@ def lens_by_angle(camera: Camera) -> Floats:
     along = (u * u * uu + 2.0 * u * v * uv + v * v * vv) / square
     across = uu + vv - along
     radius = np.sqrt(square)
-    places = np.rint(radius / (1.0 + radius) * (_STRETCHES - 1)).astype(np.intp)
+    places = np.rint(radius / (1.0 + radius) * (_ANGLES - 1)).astype(np.intp)
     number, sums, differences, squares = (
-        np.bincount(places, of, _STRETCHES) for of in (None, across, along - across, square)
+        np.bincount(places, of, _ANGLES) for of in (None, across, along - across, square)
     )
     there = np.flatnonzero(number)
     means = sums[there] / number[there], differences[there] / squares[there]
-    return np.stack([np.interp(np.arange(_STRETCHES), there, mean) for mean in means])
-
-
-def stretch(lens: Floats, u: Floats, v: Floats) -> Floats:
-    """What a lens stretches pixels by, squared, that look at (u, v): the mean of that along and across the radius."""
-    if not lens.size:
-        return np.ones(u.shape)
-    square = u * u + v * v
-    position = np.sqrt(square) / (1.0 + np.sqrt(square)) * (_STRETCHES - 1)
-    across, along = (np.interp(position, np.arange(_STRETCHES), row) for row in lens)
-    return np.asarray(across + 0.5 * along * square)
+    return np.stack([np.interp(np.arange(_ANGLES), there, mean) for mean in means])
 
 
 @functools.lru_cache(maxsize=2)

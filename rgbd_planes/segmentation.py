@@ -132,8 +132,7 @@ def segment_frame(
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
     rays, work = rays_of(camera), workspaces.of(camera)
-    pyramid = work.pyramid._replace(stretch=rays.stretch)
-    owners, inverse_depth = work.owners, work.inverse_depth
+    pyramid, owners, inverse_depth = work.pyramid, work.owners, work.inverse_depth
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
         rays, inverse_depth, pyramid,
@@ -150,7 +149,7 @@ def segment_frame(
         work.contacts, work.sums,
     )  # fmt: skip
     sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
-    planes = Planes(np.empty((count, 3)), *np.empty((3, count)))
+    planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)
     segment_planes.fit_regions(sums.moments, noise, planes)
 
     contacts = segment_merge.neighbours(region, rays, work.contacts)

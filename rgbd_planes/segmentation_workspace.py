@@ -6,9 +6,10 @@ import threading
 import numpy as np
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.kernels import segment_noise
 from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.kernels.segment_records import Contacts, Owners, Pyramid, Rays, Runs, Sums
-from rgbd_planes.ray_pitch import lens_by_angle, stretch
+from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
 
@@ -24,7 +25,9 @@ def rays_of(camera: Camera) -> Rays:
         np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
     )
     centre_u, centre_v = camera.tan_x[middle], camera.tan_y[middle]
-    stretches = [stretch(lens, centre_u, centre_v)]
+    stretches = [np.ones(centre_u.shape)]
+    if lens.size:
+        segment_noise.stretches(centre_u, centre_v, lens, stretches[0])
     for high, wide in _shapes(camera)[1:]:
         stretches.append(stretches[-1].reshape(high, 2, wide, 2).mean(axis=(1, 3)))
     return Rays(
@@ -56,12 +59,7 @@ class Workspace:
         self.blocks = _shapes(camera)[0]  # rows and columns of blocks
         blocks, squares = int(offsets[1]), int(offsets[-1])
         self.inverse_depth = np.empty(camera.shape, np.float32)
-        rss, slope_square, no_stretch = (
-            np.empty(squares),
-            np.empty(squares),
-            np.empty(0),
-        )  # this is the camera's
-        self.pyramid = Pyramid(np.empty((10, squares)), rss, slope_square, offsets, shapes, no_stretch)
+        self.pyramid = Pyramid(np.empty((10, squares)), np.empty(squares), np.empty(squares), offsets, shapes)
         self.owners = Owners(np.empty(self.blocks, np.int32), np.empty((blocks, BLOCK**2), np.int32))
         self.sums = Sums(np.empty((blocks, 10)), np.empty(blocks))
         self.contacts = Contacts(

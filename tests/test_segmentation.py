@@ -270,7 +270,7 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     moments[:, 0] = 8192.0
     box = np.array([[0, 32, 0, 32]] * 2)
     sigma = np.array([1.0, 1e-3, 1e-3])
-    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2))
+    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
     found = segment_shape.continues(region, means, 0, 1, moments, planes, sigma, box)
     assert found == (-1.0, 0.0, 0.0)
 
@@ -963,7 +963,7 @@ def test_moments_of_blocks_and_squares(distortion):
     u, v = camera.tan_x, camera.tan_y
     q64 = q.astype(np.float64)
     pixels = np.stack([valid, u, v, q64, u * u, u * v, u * q64, v * v, v * q64, q64 * q64]) * valid
-    moments, rss, _, offsets, shapes, _ = pyramid
+    moments, rss, _, offsets, shapes = pyramid
     for level, (rows, columns) in enumerate(shapes):
         side = segment_blocks.BLOCK << level
         padded = np.zeros((10, rows * side, columns * side))
