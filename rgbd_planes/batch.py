@@ -299,7 +299,8 @@ class _Threads:
             for task in islice(waiting, 2 * self.slots):
                 submit(task)
             while running:
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                done = wait(running, return_when=FIRST_COMPLETED).done
+                for future in sorted(done, key=running.__getitem__):  # one thread's are said in order
                     yield running.pop(future), future.result()
                     for task in islice(waiting, 1):
                         submit(task)
