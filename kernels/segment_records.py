@@ -21,6 +21,8 @@ class Rules(NamedTuple):
     steep_block: float = 0.6  # the same for the part that the block's own slope makes
     square_floor: float = 1.0  # when four squares are one plane: see `segment_joining.join_blocks`
     square_spread: float = 30.0
+    sure: float = 0.1  # share of what makes two regions one plane, that leaves no doubt: see `segment_growth`
+    most: float = 4096.0  # pixels that regions have which are joined so
     region_floor: float = 4.5  # when two regions are one plane: see `segment_merge.merge`
     region_jump: float = 6.0
     region_crest: float = 3.0

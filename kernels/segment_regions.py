@@ -5,6 +5,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .segment_blocks import EMPTY
+from .segment_growth import grow_together
 from .segment_joining import leaves
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
@@ -104,7 +105,10 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
     """
     moments, squares = sums
     count = leaves(pyramid, state, region, owners.block, moments)
-    number = np.empty(0, np.int64)
+    parent, number = np.empty(count, np.int64), np.empty(count, np.int64)
+    grow_together(region, moments[:count], noise, rules, parent)
+    count = number_regions(parent, moments, 0.0, number)
+    renumber(region, number)
     before = np.empty_like(region)
     alpha = np.empty((0, 3))
     for trip in range(rules.trips + 1):

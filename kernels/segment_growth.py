@@ -1,0 +1,81 @@
+"""Segmentation: squares that are surely one plane grow together, before regions are weighed against each other.
+
+What `segment_merge` then has to weigh, best pairs first, are hundreds of regions for thousands of squares. Which of
+two planes takes a square that fits both is not decided here: such a square adds more than is sure.
+"""
+
+import numpy as np
+
+from ._jit import kernel
+from .disjoint_sets import root_of
+from .segment_moments import fit, solve
+from .segment_noise import variance, waviness
+
+# The block to the right, and the one below.
+DOWN, RIGHT = (0, 1), (1, 0)
+
+
+@kernel()
+def grow_together(region, moments, noise, rules, parent):
+    """Join regions that touch, one pair after the other along the rows of blocks.
+
+    Two regions of together at most ``most`` pixels are joined if that raises the sum of squared residuals by no more
+    than the share ``sure`` of what `segment_merge.merge` allows at last.
+
+    Parameters
+    ----------
+    region : (R, C) int32
+        Region of each block, or -1.
+    moments : (N, 10) float64
+        Of each region; those of a joined region are written to the row that ``parent`` names.
+    noise : Noise
+    rules : Rules
+    parent : (N,) int64, written
+        The region that each one went into.
+    """
+    regions = len(moments)
+    rows, columns = region.shape
+    rss, variances, waviness_square = np.empty(regions), np.empty(regions), np.empty(regions)
+    alpha = np.empty(3)
+    for a in range(regions):
+        parent[a] = a
+        rss[a] = fit(moments[a], alpha)
+        variances[a] = variance(moments[a], alpha, noise) if rss[a] >= 0.0 else 0.0
+        waviness_square[a] = waviness(moments[a, 0], noise.growth) ** 2
+    floor, spread = rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
+    last_a = np.full(len(DOWN), -1, np.int64)  # the pair that was last refused, on each side
+    last_b = np.full(len(DOWN), -1, np.int64)
+    for row in range(rows):
+        for column in range(columns):
+            here = region[row, column]
+            if here < 0:
+                continue
+            for side in range(len(DOWN)):
+                r, c = row + DOWN[side], column + RIGHT[side]
+                if r == rows or c == columns or region[r, c] < 0 or region[r, c] == here:
+                    continue
+                a, b = root_of(parent, here), root_of(parent, region[r, c])
+                if a == b or (a == last_a[side] and b == last_b[side]):
+                    continue
+                m, k = moments[a], moments[b]
+                joined = False
+                if m[0] + k[0] <= rules.most:
+                    together, _, _, _ = solve(
+                        m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
+                        m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
+                    )  # fmt: skip
+                    calm = min(waviness_square[a], waviness_square[b])
+                    allowed = min(variances[a], variances[b]) * (floor * calm * min(m[0], k[0]) + spread)
+                    joined = together - rss[a] - rss[b] <= allowed
+                if not joined:
+                    last_a[side], last_b[side] = a, b
+                    continue
+                a, b = min(a, b), max(a, b)
+                parent[b] = a
+                for j in range(10):
+                    moments[a, j] += moments[b, j]
+                rss[a] = together
+                variances[a] = min(variances[a], variances[b])
+                waviness_square[a] = max(waviness_square[a], waviness_square[b])
+    for a in range(regions):
+        parent[a] = root_of(parent, a)
