@@ -9,9 +9,9 @@ What calls what:
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, and `normal_distribution`; `label_variances` for
   parts of many depths
 - segments: `segment_blocks`, `segment_noise_estimation`, `segment_joining`, `segment_regions`, which does most of the
-  work with `segment_growth`, `segment_merge` and `segment_pixels`, which has `segment_settled` and `segment_contest`; then
-  `segment_shape` with `segment_facets`, `segment_runs`, `segment_parts`, `segment_gaps`, `segment_labels`,
-  `segment_inside` and `segment_planes`, in this order; `segment_records` has what they hand on
+  work with `segment_growth`, `segment_merge` and `segment_pixels`, which has `segment_settled` and
+  `segment_contest`; then `segment_shape` with `segment_facets`, `segment_runs`, `segment_parts`, `segment_gaps`,
+  `segment_labels`, `segment_inside` and `segment_planes`, in this order; `segment_records` has what they hand on
 - tables on disk: `rows`
 
 What the same name means everywhere:

@@ -29,34 +29,28 @@ def place_of(a, listed, count):
 
 
 @kernel(inline=True)
-def contenders(region, row, column, candidate):
-    """The regions in the 3x3 blocks around one; returns how many."""
+def contenders(region, row, column, rays, candidate, centre):
+    """The regions in the 3x3 blocks around one, and where their blocks lie; returns how many.
+
+    ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, these with the sums of (u, v) of the
+    blocks' centres and the number of blocks.
+    """
     rows, columns = region.shape
     count = 0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
             a = region[r, c]
-            if a >= 0 and place_of(a, candidate, count) == count:
+            if a < 0:
+                continue
+            i = place_of(a, candidate, count)
+            if i == count:
                 candidate[count] = a
+                centre[count, :] = 0.0
                 count += 1
+            centre[i, 0] += rays.centre_u[r, c]
+            centre[i, 1] += rays.centre_v[r, c]
+            centre[i, 2] += 1.0
     return count
-
-
-@kernel(inline=True)
-def find_centres(region, row, column, centre_u, centre_v, count, candidate, centre):
-    """Where the blocks of each of the contenders lie: mean (u, v) of their centres."""
-    rows, columns = region.shape
-    centre[:count] = 0.0
-    for r in range(max(row - 1, 0), min(row + 2, rows)):
-        for c in range(max(column - 1, 0), min(column + 2, columns)):
-            i = place_of(region[r, c], candidate, count)
-            if i < count:
-                centre[i, 0] += centre_u[r, c]
-                centre[i, 1] += centre_v[r, c]
-                centre[i, 2] += 1.0
-    for i in range(count):
-        centre[i, 0] /= centre[i, 2]
-        centre[i, 1] /= centre[i, 2]
 
 
 @kernel(inline=True)
@@ -79,8 +73,8 @@ def is_undisputed(a, count, candidate, centre, alpha, rays, row, column, distanc
                 u, v = ray_of(rays, y, x)
                 d = d_u * u + d_v * v + d_1
                 low, high = min(low, d), max(high, d)
-        side_a = d_u * centre[own, 0] + d_v * centre[own, 1] + d_1
-        side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
+        side_a = d_u * centre[own, 0] + d_v * centre[own, 1] + d_1 * centre[own, 2]
+        side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1 * centre[i, 2]
         beyond = side_a * side_b < 0.0 and (low > 0.0 if side_a > 0.0 else high < 0.0)
         if not (low > distance or high < -distance or beyond):
             return False
@@ -170,8 +164,8 @@ def line_between(i, j, candidate, centre, alpha):
     """
     a, b = candidate[i], candidate[j]
     d_u, d_v, d_1 = difference(alpha, b, a)
-    side_i = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1
-    side_j = d_u * centre[j, 0] + d_v * centre[j, 1] + d_1
+    side_i = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1 * centre[i, 2]
+    side_j = d_u * centre[j, 0] + d_v * centre[j, 1] + d_1 * centre[j, 2]
     sign = 0.0
     if side_i * side_j < 0.0:
         sign = 1.0 if side_j > 0.0 else -1.0
@@ -193,16 +187,24 @@ def contend(i, j, within, middle, n, line_u, line_v, line_1, sums, penalty, clos
         winner[k] = j if wins else winner[k]
 
 
-@kernel(inline=True, reduction=True)
-def add_owned(i, winner, middle, cut, sign, moments, a):
-    """Add the pixels that contender ``i`` has to the moments of region ``a``, or subtract them.
+@kernel(inline=True)
+def pixels_of(values, wanted):
+    """Which of a block's pixels have a ``wanted`` value, one bit for each: see `Shares`."""
+    pixels = np.int32(0)
+    for k in range(BLOCK * BLOCK):
+        pixels |= np.int32(values[k] == wanted) << np.int32(k)
+    return pixels
 
-    ``middle`` (4, BLOCK²) has q, tanθx, tanθy and squared residuals. The sum of these, each ``cut`` at most, is
-    returned.
+
+@kernel(inline=True, reduction=True)
+def sum_owned(i, winner, middle, cut, sums):
+    """Sum up the pixels that contender ``i`` has: to ``sums`` (11,), as those of `Shares`.
+
+    ``middle`` (4, BLOCK²) has q, tanθx, tanθy and squared residuals, of which each counts as ``cut`` at most.
     """
     n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = error = 0.0
     for k in range(BLOCK * BLOCK):
-        w = sign if winner[k] == i else 0.0
+        w = 1.0 if winner[k] == i else 0.0
         q, u, v = middle[0, k], middle[1, k], middle[2, k]
         error += w * min(middle[3, k], cut)
         n += w
@@ -215,14 +217,5 @@ def add_owned(i, winner, middle, cut, sign, moments, a):
         s_vv += w * v * v
         s_vq += w * v * q
         s_qq += w * q * q
-    moments[a, 0] += n
-    moments[a, 1] += s_u
-    moments[a, 2] += s_v
-    moments[a, 3] += s_q
-    moments[a, 4] += s_uu
-    moments[a, 5] += s_uv
-    moments[a, 6] += s_uq
-    moments[a, 7] += s_vv
-    moments[a, 8] += s_vq
-    moments[a, 9] += s_qq
-    return error
+    sums[0], sums[1], sums[2], sums[3], sums[4] = n, s_u, s_v, s_q, s_uu
+    sums[5], sums[6], sums[7], sums[8], sums[9], sums[10] = s_uv, s_uq, s_vv, s_vq, s_qq, error

@@ -10,12 +10,18 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of, unite
+from .segment_blocks import BLOCK
 from .segment_moments import difference, ray_of, rise
 from .segment_planes import fit_planes
+from .segment_runs import TOP, WHOLE
 
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
 FARTHEST = np.iinfo(np.int64).max  # a row or column after all others
+NO_RUN = np.int32(-1)  # label of none
+# Of each four bits, the first that is set and the one after the last.
+FIRST = (0, 0, 1, 0, 2, 0, 1, 0, 3, 0, 1, 0, 2, 0, 1, 0)
+STOP = (0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4)
 OPEN = 0.1  # share of the rows or columns that may see through
 
 
@@ -60,18 +66,39 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
 
 @kernel()
 def label_boxes(runs, box):
-    """First row, row after the last, first column, column after the last of each label.
+    """First row, row after the last, first column, column after the last of each label's blocks.
 
     ``box`` (N + 1, 4) int64 is written, row a for label a.
     """
     row_runs, run_start, run_stop, run_label = runs.first, runs.start, runs.stop, runs.label
     box[:, 0] = box[:, 2] = FARTHEST
     box[:, 1] = box[:, 3] = 0
-    for y in range(len(row_runs) - 1):
-        for i in range(row_runs[y], row_runs[y + 1]):
+    for row in range(len(row_runs) - 1):
+        for i in range(row_runs[row], row_runs[row + 1]):
             b = box[run_label[i]]
-            b[0], b[1] = min(b[0], y), y + 1
+            b[0], b[1] = min(b[0], row), row + 1
             b[2], b[3] = min(b[2], run_start[i]), max(b[3], run_stop[i])
+
+
+@kernel(inline=True)
+def columns_in_row(k, y, runs, shares, width):
+    """First column of a run's pixels in row ``y``, and the one after the last: the same if it has none there."""
+    if runs.share[k] == WHOLE:
+        return runs.start[k] * BLOCK, min(runs.stop[k] * BLOCK, width)
+    four = (shares.pixels[runs.share[k]] >> np.int32(y % BLOCK * BLOCK)) & TOP
+    return runs.start[k] * BLOCK + FIRST[four], runs.start[k] * BLOCK + STOP[four]
+
+
+@kernel(inline=True)
+def rows_in_column(k, row, x, runs, shares, height):
+    """The same of its rows in column ``x``; it lies in row ``row`` of blocks."""
+    if runs.share[k] == WHOLE:
+        return row * BLOCK, min(row * BLOCK + BLOCK, height)
+    column = shares.pixels[runs.share[k]] >> np.int32(x % BLOCK)
+    four = np.int32(0)
+    for y in range(BLOCK):
+        four |= ((column >> np.int32(y * BLOCK)) & np.int32(1)) << np.int32(y)
+    return row * BLOCK + FIRST[four], row * BLOCK + STOP[four]
 
 
 @kernel(inline=True)
@@ -82,68 +109,76 @@ def sees_through(inverse_depth, rays, alpha, reach, y, x):
 
 
 @kernel()
-def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
+def gaps_across(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     """Gaps between labels a and b along the rows.
 
     ``gaps`` (G,) int64 is written: how many gaps of 0, 1, 2, ... pixels one does not see through. Returns how many
     one sees through, and does not. Unless told to ``look`` it takes it that one sees through none.
     """
-    row_runs, run_start, run_stop, run_label = runs.first, runs.start, runs.stop, runs.label
+    height, width = inverse_depth.shape
     closed = opened = 0
     gaps[:] = 0
-    for y in range(max(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1])):
-        last = -1  # run of a or of b
-        for i in range(row_runs[y], row_runs[y + 1]):
-            if run_label[i] != a and run_label[i] != b:
-                continue
-            if last >= 0 and run_label[last] != run_label[i]:
-                through = False
-                for x in range(run_stop[last], run_start[i] if look else 0):
-                    if sees_through(inverse_depth, rays, alpha, reach, y, x):
-                        through = True
-                        break
-                opened += through
-                closed += not through
-                width = run_start[i] - run_stop[last]
-                if not through and width < len(gaps):
-                    gaps[width] += 1
-            last = i
-    return opened, closed
-
-
-@kernel()
-def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
-    """The same along the columns."""
-    row_runs, run_start, run_stop, run_label = runs.first, runs.start, runs.stop, runs.label
-    closed = opened = 0
-    gaps[:] = 0
-    first, stop = max(box[a, 2], box[b, 2]), min(box[a, 3], box[b, 3])
-    last = np.full((2, stop - first), -1, np.int64)  # row where each column last met a, and b
-    for y in range(min(box[a, 0], box[b, 0]), max(box[a, 1], box[b, 1])):
-        for i in range(row_runs[y], row_runs[y + 1]):
-            if run_label[i] != a and run_label[i] != b:
-                continue
-            own, other = (last[0], last[1]) if run_label[i] == a else (last[1], last[0])
-            start, end = max(run_start[i], first) - first, min(run_stop[i], stop) - first
-            met = False
-            for k in range(start, end):
-                met |= other[k] > own[k]
-            if met:
-                for k in range(start, end):
-                    if other[k] <= own[k]:
-                        continue
+    most = 0
+    for row in range(len(runs.first) - 1):
+        most = max(most, runs.first[row + 1] - runs.first[row])
+    own = np.empty(most + 1, np.int64)  # the runs of a and b in a row of blocks
+    for row in range(max(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1])):
+        count = 0
+        for i in range(runs.first[row], runs.first[row + 1]):
+            own[count] = i
+            count += (runs.label[i] == a) | (runs.label[i] == b)
+        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+            last, end = NO_RUN, 0  # the label of the last run, and where it ends
+            for i in own[:count]:
+                start, stop = columns_in_row(i, y, runs, shares, width)
+                if start == stop:
+                    continue
+                if last != NO_RUN and last != runs.label[i]:
                     through = False
-                    for r in range(other[k] + 1, y if look else 0):
-                        if sees_through(inverse_depth, rays, alpha, reach, r, k + first):
+                    for x in range(end, start if look else 0):
+                        if sees_through(inverse_depth, rays, alpha, reach, y, x):
                             through = True
                             break
                     opened += through
                     closed += not through
-                    height = y - other[k] - 1
-                    if not through and height < len(gaps):
-                        gaps[height] += 1
-            for k in range(start, end):
-                own[k] = y
+                    gap = max(start - end, 0)
+                    if not through and gap < len(gaps):
+                        gaps[gap] += 1
+                last, end = runs.label[i], stop
+    return opened, closed
+
+
+@kernel()
+def gaps_down(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
+    """The same along the columns."""
+    height, width = inverse_depth.shape
+    closed = opened = 0
+    gaps[:] = 0
+    first, stop = max(box[a, 2], box[b, 2]), min(box[a, 3], box[b, 3])
+    # Row of pixels up to which each column has a, and b.
+    last = np.full((2, (stop - first) * BLOCK), -1, np.int64)
+    for row in range(min(box[a, 0], box[b, 0]), max(box[a, 1], box[b, 1])):
+        for i in range(runs.first[row], runs.first[row + 1]):
+            if runs.label[i] != a and runs.label[i] != b:
+                continue
+            own, other = (last[0], last[1]) if runs.label[i] == a else (last[1], last[0])
+            for x in range(max(runs.start[i], first) * BLOCK, min(min(runs.stop[i], stop) * BLOCK, width)):
+                upper, lower = rows_in_column(i, row, x, runs, shares, height)
+                if upper == lower:
+                    continue
+                k = x - first * BLOCK
+                if other[k] > own[k]:
+                    through = False
+                    for y in range(other[k], upper if look else 0):
+                        if sees_through(inverse_depth, rays, alpha, reach, y, x):
+                            through = True
+                            break
+                    opened += through
+                    closed += not through
+                    gap = max(upper - other[k], 0)
+                    if not through and gap < len(gaps):
+                        gaps[gap] += 1
+                own[k] = lower
     return opened, closed
 
 
@@ -161,13 +196,14 @@ def is_thin(gaps, opened, closed):
 
 
 @kernel()
-def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, parent):
+def join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
 
     Parameters
     ----------
     runs : Runs
         Row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
+    shares : Shares
     inverse_depth : (H, W) float32
     rays : Rays
     pairs, count : see `find_coplanar`
@@ -182,8 +218,9 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, paren
         thin = False
         for side in range(2):
             # No gap counts as thin that is wider than there are rows, or columns.
-            widest = min(box[a + 1, 2 * side + 1], box[b + 1, 2 * side + 1]) - max(
-                box[a + 1, 2 * side], box[b + 1, 2 * side]
+            widest = BLOCK * (
+                min(box[a + 1, 2 * side + 1], box[b + 1, 2 * side + 1])
+                - max(box[a + 1, 2 * side], box[b + 1, 2 * side])
             )
             if thin or widest < LEAST:
                 continue
@@ -191,11 +228,11 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, paren
             for look in (False, True):  # into the gaps only if they are not too wide anyway
                 if side == 0:
                     opened, closed = gaps_across(
-                        runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
+                        runs, shares, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip
                 else:
                     opened, closed = gaps_down(
-                        runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
+                        runs, shares, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip
                 thin = is_thin(gaps, opened, closed)
                 if not thin:

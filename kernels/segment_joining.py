@@ -11,7 +11,7 @@ from .segment_noise import sensor_variance
 
 
 @kernel()
-def join_blocks(pyramid, noise, rules, state):
+def join_blocks(pyramid, noise, rules, sensor, state):
     """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
 
     Parameters
@@ -22,6 +22,8 @@ def join_blocks(pyramid, noise, rules, state):
         A block is planar if its residual is below ``rough_block`` standard deviations, the slope's part of
         which counts ``steep_block`` times (a block across a depth jump looks steep, too). Four are one plane if
         joining them adds at most ``square_floor``² variances per pixel, plus ``square_spread``.
+    sensor : (R·C,) float64, written
+        Of each block: see `segment_noise.sensor_variance`.
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """
@@ -29,8 +31,8 @@ def join_blocks(pyramid, noise, rules, state):
     sigma, lateral_variance = noise.sigma, noise.lateral_variance
     for i in range(shapes[0, 0] * shapes[0, 1]):
         n = moments[0, i]
-        sensor = sensor_variance(moments[3, i] / max(n, 1.0), sigma)
-        allowed = rules.rough_block**2 * sensor + rules.steep_block**2 * lateral_variance * slope_square[i]
+        sensor[i] = sensor_variance(moments[3, i] / max(n, 1.0), sigma)
+        allowed = rules.rough_block**2 * sensor[i] + rules.steep_block**2 * lateral_variance * slope_square[i]
         planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
         state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
     for level in range(1, shapes.shape[0]):

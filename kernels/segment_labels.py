@@ -3,9 +3,22 @@
 import numpy as np
 
 from ._jit import kernel
+from .segment_blocks import BLOCK
+from .segment_runs import WHOLE, how_many
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
 COMPANY = 3
+# Of each pixel of a block the 3x3 around it, as far as they are of the block: see `Shares`.
+AROUND = tuple(
+    np.int32(
+        sum(
+            1 << BLOCK * y + x
+            for y in range(max(p // BLOCK - 1, 0), min(p // BLOCK + 2, BLOCK))
+            for x in range(max(p % BLOCK - 1, 0), min(p % BLOCK + 2, BLOCK))
+        )
+    )
+    for p in range(BLOCK * BLOCK)
+)
 
 
 @kernel()
@@ -16,13 +29,16 @@ def label_runs(runs, number):
 
 
 @kernel()
-def write_labels(runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, label, reason):
+def write_labels(
+    runs, shares, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, label, reason
+):  # fmt: skip
     """Write the final labels and the reasons.
 
     Parameters
     ----------
     runs : Runs
         With their final labels, 0 for none.
+    shares : Shares
     why : (P,) uint8
         Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are those of the other pixels.
     stray : (P,) bool
@@ -36,28 +52,37 @@ def write_labels(runs, why, stray, missing, unclaimed, inverse_depth, loose, loo
     int
         How many loose pixels there are.
     """
-    row_runs, run_start, run_stop, run_label, _, _, part = runs
+    row_runs, run_start, run_stop, run_share, run_label, part = (
+        runs.first, runs.start, runs.stop, runs.share, runs.label, runs.part,
+    )  # fmt: skip
     height, width = label.shape
     for y in range(height):
         label[y] = 0
-        q, reason_row = inverse_depth[y], reason[y]
+        q, label_row, reason_row = inverse_depth[y], label[y], reason[y]
         for x in range(width):
             reason_row[x] = unclaimed if q[x] > 0.0 else missing
-        for i in range(row_runs[y], row_runs[y + 1]):
+        row = y // BLOCK
+        for i in range(row_runs[row], row_runs[row + 1]):
             a, b = run_label[i], why[part[i]]
-            start, stop = run_start[i], run_stop[i]
-            q, label_run, reason_run = (
-                inverse_depth[y, start:stop],
-                label[y, start:stop],
-                reason[y, start:stop],
-            )
+            start, stop = run_start[i] * BLOCK, min(run_stop[i] * BLOCK, width)
+            if run_share[i] != WHOLE:
+                pixels = shares.pixels[run_share[i]] >> np.int32(y % BLOCK * BLOCK)
+                for x in range(stop - start):
+                    if (pixels >> np.int32(x)) & 1:
+                        label_row[start + x] = a
+                        reason_row[start + x] = b
+                        if stray[part[i]]:
+                            loose[loose_count] = y * width + start + x
+                            loose_count += 1
+                continue
+            q_run, label_run, reason_run = q[start:stop], label_row[start:stop], reason_row[start:stop]
             for x in range(stop - start):
-                label_run[x] = a if q[x] > 0.0 else 0
+                label_run[x] = a if q_run[x] > 0.0 else 0
             for x in range(stop - start):
-                reason_run[x] = b if q[x] > 0.0 else missing
+                reason_run[x] = b if q_run[x] > 0.0 else missing
             if stray[part[i]]:
                 for x in range(stop - start):
-                    if q[x] > 0.0:
+                    if q_run[x] > 0.0:
                         loose[loose_count] = y * width + start + x
                         loose_count += 1
     return loose_count
@@ -78,7 +103,9 @@ def is_lone(label, inverse_depth, y, x):
 
 
 @kernel()
-def settle_strays(runs, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes):
+def settle_strays(
+    runs, shares, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes
+):  # fmt: skip
     """Take the label from pixels that stand alone, and let loose ones go with those around them.
 
     Parameters
@@ -93,16 +120,19 @@ def settle_strays(runs, inverse_depth, unclaimed, least, needed, loose, loose_co
     sizes : (N + 1,) int32, changed
         Pixels of each label.
     """
-    row_runs, run_start, run_stop = runs.first, runs.start, runs.stop
     height, width = label.shape
     labelled = loose_count
-    for y in range(height):
-        for i in range(row_runs[y], row_runs[y + 1]):
-            if run_stop[i] - run_start[i] > COMPANY:
+    for row in range(len(runs.first) - 1):
+        for i in range(runs.first[row], runs.first[row + 1]):
+            a = runs.label[i]
+            if runs.share[i] == WHOLE or a == 0 or sizes[a] <= least:
                 continue
-            for x in range(run_start[i], run_stop[i]):
-                a = label[y, x]
-                if a > 0 and sizes[a] > least and is_lone(label, inverse_depth, y, x):
+            pixels = shares.pixels[runs.share[i]]
+            for p in range(BLOCK * BLOCK):
+                if not (pixels >> np.int32(p)) & 1 or how_many(pixels & AROUND[p]) > COMPANY:
+                    continue
+                y, x = row * BLOCK + p // BLOCK, runs.start[i] * BLOCK + p % BLOCK
+                if is_lone(label, inverse_depth, y, x) and sizes[a] > least:
                     loose[loose_count] = y * width + x
                     loose_count += 1
                     sizes[a] -= 1

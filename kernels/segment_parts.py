@@ -5,26 +5,25 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
-from .segment_moments import add, ray_of
-from .segment_runs import GAP
+from .segment_blocks import BLOCK
+from .segment_runs import WHOLE, how_many
 
 
 @kernel()
-def measure_parts(runs, inverse_depth, rays, alpha, deviation, cut, sums, parts):
-    """Number the parts in the order of their first pixels, and share out what the regions own.
+def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
+    """Number the parts and share out what the regions own.
 
-    The largest part of a region gets its moments less those of the other parts, whose pixels are counted.
+    The largest part of a region gets its moments less those of the other parts, whose blocks are added up.
 
     Parameters
     ----------
     runs : Runs
         ``part`` is written.
-    inverse_depth : (H, W) float32
-    rays : Rays
-    alpha, deviation : (N, 3), (N,) float64
-        Of the regions: see `segment_planes.deviations`.
-    cut : float
-        See `segment_pixels.own_pixels`.
+    owners : Owners
+    shares : Shares
+    pyramid : Pyramid
+    width : int
+        Of the image.
     sums : Sums
         Of the regions; changed.
     parts : Parts, written
@@ -34,51 +33,58 @@ def measure_parts(runs, inverse_depth, rays, alpha, deviation, cut, sums, parts)
     int
         Number of parts.
     """
-    row_runs, run_start, run_stop, run_label, vertical, parent, part = runs
+    row_runs, run_start, run_stop, run_share, run_label, _, run_across, run_down, parent, part = runs
     region_moments, region_squares = sums
-    moments, squares, size, across, down, owner = parts
+    moments, squares, size, across, down, first, owner = parts
     count = 0
-    for y in range(len(row_runs) - 1):
-        for i in range(row_runs[y], row_runs[y + 1]):
+    for row in range(len(row_runs) - 1):
+        for i in range(row_runs[row], row_runs[row + 1]):
             root = root_of(parent, i)
+            y, x = row * BLOCK, run_start[i] * BLOCK
+            pixels = np.int64(BLOCK * BLOCK * (run_stop[i] - run_start[i]))  # holes and all
+            if run_share[i] != WHOLE:
+                mask = shares.pixels[run_share[i]]
+                pixels = how_many(mask)
+                p = 0
+                while not (mask >> np.int32(p)) & 1:
+                    p += 1
+                y, x = y + p // BLOCK, x + p % BLOCK
             if root == i:
                 part[i] = count
-                size[count] = 0.0
-                across[count] = 0
-                down[count] = 0
-                squares[count] = 0.0
+                size[count] = squares[count] = 0.0
+                across[count] = down[count] = 0
                 moments[count, :] = 0.0
                 owner[count] = run_label[i]
+                first[count] = y * width + x
                 count += 1
             else:
                 part[i] = part[root]
             k = part[i]
-            size[k] += run_stop[i] - run_start[i]  # holes and all, until the moments say
-            down[k] += vertical[i]
-            # A run that goes on after a short gap is one run.
-            goes_on = (
-                i > row_runs[y] and run_label[i - 1] == run_label[i] and run_start[i] - run_stop[i - 1] <= GAP
-            )
-            across[k] += 0 if goes_on else 1
+            first[k] = min(first[k], y * width + x)
+            size[k] += pixels
+            across[k] += run_across[i]
+            down[k] += run_down[i]
     largest = np.full(len(region_moments), -1, np.int64)
     for k in range(count):
         a = owner[k]
         if largest[a] < 0 or size[k] > size[largest[a]]:
             largest[a] = k
-    for y in range(len(row_runs) - 1):
-        for i in range(row_runs[y], row_runs[y + 1]):
+    columns = owners.block.shape[1]
+    for row in range(len(row_runs) - 1):
+        for i in range(row_runs[row], row_runs[row + 1]):
             k = part[i]
-            a = owner[k]
-            if largest[a] == k:
+            if largest[owner[k]] == k:
                 continue
-            for x in range(run_start[i], run_stop[i]):
-                q = inverse_depth[y, x]
-                if q == 0.0:
-                    continue
-                u, v = ray_of(rays, y, x)
-                e = (q - (alpha[a, 0] * u + alpha[a, 1] * v + alpha[a, 2])) / deviation[a]
-                squares[k] += min(e * e, cut * cut)
-                add(moments[k], u, v, q)
+            s = run_share[i]
+            if s != WHOLE:
+                for j in range(10):
+                    moments[k, j] += shares.sums[s, j]
+                squares[k] += shares.sums[s, 10]
+                continue
+            for c in range(run_start[i], run_stop[i]):
+                for j in range(10):
+                    moments[k, j] += pyramid.moments[j, row * columns + c]
+                squares[k] += owners.error[row, c]
     for k in range(count):
         a = owner[k]
         if largest[a] != k:
@@ -114,9 +120,9 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
     stray : (P,) bool, written
         Whether a part is so small or narrow that its pixels may be specks in another.
     number : (P,) int32, written
-        1, 2, ... for planes, 0 for the others.
+        1, 2, ... for planes in the order of their first pixels, 0 for the others.
     kept : (P,) int64, written
-        The parts that are planes.
+        The parts that are planes, in this order.
 
     Returns
     -------
@@ -124,7 +130,7 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
         How many planes there are.
     """
     plane, small, uneven, bent, thin = reasons
-    _, squares, size, across, down, region = parts
+    _, squares, size, across, down, first, region = parts
     planes = 0
     for k in range(count):
         why[k] = plane
@@ -139,7 +145,12 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
         stray[k] = why[k] == small or why[k] == thin
         number[k] = 0
         if why[k] == plane:
-            kept[planes] = k
+            place = planes  # parts are nearly in the order of their first pixels
+            while place > 0 and first[kept[place - 1]] > first[k]:
+                kept[place] = kept[place - 1]
+                place -= 1
+            kept[place] = k
             planes += 1
-            number[k] = planes
+    for place in range(planes):
+        number[kept[place]] = place + 1
     return planes

@@ -102,10 +102,21 @@ class Sums(NamedTuple):
 
 
 class Owners(NamedTuple):
-    """Which region has which pixels."""
+    """Which region has which blocks; of what several have a part of, see `Shares`."""
 
     block: Array  # (R, C) int32: region that has all measured pixels of a block; or EMPTY, MIXED or UNSEEN
-    pixel: Array  # (R·C, BLOCK²) int32: of each MIXED block the region of each pixel, or UNOWNED or MISSING
+    error: Array  # (R, C) float64: of a block with one region, the sum of its squared residuals in variances
+    first: Array  # (R, C) int32: of a MIXED block its first share
+    count: Array  # (R, C) int32: how many shares it has; of its other pixels nobody is the owner
+    measured: Array  # (R, C) int32: its measured pixels, see `Shares`
+
+
+class Shares(NamedTuple):
+    """What regions have of MIXED blocks."""
+
+    region: Array  # (S,) int32
+    pixels: Array  # (S,) int32: pixel (y, x) of the block is bit BLOCK·y + x
+    sums: Array  # (S, 11) float64: moments, and the sum of squared residuals in variances
 
 
 class Contacts(NamedTuple):
@@ -117,13 +128,16 @@ class Contacts(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Pixels of one label side by side in a row, one row after the other."""
+    """Blocks side by side that one region has, or its share of a MIXED one: one row of blocks after the other."""
 
-    first: Array  # (H + 1,) int32: first run of each row
-    start: Array  # (K,) int32: first column
+    first: Array  # (R + 1,) int32: first run of each row
+    start: Array  # (K,) int32: first column of blocks
     stop: Array  # last column + 1
+    share: Array  # the share, or WHOLE
     label: Array
-    vertical: Array  # pixels with none of the same label above, missing pixels between them aside
+    filled: Array  # its pixels in each of its blocks, and missing ones between them: see `Shares`
+    across: Array  # runs of pixels along the rows that begin in it, missing pixels between them aside
+    down: Array  # the same along the columns
     parent: Array  # roots stand for connected parts
     part: Array  # number of the part
 
@@ -134,6 +148,7 @@ class Parts(NamedTuple):
     moments: Array  # (P, 10) float64
     squares: Array  # (P,) float64: as in `Sums`
     size: Array  # (P,) float64: pixels
-    across: Array  # (P,) float64: runs along the rows
-    down: Array  # (P,) float64: runs along the columns
+    across: Array  # (P,) int64: runs of pixels along the rows
+    down: Array  # (P,) int64: runs of pixels along the columns
+    first: Array  # (P,) int64: its first pixel, row · W + column
     region: Array  # (P,) int64

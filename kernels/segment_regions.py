@@ -9,17 +9,17 @@ from .segment_growth import grow_together
 from .segment_joining import leaves
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
 from .segment_moments import misfit
-from .segment_noise import in_square, sensor_variance
+from .segment_noise import in_square
 from .segment_pixels import own_pixels
 from .segment_planes import fit_regions
-from .segment_records import Contacts, Planes, Sums
+from .segment_records import Contacts, Planes, Shares, Sums
 
 # The four blocks beside one.
 DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
 
 
 @kernel()
-def spread_out(region, owner, pyramid, planes, sigma, settled):
+def spread_out(region, owner, pyramid, sensor, planes, settled):
     """Give the blocks that are of no region, being too rough, to a region beside them that they fit.
 
     One after the other from the regions' edges on: where rounds go on by one block each, this goes all the way.
@@ -43,7 +43,6 @@ def spread_out(region, owner, pyramid, planes, sigma, settled):
             row, column = row_of[k], column_of[k]
             i = row * columns + column
             pixels = moments[0, i]
-            sensor = sensor_variance(moments[3, i] / pixels, sigma)
             best = settled * settled
             joins[k] = -1
             for side in range(4):
@@ -51,7 +50,7 @@ def spread_out(region, owner, pyramid, planes, sigma, settled):
                 if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] < 0:
                     continue
                 a = region[r, c]
-                error = misfit(moments, i, alpha, a) / (pixels * in_square(sensor, planes, a, i))
+                error = misfit(moments, i, alpha, a) / (pixels * in_square(sensor[i], planes, a, i))
                 if error < best:
                     best = error
                     joins[k] = a
@@ -73,7 +72,9 @@ def spread_out(region, owner, pyramid, planes, sigma, settled):
 
 
 @kernel()
-def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, region, owners, contacts, sums):
+def find_regions(
+    inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contacts, sums
+):  # fmt: skip
     """Merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
 
     Parameters
@@ -81,7 +82,7 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
     inverse_depth : (H, W) float32
         0 where there is no measurement.
     rays : Rays
-    pyramid, state
+    pyramid, sensor, state
         See `segment_joining.join_blocks`.
     noise : Noise
     rules : Rules
@@ -99,9 +100,10 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
     Returns
     -------
     number : (M,) int64
-        Region that the regions of ``owners`` became in the end, or -1.
+        Region that the regions of ``owners`` and ``shares`` became in the end, or -1.
     count : int
         Regions in the end.
+    shares : Shares
     """
     moments, squares = sums
     count = leaves(pyramid, state, region, owners.block, moments)
@@ -111,6 +113,7 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
     renumber(region, number)
     before = np.empty_like(region)
     alpha = np.empty((0, 3))
+    shares = Shares(np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 11)))
     for trip in range(rules.trips + 1):
         pair_count = neighbours(region, rays, contacts)
         first_moments = moments[:count].copy()
@@ -133,22 +136,22 @@ def find_regions(inverse_depth, rays, pyramid, state, noise, rules, least, regio
         number = np.empty(count, np.int64)
         merged = number_regions(parent, moments, least if trip else 0.0, number)
         renumber(region, number)
-        own_squares = squares[:count].copy()
-        squares[:merged] = 0.0
-        for a in range(count):
-            if number[a] >= 0:
-                squares[number[a]] += own_squares[a]
         if trip == rules.trips:
-            return number, merged
+            own_squares = squares[:count].copy()
+            squares[:merged] = 0.0
+            for a in range(count):
+                if number[a] >= 0:
+                    squares[number[a]] += own_squares[a]
+            return number, merged, shares
         count = merged
         last_alpha = alpha
         alpha = np.empty((count, 3))
         planes = Planes(alpha, np.empty(count), np.empty(count), np.empty(count), rays.stretch)
         fit_regions(moments[:count], noise, planes)
         if trip == 1:  # before that it would spread over what becomes a region of its own
-            spread_out(region, owners.block, pyramid, planes, noise.sigma, rules.settled)
-        own_pixels(
-            inverse_depth, rays, pyramid, region, planes, noise.sigma, rules, trip == 0, before, number,
-            last_alpha, owners, Sums(moments[:count], squares[:count]),
+            spread_out(region, owners.block, pyramid, sensor, planes, rules.settled)
+        shares = own_pixels(
+            inverse_depth, rays, pyramid, sensor, region, planes, noise.sigma, rules, trip == 0, before, number,
+            last_alpha, owners, shares, Sums(moments[:count], squares[:count]),
         )  # fmt: skip
-    return number, count
+    return number, count, shares

@@ -1,111 +1,164 @@
-"""Segmentation: what each region owns, as runs of pixels along the rows, united into connected parts.
+"""Segmentation: what each region owns, as runs of blocks along their rows and shares of MIXED ones, united into parts.
 
-A block that one region owns is a run of its own width, missing pixels and all, and neighbouring ones are one
-run: so pixels are looked at only where regions meet.
+No pixel is looked at: which ones a share has is one bit for each, and so is where it goes on in the next block.
 """
 
 import numpy as np
 
 from ._jit import kernel
 from .disjoint_sets import unite
-from .segment_blocks import BLOCK, MISSING, MIXED
+from .segment_blocks import BLOCK, MIXED
 
-# Missing pixels in a row that still are holes in a surface; and rows, or columns, from one side of them to the other.
+# Share of a run of whole blocks: none.
+WHOLE = np.int32(-1)
+# Pixels of a block, of its upper row, and of its left column: bit BLOCK·y + x is pixel (y, x).
+ALL = np.int32((1 << BLOCK * BLOCK) - 1)
+TOP = np.int32((1 << BLOCK) - 1)
+LEFT = np.int32(sum(1 << BLOCK * y for y in range(BLOCK)))
+# By how many bits a pixel is from the one on its right, from the one below, and from one side of a block to the other.
+RIGHT_BY, DOWN_BY = np.int32(1), np.int32(BLOCK)
+ACROSS, DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
+# Missing pixels in a row that still are holes in a surface.
 GAP = 3
-REACH = np.int32(GAP + 1)
+# First run of a block that has none.
+NONE = np.int32(-1)
 
 
 @kernel(inline=True)
-def put_run(start, stop, a, starts, first, count, runs):
-    """Add pixels to the last run of a row, whose runs begin with ``first``, or as a new one; how many there are."""
-    _, run_start, run_stop, run_label, vertical, parent, _ = runs
-    i = count - 1
-    if i >= first and run_label[i] == a and run_stop[i] == start:
-        run_stop[i] = stop
-        vertical[i] += starts
-        return count
-    vertical[count] = starts
-    run_start[count] = start
-    run_stop[count] = stop
-    run_label[count] = a
-    parent[count] = count
-    if i >= first and run_label[i] == a and start - run_stop[i] <= GAP:
-        unite(parent, count, i)
-    return count + 1
+def how_many(pixels):
+    """Number of pixels of a block."""
+    pairs = pixels - ((pixels >> np.int32(1)) & np.int32(0x5555))
+    fours = (pairs & np.int32(0x3333)) + ((pairs >> np.int32(2)) & np.int32(0x3333))
+    eights = (fours + (fours >> np.int32(4))) & np.int32(0x0F0F)
+    return (eights + (eights >> np.int32(8))) & np.int32(0x1F)
 
 
 @kernel(inline=True)
-def rows_up(a, y, above_label, above_row):
-    """How many rows above a pixel the one lies from which its label ``a`` goes on; 0 where it does not."""
-    up = y - above_row
-    return up if (above_label == a) & (up <= REACH) else np.int32(0)
+def without_holes(pixels, measured):
+    """Pixels of a share, and those that nobody could measure between two of them; or all, if nobody else has any."""
+    right, left = (pixels & ~LEFT) >> RIGHT_BY, (pixels << RIGHT_BY) & ALL & ~LEFT
+    below, above = pixels >> DOWN_BY, (pixels << DOWN_BY) & ALL
+    return ALL if pixels == measured else pixels | (ALL & ~measured & ((right & left) | (below & above)))
 
 
 @kernel(inline=True)
-def put_below(a, y, last, above_label, above_row):
-    """How many pixels of a run have no label ``a`` above them; below them, up to row ``last``, they have one.
-
-    And how many rows above is the farthest from which one goes on: see `rows_up`.
-    """
-    starts = farthest = np.int32(0)  # no wider than what they count: more fit into the processor's vectors
-    for x in range(len(above_label)):
-        up = rows_up(a, y, above_label[x], above_row[x])
-        starts += np.int32(up == 0)
-        farthest = max(farthest, up)
-    for x in range(len(above_label)):
-        above_label[x] = a
-    for x in range(len(above_row)):
-        above_row[x] = last
-    return starts, farthest
+def starts_across(pixels):
+    """How many runs along its rows a share has."""
+    return how_many(pixels & ~((pixels << RIGHT_BY) & ~LEFT))
 
 
 @kernel(inline=True)
-def label_of(owner, pixel_owner, number, y, x):
-    """Label of a pixel; below 0 is none."""
-    row, column = y // BLOCK, x // BLOCK
-    a = owner[row, column]
-    if a == MIXED:
-        a = pixel_owner[row * owner.shape[1] + column, y % BLOCK * BLOCK + x % BLOCK]
-    return number[a] if a >= 0 else -1
+def starts_down(pixels):
+    """How many runs along its columns it has."""
+    return how_many(pixels & ~(pixels << DOWN_BY))
 
 
 @kernel(inline=True)
-def unite_with_rows_above(owners, number, y, this_first, count, reach, runs):
-    """Unite the runs of row ``y``, from ``this_first`` to ``count``, with those of their label above.
+def meet_across(left, right):
+    """The pixels of a block's left column that have one of the block to the left beside them, or corner to corner."""
+    a = (left >> ACROSS) & LEFT
+    return right & (a | (a << DOWN_BY) | (a >> DOWN_BY))
 
-    Up to ``reach`` rows above, where there is nothing between them but pixels without a label.
-    """
-    owner, pixel_owner = owners
-    first, run_start, run_stop, run_label, _, parent, _ = runs
-    for lines in range(1, min(y, reach) + 1):
-        j, stop = first[y - lines], first[y - lines + 1]
-        for i in range(this_first, count):
-            while j < stop and run_stop[j] < run_start[i]:
-                j += 1
-            k = j
-            while k < stop and run_start[k] <= run_stop[i]:
-                if run_label[k] == run_label[i] and parent[k] != parent[i]:
-                    x = max(run_start[i], run_start[k])
-                    above = y - 1
-                    while above > y - lines and label_of(owner, pixel_owner, number, above, x) < 0:
-                        above -= 1
-                    if above == y - lines:
-                        unite(parent, i, k)
-                k += 1
+
+@kernel(inline=True)
+def meet_down(above, below):
+    """The same of a block's upper row and the block above."""
+    a = above >> DOWN
+    return below & (a | (a << RIGHT_BY) | (a >> RIGHT_BY)) & TOP
+
+
+@kernel(inline=True)
+def meet_at_corner(above, below, side):
+    """The same of blocks corner to corner; ``side`` is -1 if the one above is to the left, 1 to the right."""
+    if side < 0:
+        return (above >> (DOWN + ACROSS)) & below & np.int32(1)
+    return (above >> DOWN) & (below >> ACROSS) & np.int32(1)
 
 
 @kernel()
-def find_runs(owners, number, width, height, runs, loose):
-    """Runs of equal labels along the rows, united into connected parts.
+def meet_over_gap(one, missing_one, other, missing_other, side):
+    """Whether pixels of two blocks meet over at most GAP missing pixels: side by side if ``side``, or down."""
+    for step in range(GAP + 1):
+        a, b = one, other
+        for _ in range(step):
+            a |= ((a << RIGHT_BY) & ~LEFT if side else a << DOWN_BY) & missing_one
+        for _ in range(GAP - step):
+            b |= ((b & ~LEFT) >> RIGHT_BY if side else b >> DOWN_BY) & missing_other
+        if (meet_across(a, b) if side else meet_down(a, b)) != 0:
+            return True
+    return False
 
-    Runs touch corner to corner or side by side, also across up to GAP pixels that no region owns.
+
+@kernel(inline=True)
+def list_runs(
+    owner, first_share, shares_of, measured, share_region, share_pixels, number, top, width, count, start, stop, share,
+    label, filled, across, down, parent, at, many, loose, loose_count,
+):  # fmt: skip
+    """Write the runs of a row of blocks after the first ``count``, and its loose pixels; how many there are of each.
+
+    ``at`` (C,) and ``many`` (C,) int32 are written: the first run of each block, and how many it has. ``top`` is the
+    first row of pixels; the other arguments are fields of `Owners`, of that row, `Shares` and `Runs`.
+    """
+    columns = len(owner)
+    column = 0
+    while column < columns:
+        left = column
+        column += 1
+        b = owner[left]
+        at[left], many[left] = NONE, 0
+        if b >= 0:
+            a = number[b]
+            if a < 0:
+                continue
+            at[left], many[left] = count, 1
+            while column < columns and owner[column] >= 0 and number[owner[column]] == a:
+                at[column], many[column] = count, 1
+                column += 1
+            start[count], stop[count], share[count], label[count] = left, column, WHOLE, a
+            filled[count], across[count], down[count], parent[count] = (
+                ALL,
+                BLOCK,
+                BLOCK * (column - left),
+                count,
+            )
+            count += 1
+        elif b == MIXED:
+            first = count
+            others = measured[left]
+            for s in range(first_share[left], first_share[left] + shares_of[left]):
+                a = number[share_region[s]]
+                if a < 0:
+                    continue
+                pixels = without_holes(share_pixels[s], measured[left])
+                start[count], stop[count], share[count], label[count] = left, column, s, a
+                filled[count], across[count], down[count] = pixels, starts_across(pixels), starts_down(pixels)
+                parent[count] = count
+                for k in range(first, count):  # regions that have become one
+                    if label[k] == a:
+                        unite(parent, count, k)
+                count += 1
+                others &= ~share_pixels[s]
+            many[left] = count - first
+            if count > first:
+                at[left] = first
+            for p in range(BLOCK * BLOCK if others != 0 else 0):
+                if (others >> np.int32(p)) & 1:
+                    loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
+                    loose_count += 1
+    return count, loose_count
+
+
+@kernel()
+def find_runs(owners, shares, number, width, runs, loose):
+    """Runs of equal labels along the rows of blocks, united into connected parts.
 
     Parameters
     ----------
     owners : Owners
+    shares : Shares
     number : (N,) int64
         Label of each region, below 0 for none.
-    width, height : int
+    width : int
         Of the image.
     runs : Runs, written
         But for ``part``.
@@ -117,63 +170,68 @@ def find_runs(owners, number, width, height, runs, loose):
     tuple of int
         Number of runs, and of loose pixels.
     """
-    owner, pixel_owner = owners
-    first = runs.first
+    # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    owner, _, first_share, shares_of, measured = owners
+    share_region, share_pixels, _ = shares
+    first, start, stop, share, label, filled, across, down, parent, _ = runs
     rows, columns = owner.shape
-    run_count = loose_count = 0
-    above_label = np.full(width, -1, np.int32)
-    above_row = np.full(width, -GAP - 2, np.int32)
-    starts = np.empty(columns, np.int64)  # stretches of blocks of one label in a row, and of no label
-    kind = np.empty(columns, np.int64)
+    # Of the blocks of this row, and of the one above: see `list_runs`; with a rim.
+    here, above = np.full(columns + 2, NONE), np.full(columns + 2, NONE)
+    many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
+    changes = np.zeros(columns, np.bool_)
+    count = loose_count = 0
     for row in range(rows):
-        count = 0
-        for column in range(columns):
-            a = owner[row, column]
-            if a >= 0:
-                a = number[a]
-            if a == MIXED or count == 0 or kind[count - 1] != a:
-                starts[count] = column
-                kind[count] = a
-                count += 1
-        top = row * BLOCK
-        for y in range(top, min(top + BLOCK, height)):
-            first[y] = this_first = run_count
-            reach = 2  # rows up to those that this row's runs may go on from
-            for i in range(count):
-                left = starts[i] * BLOCK
-                right = min((starts[i + 1] if i + 1 < count else columns) * BLOCK, width)
-                a = kind[i]
-                if a >= 0:
-                    new = 0
-                    if y == top:
-                        new, up = put_below(
-                            np.int32(a), np.int32(y), y + BLOCK - 1, above_label[left:right], above_row[left:right]
-                        )  # fmt: skip
-                        reach = max(reach, up)
-                    run_count = put_run(left, right, a, new, this_first, run_count, runs)
-                elif a == MIXED:
-                    block = row * columns + starts[i]
-                    k = (y - top) * BLOCK - left
-                    x = left
-                    while x < right:
-                        start = x
-                        b = pixel_owner[block, k + x]
-                        a = number[b] if b >= 0 else -1
-                        new = 0
-                        while x < right and pixel_owner[block, k + x] == b:
-                            up = rows_up(np.int32(a), np.int32(y), above_label[x], above_row[x])
-                            new += up == 0
-                            if a >= 0:
-                                reach = max(reach, up)
-                                above_label[x] = a
-                                above_row[x] = y
-                            elif b != MISSING:
-                                loose[loose_count] = y * width + x
-                                loose_count += 1
-                                above_label[x] = -1
-                            x += 1
-                        if a >= 0:
-                            run_count = put_run(start, x, a, new, this_first, run_count, runs)
-            unite_with_rows_above(owners, number, y, this_first, run_count, reach, runs)
-    first[height] = run_count
-    return run_count, loose_count
+        first[row] = count
+        here, above = above, here
+        many_here, many_above = many_above, many_here
+        count, loose_count = list_runs(
+            owner[row], first_share[row], shares_of[row], measured[row], share_region, share_pixels, number,
+            row * BLOCK, width, count, start, stop, share, label, filled, across, down, parent,
+            here[1:-1], many_here[1:-1], loose, loose_count,
+        )  # fmt: skip
+        # Where a block's runs and those above are those of the block before, there is nothing new.
+        for c in range(columns):
+            changes[c] = (
+                (here[c] != here[c + 1]) | (many_here[c + 1] > 1) | (above[c] != above[c + 1])
+                | (above[c + 1] != above[c + 2]) | (many_above[c + 1] > 1)
+            )  # fmt: skip
+        for c in range(columns):
+            if not changes[c] or many_here[c + 1] == 0:
+                continue
+            missing = ALL & ~measured[row, c]
+            for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
+                a = label[k]
+                own = ALL if share[k] == WHOLE else share_pixels[share[k]]
+                if here[c] != here[c + 1]:
+                    for j in range(here[c], here[c] + many_here[c]):
+                        if label[j] != a:
+                            continue
+                        other = ALL if share[j] == WHOLE else share_pixels[share[j]]
+                        across[k] -= how_many((filled[j] >> ACROSS) & filled[k] & LEFT)
+                        if meet_across(other, own) != 0 or meet_over_gap(
+                            other, ALL & ~measured[row, c - 1], own, missing, True
+                        ):
+                            unite(parent, j, k)
+                for side in range(-1, 2):
+                    d = c + 1 + side
+                    for j in range(above[d], above[d] + many_above[d]):
+                        if label[j] != a:
+                            continue
+                        other = ALL if share[j] == WHOLE else share_pixels[share[j]]
+                        if side == 0:
+                            if share[k] != WHOLE or share[j] != WHOLE:
+                                down[k] -= how_many((filled[j] >> DOWN) & filled[k] & TOP)
+                            elif c == max(start[j], start[k]):
+                                down[k] -= BLOCK * (min(stop[j], stop[k]) - c)
+                        if parent[j] == parent[k]:
+                            continue
+                        if side != 0:
+                            meet = meet_at_corner(other, own, side) != 0
+                        else:
+                            meet = meet_down(other, own) != 0 or meet_over_gap(
+                                other, ALL & ~measured[row - 1, c], own, missing, False
+                            )
+                        if meet:
+                            unite(parent, j, k)
+    first[rows] = count
+    return count, loose_count

@@ -9,240 +9,178 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .segment_blocks import BLOCK, EMPTY, MISSING, MIXED, UNSEEN
-from .segment_contest import NEIGHBOURS, contenders, find_centres, is_undisputed
-from .segment_moments import misfit
-from .segment_noise import about_plane, in_square, sensor_variance
+from .copying import copy
+from .segment_blocks import BLOCK, CHUNK, EMPTY, MIXED, UNSEEN
+from .segment_moments import rows_of
+from .segment_noise import about_plane, sensor_variance
 
-# What is around a block: its own region only, or nothing else, or other regions. SETTLED: no need to know.
-OTHERS, OWN_OR_NONE, ALIKE, SETTLED = 0, 1, 2, 3
+# What is to be done with a block: nothing; look at it; give it to its own region if it fits that, for no other is
+# around; take over what regions have of it.
+DONE, OPEN, ALONE, SAME = 0, 1, 2, 3
 # No region, above all that there are.
 NO_REGION = np.int32(np.iinfo(np.int32).max)
-# A block with more measured pixels than this is a solid one.
+# A block with more measured pixels than this is a solid one: what is missing there are holes.
 SPARSE = BLOCK * BLOCK // 2
 # Deviations by which planes may move without anything that they own being looked at again.
 STILL = 0.25
-# New owner of a block, before it is known; and where its pixels are contested.
-UNDECIDED, CONTESTED = -1, -2
 
 
 @kernel()
-def look_around(region, owner, around):
-    """Compare every block's region with its eight neighbours': ALIKE, OWN_OR_NONE or OTHERS; EMPTY is SETTLED."""
+def look_around(region, owner, task):
+    """Compare every block's region with its eight neighbours': (R, C) int8 ``task`` becomes ALONE, OPEN or DONE."""
     rows, columns = region.shape
+    # With a rim of no regions. Two columns more, so that all loops below go over the same number of them.
+    width = columns + 2
+    beside = np.full((3, width), -1, np.int32)  # three rows of blocks, the middle one among them
+    most, lowest = np.empty(width, np.int32), np.empty(width, np.int32)
     for row in range(rows):
-        for c in range(columns):
-            around[row, c] = SETTLED if owner[row, c] == EMPTY else OTHERS
-    least, most, lowest = (
-        np.empty(columns, np.int32),
-        np.empty(columns, np.int32),
-        np.empty(columns, np.int32),
-    )
-    for row in range(1, rows - 1):
-        for c in range(columns):
-            a, b, d = region[row - 1, c], region[row, c], region[row + 1, c]
+        above, own, below = beside[(row + 2) % 3], beside[row % 3], beside[(row + 1) % 3]
+        if row == 0:
+            copy(region[0], own[1 : columns + 1])
+        if row + 1 < rows:
+            copy(region[row + 1], below[1 : columns + 1])
+        else:
+            below[:] = -1
+        for c in range(width):
+            a, b, d = above[c], own[c], below[c]
             most[c] = max(a, b, d)
-            least[c] = min(a, b, d)
             lowest[c] = min(
                 a if a >= 0 else NO_REGION, b if b >= 0 else NO_REGION, d if d >= 0 else NO_REGION
             )
-        for c in range(1, columns - 1):
-            a = region[row, c]
-            high = max(most[c - 1], most[c], most[c + 1])
-            alike = high == min(least[c - 1], least[c], least[c + 1])
-            own_or_none = (high == a) & (a == min(lowest[c - 1], lowest[c], lowest[c + 1]))
-            if around[row, c] == OTHERS:
-                around[row, c] = ALIKE if alike else OWN_OR_NONE if own_or_none else OTHERS
+        line, owners = task[row], owner[row]
+        for c in range(columns):
+            a = own[c + 1]
+            high = max(most[c], most[c + 1], most[c + 2])
+            low = min(lowest[c], lowest[c + 1], lowest[c + 2])
+            line[c] = DONE if owners[c] == EMPTY else ALONE if (high == a) & (low == a) else OPEN
 
 
 @kernel()
-def settle_unchanged(before, last_before, number, planes, last_alpha, sigma, rays, moments, around):
+def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays, moments, owner, task):
     """Let blocks be around which no region has changed since the last round, and no plane has moved.
 
-    ``around`` becomes SETTLED for them; the rest is as in `segment_pixels.own_pixels`.
+    Their ``task`` becomes DONE, or SAME if they are MIXED; the rest is as in `segment_pixels.own_pixels`.
     """
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
-    rows, columns = before.shape
+    rows, columns = region.shape
     regions = len(number)
     became = np.empty(regions + 1, np.int32)  # the last row is for blocks of no region
     became[regions] = -1
-    moved = np.zeros((regions + 1, 3))  # in deviations
+    moved = np.zeros((3, regions + 1))  # in deviations
     for b in range(regions):
         a = number[b]
         became[b] = a
         if a < 0:
+            moved[2, b] = math.inf  # it is given up, and what it had is anybody's
             continue
         sensor = sensor_variance(moments[a, 3] / moments[a, 0], sigma)
         deviation = math.sqrt(about_plane(sensor, planes, a))
         for k in range(3):
-            moved[b, k] = (alpha[a, k] - last_alpha[b, k]) / deviation
+            moved[k, b] = (alpha[a, k] - last_alpha[b, k]) / deviation
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
     for row in range(rows):
-        own, last, u, v = before[row], last_before[row], centre_u[row], centre_v[row]
+        own, last, u, v = region[row], last_region[row], centre_u[row], centre_v[row]
         line = changed[row + 1, 1:]
         for c in range(columns):
             b = last[c] if last[c] >= 0 else regions
-            d = moved[b, 0] * u[c] + moved[b, 1] * v[c] + moved[b, 2]
+            d = moved[0, b] * u[c] + moved[1, b] * v[c] + moved[2, b]
             line[c] = (own[c] != became[b]) | (abs(d) > STILL)
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
-        above, here, below, line = changed[row], changed[row + 1], changed[row + 2], around[row]
+        above, here, below, line, owners = (
+            changed[row],
+            changed[row + 1],
+            changed[row + 2],
+            task[row],
+            owner[row],
+        )
         for c in range(columns + 2):
             nearby[c] = above[c] | here[c] | below[c]
-        left, right = nearby[1:], nearby[2:]
         for c in range(columns):
-            line[c] = line[c] if nearby[c] | left[c] | right[c] else SETTLED
+            kept = SAME if owners[c] == MIXED else DONE
+            line[c] = line[c] if nearby[c] | nearby[c + 1] | nearby[c + 2] else kept
 
 
 @kernel()
-def rename_owners(around, number, owners):
-    """Give the owners of SETTLED blocks the ``number`` that they have become since the last round."""
-    owner, pixel_owner = owners
-    for row in range(around.shape[0]):
-        for column in range(around.shape[1]):
-            if around[row, column] != SETTLED:
-                continue
-            b = owner[row, column]
-            if b >= 0:
-                owner[row, column] = number[b]
-            elif b == MIXED:
-                i = row * around.shape[1] + column
-                for k in range(BLOCK * BLOCK):
-                    b = pixel_owner[i, k]
-                    pixel_owner[i, k] = number[b] if b >= 0 else b
+def give_whole(pyramid, sensor, region, planes, settled, task, owners):
+    """Give the blocks that are ALONE to their region if they fit it within ``settled`` deviations; else they are OPEN.
 
-
-@kernel()
-def settle_squares(
-    pyramid, level, region, planes, sigma, settled, number, around, owner, sums, block, count
-):  # fmt: skip
-    """Settle squares of blocks at once where even one block with all of their misfit would be settled.
-
-    ``around`` becomes SETTLED for their blocks. They get their owner if they had none or the same; others are
-    added to the first ``count`` of ``block``, see `decide`. Returns how many there are then.
+    Those that are DONE get their region's new number. Arguments as in `segment_pixels.own_pixels`.
     """
-    of_square, alpha = pyramid.moments, planes.alpha
+    moments, stretch = pyramid.moments, planes.square_stretch
+    rows, columns = region.shape
+    regions = len(planes.alpha)
+    allowed = settled * settled
+    about = np.zeros((regions + 1, 5))  # what is needed of each region; the last row is for blocks of none
+    about[regions, 4] = 1.0
+    for a in range(regions):
+        copy(planes.alpha[a], about[a, :3])
+        about[a, 3], about[a, 4] = planes.slope_variance[a], planes.waviness_square[a]
+    # Of a size that is known beforehand: so the compiler sees that it is apart from all else.
+    work = np.empty((7, CHUNK))
+    for row in range(rows):
+        for start in range(0, columns, CHUNK):
+            count = min(CHUNK, columns - start)
+            stop = start + count
+            own, line, owner = region[row, start:stop], task[row, start:stop], owners.block[row, start:stop]
+            for c in range(count):
+                of_region = about[own[c] if own[c] >= 0 else regions]
+                for k in range(5):
+                    work[k, c] = of_region[k]
+            here = slice(row * columns + start, row * columns + stop)
+            n, s_u, s_v, s_q, s_uu = rows_of(moments, 0, here)
+            s_uv, s_uq, s_vv, s_vq, s_qq = rows_of(moments, 5, here)
+            of_sensor, stretched = sensor[here], stretch[here]
+            for c in range(count):
+                a_u, a_v, a_1 = work[0, c], work[1, c], work[2, c]
+                total = (of_sensor[c] + work[3, c] * stretched[c]) * work[4, c]
+                square = (
+                    s_qq[c] - 2.0 * (a_u * s_uq[c] + a_v * s_vq[c] + a_1 * s_q[c])
+                    + a_u * (a_u * s_uu[c] + 2.0 * (a_v * s_uv[c] + a_1 * s_u[c]))
+                    + a_v * (a_v * s_vv[c] + 2.0 * a_1 * s_v[c])
+                    + a_1 * a_1 * n[c]
+                )  # fmt: skip
+                work[5, c] = max(square / total, 0.0)  # rounding may leave less than nothing
+                work[6, c] = allowed * n[c] if n[c] > SPARSE else -1.0
+            copy(work[5], owners.error[row, start:stop])
+            for c in range(count):
+                fits = work[5, c] <= work[6, c]
+                is_alone = line[c] == ALONE
+                is_open = (line[c] == OPEN) | (is_alone & ~fits)
+                is_whole = (is_alone & fits) | ((line[c] == DONE) & (owner[c] >= 0))
+                owner[c] = own[c] if is_whole else UNSEEN if is_open else owner[c]
+                line[c] = OPEN if is_open else SAME if line[c] == SAME else DONE
+
+
+@kernel()
+def add_up(pyramid, owners, shares, count, sums):
+    """Sum up what each region has: of whole blocks, and of the first ``count`` shares."""
+    of_block = pyramid.moments
     moments, squares = sums
-    first, across = pyramid.offsets[level], pyramid.shapes[level, 1]
-    side = 1 << level
-    others = float(BLOCK * BLOCK * (side * side - 1))
-    for row in range(region.shape[0] // side):
-        for column in range(region.shape[1] // side):
-            top, left = row * side, column * side
-            a = region[top, left]
+    moments[:] = 0.0
+    squares[:] = 0.0
+    rows, columns = owners.block.shape
+    for row in range(rows):
+        owner, error = owners.block[row], owners.error[row]
+        column = 0
+        while column < columns:
+            a = owner[column]
+            start = column
+            while column < columns and owner[column] == a:
+                column += 1
             if a < 0:
                 continue
-            i = first + row * across + column
-            pixels = of_square[0, i]
-            least = pixels - others  # pixels that each block has, at least
-            if least <= SPARSE:
-                continue
-            alike = True
-            for r in range(top, top + side):
-                for c in range(left, left + side):
-                    alike &= around[r, c] == ALIKE
-            if not alike:
-                continue
-            sensor = sensor_variance(of_square[3, i] / pixels, sigma)
-            total = in_square(sensor, planes, a, i)
-            error = misfit(of_square, i, alpha, a)
-            if error > settled * settled * least * total:
-                continue
-            is_first = owner[top, left] == UNSEEN
-            if is_first:
-                for k in range(10):
-                    moments[a, k] += of_square[k, i]
-                squares[a] += max(error, 0.0) / total
-            for r in range(top, top + side):
-                for c in range(left, left + side):
-                    around[r, c] = SETTLED
-                    b = owner[r, c]
-                    if is_first or (b >= 0 and number[b] == a):
-                        owner[r, c] = a
-                    else:
-                        block[count, 0], block[count, 1], block[count, 2] = r, c, a
-                        count += 1
-    return count
-
-
-@kernel()
-def list_unsettled(around, block, count):
-    """Add the blocks that are not SETTLED to the first ``count`` of ``block``, to decide; returns how many."""
-    for row in range(around.shape[0]):
-        for column in range(around.shape[1]):
-            block[count, 0], block[count, 1], block[count, 2] = row, column, UNDECIDED
-            count += 1 if around[row, column] != SETTLED else 0
-    return count
-
-
-@kernel()
-def decide(block, count, rays, region, around, pyramid, planes, sigma, rules):
-    """Which blocks fit a region that no other contends for.
-
-    ``block`` (K, 3) int32 has the row, the column and the new owner of ``count`` blocks; where this is UNDECIDED
-    it becomes such a region, or CONTESTED. The rest is as in `segment_pixels.own_pixels`.
-    """
-    centre_u, centre_v = rays.centre_u, rays.centre_v
-    of_block, alpha = pyramid.moments, planes.alpha
-    settled_square = rules.settled * rules.settled
-    columns = region.shape[1]
-    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
-    for k in range(count):
-        if block[k, 2] != UNDECIDED:
-            continue
-        block[k, 2] = CONTESTED
-        row, column = block[k, 0], block[k, 1]
-        i = row * columns + column
-        a = region[row, column]
-        contending = 1
-        if around[row, column] == OTHERS:
-            contending = contenders(region, row, column, candidate)
-            if contending == 1:
-                a = candidate[0]
-        if a < 0:
-            continue
-        pixels = of_block[0, i]
-        sensor = sensor_variance(of_block[3, i] / pixels, sigma)
-        total = in_square(sensor, planes, a, i)
-        if misfit(of_block, i, alpha, a) > settled_square * pixels * total:
-            continue
-        if contending > 1:
-            find_centres(region, row, column, centre_u, centre_v, contending, candidate, centre)
-            distance = rules.reach * math.sqrt(total)
-            if not is_undisputed(a, contending, candidate, centre, alpha, rays, row, column, distance):
-                continue
-        block[k, 2] = a
-
-
-@kernel()
-def settle(block, count, inverse_depth, pyramid, planes, sigma, region, owners, sums):
-    """Give the blocks whose owner is decided to it; the CONTESTED move to the front: returns how many."""
-    of_block, alpha = pyramid.moments, planes.alpha
-    owner, pixel_owner = owners
-    moments, squares = sums
-    height, width = inverse_depth.shape
-    contested = 0
-    for k in range(count):
-        row, column, a = block[k, 0], block[k, 1], block[k, 2]
-        if a == CONTESTED:
-            block[contested, 0], block[contested, 1] = row, column
-            contested += 1
-            continue
-        region[row, column] = a
-        if owner[row, column] == a:
-            continue
-        i = row * region.shape[1] + column
-        pixels = of_block[0, i]
-        sensor = sensor_variance(of_block[3, i] / pixels, sigma)
-        for j in range(10):
-            moments[a, j] += of_block[j, i]
-        error = max(misfit(of_block, i, alpha, a), 0.0)
-        squares[a] += error / in_square(sensor, planes, a, i)
-        owner[row, column] = a
-        if pixels <= SPARSE:
-            owner[row, column] = MIXED
-            for j in range(BLOCK * BLOCK):
-                y, x = row * BLOCK + j // BLOCK, column * BLOCK + j % BLOCK
-                measured = y < height and x < width and inverse_depth[y, x] > 0.0
-                pixel_owner[i, j] = a if measured else MISSING
-    return contested
+            for k in range(10):
+                total = 0.0
+                for i in range(row * columns + start, row * columns + column):
+                    total += of_block[k, i]
+                moments[a, k] += total
+            total = 0.0
+            for c in range(start, column):
+                total += error[c]
+            squares[a] += total
+    for s in range(count):
+        a = shares.region[s]
+        for k in range(10):
+            moments[a, k] += shares.sums[s, k]
+        squares[a] += shares.sums[s, 10]

@@ -12,9 +12,9 @@ import numpy as np
 
 from ._jit import kernel
 from .disjoint_sets import root_of, unite
-from .segment_blocks import BLOCK, MIXED
+from .segment_blocks import MIXED
 from .segment_facets import find_faceted, turn_of_groups
-from .segment_moments import jump_at, ray_of
+from .segment_moments import jump_at
 from .segment_noise import about_plane, sensor_variance
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
@@ -54,24 +54,21 @@ def boxes(region, box):
 
 
 @kernel()
-def owned_means(owners, number, inverse_depth, rays, region, pyramid, means):
+def owned_means(owners, shares, number, region, pyramid, means):
     """Number and mean (u, v, q) of the pixels of each block that its region owns.
 
     Parameters
     ----------
     owners : Owners
+    shares : Shares
     number : (N,) int64
         What became of the regions there, below 0 for nothing.
-    inverse_depth : (H, W) float32
-    rays : Rays
     region : (R, C) int32
         Region of each block, below 0 for none.
     pyramid : Pyramid
     means : (R, C, 4) float32, written where there is a region
     """
-    owner, pixel_owner = owners
     moments = pyramid.moments
-    height, width = inverse_depth.shape
     for row in range(region.shape[0]):
         for column in range(region.shape[1]):
             a = region[row, column]
@@ -79,18 +76,16 @@ def owned_means(owners, number, inverse_depth, rays, region, pyramid, means):
                 continue
             n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
             i = row * region.shape[1] + column
-            if owner[row, column] >= 0:
+            if owners.block[row, column] >= 0:
                 n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
-            elif owner[row, column] == MIXED:
-                for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
-                    for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
-                        b = pixel_owner[i, y % BLOCK * BLOCK + x % BLOCK]
-                        if b >= 0 and number[b] == a:
-                            n += 1.0
-                            u, v = ray_of(rays, y, x)
-                            s_u += u
-                            s_v += v
-                            s_q += inverse_depth[y, x]
+            elif owners.block[row, column] == MIXED:
+                first = owners.first[row, column]
+                for s in range(first, first + owners.count[row, column]):
+                    if number[shares.region[s]] == a:
+                        n += shares.sums[s, 0]
+                        s_u += shares.sums[s, 1]
+                        s_v += shares.sums[s, 2]
+                        s_q += shares.sums[s, 3]
             share = 1.0 / max(n, 1.0)
             means[row, column, 0] = n
             means[row, column, 1] = s_u * share

@@ -26,7 +26,7 @@ from rgbd_planes.kernels import (
     segment_runs,
     segment_shape,
 )
-from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Sums
+from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Runs, Shares, Sums
 from rgbd_planes.segmentation_noise import Given, is_exact, noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
@@ -142,10 +142,10 @@ def segment_frame(
     rules = rules.tolerating(tolerance)
 
     state = np.empty(pyramid.offsets[-1], np.int8)
-    segment_joining.join_blocks(pyramid, noise, rules, state)
+    segment_joining.join_blocks(pyramid, noise, rules, work.sensor, state)
     region = np.empty(work.blocks, np.int32)
-    number, count = segment_regions.find_regions(
-        inverse_depth, rays, pyramid, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
+    number, count, shares = segment_regions.find_regions(
+        inverse_depth, rays, pyramid, work.sensor, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
         work.contacts, work.sums,
     )  # fmt: skip
     sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
@@ -154,12 +154,12 @@ def segment_frame(
 
     contacts = segment_merge.neighbours(region, rays, work.contacts)
     means = np.empty((*work.blocks, 4), np.float32)
-    segment_shape.owned_means(owners, number, inverse_depth, rays, region, pyramid, means)
+    segment_shape.owned_means(owners, shares, number, region, pyramid, means)
     curved = np.empty(count, np.bool_)
     segment_shape.find_curved(
         region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
     )
-    found = _result(camera, rays, work, number, planes, sums, curved, noise, given, min_size, rules)
+    found = _result(camera, rays, work, shares, number, planes, sums, curved, noise, given, min_size, rules)
     if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
         warn_caller(
             "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
@@ -175,6 +175,7 @@ def _result(
     camera: Camera,
     rays: Rays,
     work: Workspace,
+    shares: Shares,
     number_of: NDArray[np.int64],
     region_planes: Planes,
     sums: Sums,
@@ -185,18 +186,15 @@ def _result(
     rules: Rules,
 ) -> Segmentation:
     """Split the regions into connected parts, keep those that are planes, and describe them."""
-    runs, inverse_depth, loose = work.runs, work.inverse_depth, work.loose
+    owners, inverse_depth, loose = work.owners, work.inverse_depth, work.loose
     deviation = np.empty(len(curved))
     segment_planes.deviations(sums.moments, region_planes, noise.sigma, deviation)
 
-    run_count, loose_count = segment_runs.find_runs(
-        work.owners, number_of, camera.width, camera.height, runs, loose
-    )
-    squares, size, across, down = np.empty((4, run_count))
-    parts = Parts(np.empty((run_count, 10)), squares, size, across, down, np.empty(run_count, np.int64))
-    count = segment_parts.measure_parts(
-        runs, inverse_depth, rays, region_planes.alpha, deviation, rules.cut, sums, parts
-    )
+    room = owners.block.size + len(shares.region)
+    runs = Runs(np.empty(len(owners.block) + 1, np.int32), *np.empty((9, room), np.int32))
+    run_count, loose_count = segment_runs.find_runs(owners, shares, number_of, camera.width, runs, loose)
+    parts = Parts(np.empty((run_count, 10)), *np.empty((2, run_count)), *np.empty((4, run_count), np.int64))
+    count = segment_parts.measure_parts(runs, owners, shares, work.pyramid, camera.width, sums, parts)
     why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
     number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
     found = segment_parts.judge_parts(
@@ -208,7 +206,7 @@ def _result(
     moments, deviation = parts.moments[kept], deviation[parts.region[kept]]
     alpha, rss = np.empty((found, 3)), np.empty(found)
     segment_planes.fit_planes(moments, alpha, rss)
-    if _join_across_gaps(moments, alpha, rss, deviation, number, rays, work, rules):
+    if _join_across_gaps(moments, alpha, rss, deviation, number, runs, shares, rays, inverse_depth, rules):
         found = int(number.max())
         segment_labels.label_runs(runs, number)
     moments, alpha, rss, deviation = moments[:found], alpha[:found], rss[:found], deviation[:found]
@@ -221,7 +219,7 @@ def _result(
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_labels.write_labels(
-        runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
+        runs, shares, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
     )
     inside = np.empty((found, 10))
     segment_inside.inside_moments(labels, inverse_depth, rays, moments, inside)
@@ -233,7 +231,7 @@ def _result(
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]
     segment_labels.settle_strays(
-        runs, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
+        runs, shares, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
     )
     sorted_sigma = np.sort(noise.sigma[1:])  # np.median takes ten times as long
     return Segmentation(
@@ -263,8 +261,10 @@ def _join_across_gaps(
     rss: Floats,
     deviation: Floats,
     number: NDArray[np.int32],
+    runs: Runs,
+    shares: Shares,
     rays: Rays,
-    work: Workspace,
+    inverse_depth: NDArray[np.float32],
     rules: Rules,
 ) -> bool:
     """Make one of the planes that something thin in front separates; whether there are any."""
@@ -278,5 +278,5 @@ def _join_across_gaps(
     if count == 0:
         return False
     parent = np.arange(len(moments))
-    segment_gaps.join_across(work.runs, work.inverse_depth, rays, alpha, deviation, pairs, count, parent)
+    segment_gaps.join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, count, parent)
     return bool(segment_gaps.join_planes(parent, number, moments, alpha, rss, deviation) < len(moments))

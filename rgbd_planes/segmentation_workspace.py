@@ -8,7 +8,7 @@ import numpy as np
 from rgbd_planes.camera import Camera
 from rgbd_planes.kernels import segment_noise
 from rgbd_planes.kernels.segment_blocks import BLOCK
-from rgbd_planes.kernels.segment_records import Contacts, Owners, Pyramid, Rays, Runs, Sums
+from rgbd_planes.kernels.segment_records import Contacts, Owners, Pyramid, Rays, Sums
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -60,14 +60,16 @@ class Workspace:
         blocks, squares = int(offsets[1]), int(offsets[-1])
         self.inverse_depth = np.empty(camera.shape, np.float32)
         self.pyramid = Pyramid(np.empty((10, squares)), np.empty(squares), np.empty(squares), offsets, shapes)
-        self.owners = Owners(np.empty(self.blocks, np.int32), np.empty((blocks, BLOCK**2), np.int32))
+        self.sensor = np.empty(blocks)
+        self.owners = Owners(
+            np.empty(self.blocks, np.int32), np.empty(self.blocks), *np.empty((3, *self.blocks), np.int32)
+        )
         self.sums = Sums(np.empty((blocks, 10)), np.empty(blocks))
         self.contacts = Contacts(
             np.empty((4 * blocks + 1, 3), np.int32),
             np.empty((4 * blocks, 3)),
             np.zeros(1 << (4 * blocks).bit_length(), np.int32),
         )
-        self.runs = Runs(np.empty(camera.height + 1, np.int32), *np.empty((6, pixels), np.int32))
         self.loose = np.empty(pixels, np.int32)
 
 
