@@ -33,7 +33,7 @@ def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
     int
         Number of parts.
     """
-    row_runs, run_start, run_stop, run_share, run_label, _, run_across, run_down, parent, part = runs
+    row_runs, run_start, run_stop, run_share, run_label, _, _, run_across, run_down, parent, part = runs
     region_moments, region_squares = sums
     moments, squares, size, across, down, first, owner = parts
     count = 0

@@ -135,7 +135,10 @@ class Runs(NamedTuple):
     stop: Array  # last column + 1
     share: Array  # the share, or WHOLE
     label: Array
-    filled: Array  # its pixels in each of its blocks, and missing ones between them: see `Shares`
+    filled_x: (
+        Array  # its pixels in each of its blocks, and missing ones between them along the row: see `Shares`
+    )
+    filled_y: Array  # the same along the column
     across: Array  # runs of pixels along the rows that begin in it, missing pixels between them aside
     down: Array  # the same along the columns
     parent: Array  # roots stand for connected parts

@@ -34,11 +34,22 @@ def how_many(pixels):
 
 
 @kernel(inline=True)
-def without_holes(pixels, measured):
-    """Pixels of a share, and those that nobody could measure between two of them; or all, if nobody else has any."""
+def filled_across(pixels, measured):
+    """Pixels of a share, and missing ones between two of a row; or, if nobody else has any, in a row with one."""
+    if pixels == measured:
+        return ((pixels | pixels >> np.int32(1) | pixels >> np.int32(2) | pixels >> np.int32(3)) & LEFT) * TOP
     right, left = (pixels & ~LEFT) >> RIGHT_BY, (pixels << RIGHT_BY) & ALL & ~LEFT
-    below, above = pixels >> DOWN_BY, (pixels << DOWN_BY) & ALL
-    return ALL if pixels == measured else pixels | (ALL & ~measured & ((right & left) | (below & above)))
+    return pixels | (ALL & ~measured & right & left)
+
+
+@kernel(inline=True)
+def filled_down(pixels, measured):
+    """The same of columns."""
+    if pixels == measured:
+        return (
+            (pixels | pixels >> np.int32(4) | pixels >> np.int32(8) | pixels >> np.int32(12)) & TOP
+        ) * LEFT
+    return pixels | (ALL & ~measured & (pixels >> DOWN_BY) & (pixels << DOWN_BY))
 
 
 @kernel(inline=True)
@@ -92,7 +103,7 @@ def meet_over_gap(one, missing_one, other, missing_other, side):
 @kernel(inline=True)
 def list_runs(
     owner, first_share, shares_of, measured, share_region, share_pixels, number, top, width, count, start, stop, share,
-    label, filled, across, down, parent, at, many, loose, loose_count,
+    label, filled_x, filled_y, across, down, parent, at, many, loose, loose_count,
 ):  # fmt: skip
     """Write the runs of a row of blocks after the first ``count``, and its loose pixels; how many there are of each.
 
@@ -115,12 +126,8 @@ def list_runs(
                 at[column], many[column] = count, 1
                 column += 1
             start[count], stop[count], share[count], label[count] = left, column, WHOLE, a
-            filled[count], across[count], down[count], parent[count] = (
-                ALL,
-                BLOCK,
-                BLOCK * (column - left),
-                count,
-            )
+            filled_x[count], filled_y[count], parent[count] = ALL, ALL, count
+            across[count], down[count] = BLOCK, BLOCK * (column - left)
             count += 1
         elif b == MIXED:
             first = count
@@ -129,9 +136,10 @@ def list_runs(
                 a = number[share_region[s]]
                 if a < 0:
                     continue
-                pixels = without_holes(share_pixels[s], measured[left])
                 start[count], stop[count], share[count], label[count] = left, column, s, a
-                filled[count], across[count], down[count] = pixels, starts_across(pixels), starts_down(pixels)
+                filled_x[count] = filled_across(share_pixels[s], measured[left])
+                filled_y[count] = filled_down(share_pixels[s], measured[left])
+                across[count], down[count] = starts_across(filled_x[count]), starts_down(filled_y[count])
                 parent[count] = count
                 for k in range(first, count):  # regions that have become one
                     if label[k] == a:
@@ -173,7 +181,7 @@ def find_runs(owners, shares, number, width, runs, loose):
     # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
     owner, _, first_share, shares_of, measured = owners
     share_region, share_pixels, _ = shares
-    first, start, stop, share, label, filled, across, down, parent, _ = runs
+    first, start, stop, share, label, filled_x, filled_y, across, down, parent, _ = runs
     rows, columns = owner.shape
     # Of the blocks of this row, and of the one above: see `list_runs`; with a rim.
     here, above = np.full(columns + 2, NONE), np.full(columns + 2, NONE)
@@ -186,7 +194,7 @@ def find_runs(owners, shares, number, width, runs, loose):
         many_here, many_above = many_above, many_here
         count, loose_count = list_runs(
             owner[row], first_share[row], shares_of[row], measured[row], share_region, share_pixels, number,
-            row * BLOCK, width, count, start, stop, share, label, filled, across, down, parent,
+            row * BLOCK, width, count, start, stop, share, label, filled_x, filled_y, across, down, parent,
             here[1:-1], many_here[1:-1], loose, loose_count,
         )  # fmt: skip
         # Where a block's runs and those above are those of the block before, there is nothing new.
@@ -207,7 +215,7 @@ def find_runs(owners, shares, number, width, runs, loose):
                         if label[j] != a:
                             continue
                         other = ALL if share[j] == WHOLE else share_pixels[share[j]]
-                        across[k] -= how_many((filled[j] >> ACROSS) & filled[k] & LEFT)
+                        across[k] -= how_many((filled_x[j] >> ACROSS) & filled_x[k] & LEFT)
                         if meet_across(other, own) != 0 or meet_over_gap(
                             other, ALL & ~measured[row, c - 1], own, missing, True
                         ):
@@ -220,7 +228,7 @@ def find_runs(owners, shares, number, width, runs, loose):
                         other = ALL if share[j] == WHOLE else share_pixels[share[j]]
                         if side == 0:
                             if share[k] != WHOLE or share[j] != WHOLE:
-                                down[k] -= how_many((filled[j] >> DOWN) & filled[k] & TOP)
+                                down[k] -= how_many((filled_y[j] >> DOWN) & filled_y[k] & TOP)
                             elif c == max(start[j], start[k]):
                                 down[k] -= BLOCK * (min(stop[j], stop[k]) - c)
                         if parent[j] == parent[k]:

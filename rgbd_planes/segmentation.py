@@ -191,7 +191,7 @@ def _result(
     segment_planes.deviations(sums.moments, region_planes, noise.sigma, deviation)
 
     room = owners.block.size + len(shares.region)
-    runs = Runs(np.empty(len(owners.block) + 1, np.int32), *np.empty((9, room), np.int32))
+    runs = Runs(np.empty(len(owners.block) + 1, np.int32), *np.empty((10, room), np.int32))
     run_count, loose_count = segment_runs.find_runs(owners, shares, number_of, camera.width, runs, loose)
     parts = Parts(np.empty((run_count, 10)), *np.empty((2, run_count)), *np.empty((4, run_count), np.int64))
     count = segment_parts.measure_parts(runs, owners, shares, work.pyramid, camera.width, sums, parts)

@@ -1006,7 +1006,7 @@ def test_boxes_of_labels_reach_to_the_edges():
     some = [np.concatenate(of).astype(np.int32) for of in (starts, stops, values)]
     box = np.zeros((9, 4), np.int64)
     start, stop, value = some
-    segment_gaps.label_boxes(Runs(first.astype(np.int32), start, stop, start, value, *[start] * 5), box)
+    segment_gaps.label_boxes(Runs(first.astype(np.int32), start, stop, start, value, *[start] * 6), box)
     for label, (down, across) in enumerate(find_objects(labels), start=1):
         assert box[label].tolist() == [down.start, down.stop, across.start, across.stop]
 
