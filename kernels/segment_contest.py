@@ -11,7 +11,7 @@ import numpy as np
 
 from ._jit import kernel
 from .segment_blocks import BLOCK
-from .segment_moments import difference, ray_of
+from .segment_moments import difference
 
 NEIGHBOURS = 9  # blocks, and so the regions that can contend for one
 SIDE = BLOCK + 2  # of a block with the pixels around it
@@ -29,7 +29,7 @@ def place_of(a, listed, count):
 
 
 @kernel(inline=True)
-def contenders(region, row, column, rays, candidate, centre):
+def contenders(region, row, column, centre_u, centre_v, candidate, centre):
     """The regions in the 3x3 blocks around one, and where their blocks lie; returns how many.
 
     ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, these with the sums of (u, v) of the
@@ -45,40 +45,39 @@ def contenders(region, row, column, rays, candidate, centre):
             i = place_of(a, candidate, count)
             if i == count:
                 candidate[count] = a
-                centre[count, :] = 0.0
+                centre[count, 0] = centre[count, 1] = centre[count, 2] = 0.0
                 count += 1
-            centre[i, 0] += rays.centre_u[r, c]
-            centre[i, 1] += rays.centre_v[r, c]
+            centre[i, 0] += centre_u[r, c]
+            centre[i, 1] += centre_v[r, c]
             centre[i, 2] += 1.0
     return count
 
 
 @kernel(inline=True)
-def is_undisputed(a, count, candidate, centre, alpha, rays, row, column, distance):
+def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column, distance):
     """Whether no other contender comes near to region a's plane in a block, or only beyond where they meet.
 
     Planes are farthest apart, and on one side of the line in which they meet, at the corners.
     """
     top, left = row * BLOCK, column * BLOCK
-    bottom, right = min(top + BLOCK, rays.tan_y.shape[0]), min(left + BLOCK, rays.tan_x.shape[1])
+    bottom, right = min(top + BLOCK, tan_y.shape[0]) - 1, min(left + BLOCK, tan_x.shape[1]) - 1
+    step_y, step_x = np.int64(tan_x.shape[0] > 1), np.int64(tan_y.shape[1] > 1)
     own = place_of(a, candidate, count)
+    disputed = False
     for i in range(count):
-        b = candidate[i]
-        if b == a:
+        if i == own:
             continue
-        d_u, d_v, d_1 = difference(alpha, b, a)
+        d_u, d_v, d_1 = difference(alpha, candidate[i], a)
         low, high = math.inf, -math.inf
-        for y in (top, bottom - 1):
-            for x in (left, right - 1):
-                u, v = ray_of(rays, y, x)
-                d = d_u * u + d_v * v + d_1
-                low, high = min(low, d), max(high, d)
+        for k in range(4):
+            y, x = bottom if k > 1 else top, right if k % 2 else left
+            d = d_u * tan_x[y * step_y, x] + d_v * tan_y[y, x * step_x] + d_1
+            low, high = min(low, d), max(high, d)
         side_a = d_u * centre[own, 0] + d_v * centre[own, 1] + d_1 * centre[own, 2]
         side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1 * centre[i, 2]
-        beyond = side_a * side_b < 0.0 and (low > 0.0 if side_a > 0.0 else high < 0.0)
-        if not (low > distance or high < -distance or beyond):
-            return False
-    return True
+        beyond = (side_a * side_b < 0.0) & (low > 0.0 if side_a > 0.0 else high < 0.0)
+        disputed |= not ((low > distance) | (high < -distance) | beyond)
+    return not disputed
 
 
 @kernel(inline=True)
@@ -97,7 +96,9 @@ def gather(inverse_depth, tan_x, tan_y, row, column, around):
                 for j in range(WIDE):
                     around[2, i * WIDE + j] = tan_y[top + i, left + j]
             else:
-                around[2, i * WIDE : (i + 1) * WIDE] = tan_y[top + i, 0]
+                v = np.float32(tan_y[top + i, 0])
+                for j in range(WIDE):
+                    around[2, i * WIDE + j] = v
         return
     for p in range(AREA):
         around[0, p] = around[1, p] = around[2, p] = 0.0
@@ -146,14 +147,14 @@ def take_middle(values, i, middle, j):
 
 
 @kernel(inline=True)
-def sums_of_nine(values, i, down, sums):
-    """Sums of the 3x3 around every pixel of a block, of row ``i`` to row ``i``; ``down`` is room to work in."""
+def sums_of_nine(values, i, down, sums, j):
+    """Sums of the 3x3 around every pixel of a block, of row ``i`` to row ``j``; ``down`` is room to work in."""
     for p in range(BLOCK * WIDE):
         down[p] = values[i, p] + values[i, p + WIDE] + values[i, p + 2 * WIDE]
     for y in range(BLOCK):
         for x in range(BLOCK):
             p = y * WIDE + x
-            sums[i, y * BLOCK + x] = down[p] + down[p + 1] + down[p + 2]
+            sums[j, y * BLOCK + x] = down[p] + down[p + 1] + down[p + 2]
 
 
 @kernel(inline=True)
@@ -173,32 +174,24 @@ def line_between(i, j, candidate, centre, alpha):
 
 
 @kernel(inline=True)
-def contend(i, j, within, middle, n, line_u, line_v, line_1, sums, penalty, close, winner):
+def contend(i, j, within, middle, line_u, line_v, line_1, sums, penalty, close, winner):
     """Let region ``j`` contend with region ``i`` for those pixels of a block that this one has.
 
-    Without branches, which no processor could foresee. ``n`` has the measured pixels around each.
+    Without branches, which no processor could foresee. The first row of ``sums`` has the measured pixels around each,
+    the next one the sums of squares of the first region, and so on.
     """
     meet = (line_u != 0.0) | (line_v != 0.0) | (line_1 != 0.0)
     for k in range(BLOCK * BLOCK):
-        by_side = meet & (sums[i, k] < close * n[0, k]) & (sums[j, k] < close * n[0, k])
+        by_side = meet & (sums[i + 1, k] < close * sums[0, k]) & (sums[j + 1, k] < close * sums[0, k])
         beyond = line_u * middle[1, k] + line_v * middle[2, k] + line_1 > 0.0
-        cheaper = sums[j, k] + penalty[j] * n[0, k] < sums[i, k] + penalty[i] * n[0, k]
+        cheaper = sums[j + 1, k] + penalty[j] * sums[0, k] < sums[i + 1, k] + penalty[i] * sums[0, k]
         wins = (winner[k] == i) & (within[j, k] == 1) & ((by_side & beyond) | (cheaper & ~by_side))
         winner[k] = j if wins else winner[k]
 
 
-@kernel(inline=True)
-def pixels_of(values, wanted):
-    """Which of a block's pixels have a ``wanted`` value, one bit for each: see `Shares`."""
-    pixels = np.int32(0)
-    for k in range(BLOCK * BLOCK):
-        pixels |= np.int32(values[k] == wanted) << np.int32(k)
-    return pixels
-
-
 @kernel(inline=True, reduction=True)
-def sum_owned(i, winner, middle, cut, sums):
-    """Sum up the pixels that contender ``i`` has: to ``sums`` (11,), as those of `Shares`.
+def sum_owned(i, winner, middle, cut, sums, s):
+    """Sum up the pixels that contender ``i`` has: to row ``s`` of ``sums``, as those of `Shares`; returns how many.
 
     ``middle`` (4, BLOCK²) has q, tanθx, tanθy and squared residuals, of which each counts as ``cut`` at most.
     """
@@ -217,5 +210,6 @@ def sum_owned(i, winner, middle, cut, sums):
         s_vv += w * v * v
         s_vq += w * v * q
         s_qq += w * q * q
-    sums[0], sums[1], sums[2], sums[3], sums[4] = n, s_u, s_v, s_q, s_uu
-    sums[5], sums[6], sums[7], sums[8], sums[9], sums[10] = s_uv, s_uq, s_vv, s_vq, s_qq, error
+    sums[s, 0], sums[s, 1], sums[s, 2], sums[s, 3], sums[s, 4], sums[s, 5] = n, s_u, s_v, s_q, s_uu, s_uv
+    sums[s, 6], sums[s, 7], sums[s, 8], sums[s, 9], sums[s, 10] = s_uq, s_vv, s_vq, s_qq, error
+    return np.int64(n)

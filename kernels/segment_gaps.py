@@ -57,7 +57,7 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
             # The smaller one's pixels are nearly all of the rise: a quick way to say no.
             if not d * d <= 4.0 * allowed * variance:
                 continue
-            if rise(m, k) <= allowed * variance * smaller[0]:
+            if rise(moments, a, b) <= allowed * variance * smaller[0]:
                 if count < len(pairs):
                     pairs[count, 0], pairs[count, 1] = b, a
                 count += 1

@@ -8,8 +8,8 @@ import numpy as np
 
 from ._jit import kernel
 from .disjoint_sets import root_of
-from .segment_moments import fit, solve
-from .segment_noise import variance, waviness
+from .segment_merge import describe
+from .segment_moments import residual_of_two
 
 # The block to the right, and the one below.
 DOWN, RIGHT = (0, 1), (1, 0)
@@ -36,13 +36,11 @@ def grow_together(region, moments, noise, rules, parent):
     regions = len(moments)
     rows, columns = region.shape
     rss, variances, waviness_square = np.empty(regions), np.empty(regions), np.empty(regions)
-    alpha = np.empty(3)
+    described = np.empty((regions, 3)), rss, variances, waviness_square
+    describe(moments, np.ones(regions, np.bool_), noise, described)
     for a in range(regions):
         parent[a] = a
-        rss[a] = fit(moments[a], alpha)
-        variances[a] = variance(moments[a], alpha, noise) if rss[a] >= 0.0 else 0.0
-        waviness_square[a] = waviness(moments[a, 0], noise.growth) ** 2
-    floor, spread = rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
+    most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
     last_a = np.full(len(DOWN), -1, np.int64)  # the pair that was last refused, on each side
     last_b = np.full(len(DOWN), -1, np.int64)
     for row in range(rows):
@@ -57,15 +55,14 @@ def grow_together(region, moments, noise, rules, parent):
                 a, b = root_of(parent, here), root_of(parent, region[r, c])
                 if a == b or (a == last_a[side] and b == last_b[side]):
                     continue
-                m, k = moments[a], moments[b]
-                joined = False
-                if m[0] + k[0] <= rules.most:
-                    together, _, _, _ = solve(
-                        m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
-                        m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
-                    )  # fmt: skip
-                    calm = min(waviness_square[a], waviness_square[b])
-                    allowed = min(variances[a], variances[b]) * (floor * calm * min(m[0], k[0]) + spread)
+                together, joined = 0.0, False
+                if moments[a, 0] + moments[b, 0] <= most:
+                    together = residual_of_two(moments, a, b)
+                    calm, smaller = (
+                        min(waviness_square[a], waviness_square[b]),
+                        min(moments[a, 0], moments[b, 0]),
+                    )
+                    allowed = min(variances[a], variances[b]) * (floor * calm * smaller + spread)
                     joined = together - rss[a] - rss[b] <= allowed
                 if not joined:
                     last_a[side], last_b[side] = a, b

@@ -5,9 +5,8 @@ import math
 import numpy as np
 
 from ._jit import kernel
-from .copying import copy
 from .segment_blocks import EMPTY, UNSEEN
-from .segment_noise import sensor_variance
+from .segment_noise import sensor_variances
 
 
 @kernel()
@@ -28,40 +27,40 @@ def join_blocks(pyramid, noise, rules, sensor, state):
         0 not planar, 1 planar, 2 too few pixels to say.
     """
     moments, rss, slope_square, offsets, shapes = pyramid
-    sigma, lateral_variance = noise.sigma, noise.lateral_variance
-    for i in range(shapes[0, 0] * shapes[0, 1]):
-        n = moments[0, i]
-        sensor[i] = sensor_variance(moments[3, i] / max(n, 1.0), sigma)
-        allowed = rules.rough_block**2 * sensor[i] + rules.steep_block**2 * lateral_variance * slope_square[i]
-        planar = 1 if rss[i] <= (n - 3.0) * allowed else 0
+    lateral_variance = noise.lateral_variance
+    # Rows of their own: what is asked of one by two indices the compiler takes for scattered.
+    pixels, sum_q = moments[0], moments[3]
+    variance = np.empty(len(rss))
+    sensor_variances(pixels, sum_q, noise.sigma, variance)
+    blocks = shapes[0, 0] * shapes[0, 1]
+    rough, steep = rules.rough_block**2, rules.steep_block**2 * lateral_variance
+    for i in range(blocks):
+        n = pixels[i]
+        sensor[i] = variance[i]
+        planar = 1 if rss[i] <= (n - 3.0) * (rough * variance[i] + steep * slope_square[i]) else 0
         state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
+    for i in range(len(variance)):
+        variance[i] += lateral_variance * slope_square[i]
+    floor, spread = rules.square_floor**2, rules.square_spread
     for level in range(1, shapes.shape[0]):
         rows, columns = shapes[level, 0], shapes[level, 1]
-        finer = shapes[level - 1, 1]
         for row in range(rows):
+            first = offsets[level - 1] + 4 * row * columns
             for column in range(columns):
                 parent = offsets[level] + row * columns + column
-                planar = 0
-                total = 0.0
-                smallest = math.inf
-                for r in range(2 * row, 2 * row + 2):
-                    for c in range(2 * column, 2 * column + 2):
-                        child = offsets[level - 1] + r * finer + c
-                        if state[child] == 0:
-                            planar = -9  # below 0 whatever the other three are
-                        if state[child] != 1:
-                            continue
-                        planar += 1
-                        total += rss[child]
-                        mean_q = moments[3, child] / moments[0, child]
-                        variance = sensor_variance(mean_q, sigma) + lateral_variance * slope_square[child]
-                        smallest = min(smallest, variance)
-                if planar <= 0:
-                    state[parent] = 2 if planar == 0 else 0
-                    continue
-                rise = rss[parent] - total
-                allowed = smallest * (rules.square_floor**2 * moments[0, parent] + rules.square_spread)
-                state[parent] = 1 if rss[parent] >= 0.0 and rise <= allowed else 0
+                planar = rough_ones = 0
+                total, smallest = 0.0, math.inf
+                for k in range(4):
+                    child = first + 2 * column + (k & 1) + (2 * columns if k > 1 else 0)
+                    is_planar = state[child] == 1
+                    rough_ones += state[child] == 0
+                    planar += is_planar
+                    total += rss[child] if is_planar else 0.0
+                    smallest = min(smallest, variance[child] if is_planar else math.inf)
+                allowed = smallest * (floor * pixels[parent] + spread)
+                one = (planar > 0) & (rss[parent] >= 0.0) & (rss[parent] - total <= allowed)
+                unknown = 2 if planar == 0 else np.int64(one)
+                state[parent] = 0 if rough_ones > 0 else unknown
 
 
 @kernel()
@@ -73,22 +72,27 @@ def leaves(pyramid, state, region, owner, region_moments):
     Returns how many there are.
     """
     moments, _, _, offsets, shapes = pyramid
-    levels = shapes.shape[0]
-    number = np.full(len(state), -1, np.int64)
+    pixels, levels = moments[0], shapes.shape[0]
+    number = np.full(len(state), np.int32(-1))
+    rows, columns = region.shape
     count = 0
-    for row in range(shapes[0, 0]):
-        for column in range(shapes[0, 1]):
-            region[row, column] = -1
-            owner[row, column] = EMPTY if moments[0, row * shapes[0, 1] + column] == 0.0 else UNSEEN
-            if state[row * shapes[0, 1] + column] != 1:
+    for row in range(rows):
+        for column in range(columns):
+            block = row * columns + column
+            owner[row, column] = EMPTY if pixels[block] == 0.0 else UNSEEN
+            if state[block] != 1:
+                region[row, column] = -1
                 continue
-            for level in range(levels - 1, -1, -1):
+            largest = block
+            for level in range(
+                1, levels
+            ):  # a planar square's squares need not be planar: some have too few pixels
                 i = offsets[level] + (row >> level) * shapes[level, 1] + (column >> level)
-                if state[i] == 1:
-                    if number[i] < 0:
-                        number[i] = count
-                        copy(moments[:, i], region_moments[count])
-                        count += 1
-                    region[row, column] = number[i]
-                    break
+                largest = i if state[i] == 1 else largest
+            if number[largest] < 0:
+                number[largest] = count
+                for k in range(10):
+                    region_moments[count, k] = moments[k, largest]
+                count += 1
+            region[row, column] = number[largest]
     return count

@@ -4,21 +4,10 @@ import numpy as np
 
 from ._jit import kernel
 from .segment_blocks import BLOCK
-from .segment_runs import WHOLE, how_many
+from .segment_runs import WHOLE, in_squares
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
 COMPANY = 3
-# Of each pixel of a block the 3x3 around it, as far as they are of the block: see `Shares`.
-AROUND = tuple(
-    np.int32(
-        sum(
-            1 << BLOCK * y + x
-            for y in range(max(p // BLOCK - 1, 0), min(p // BLOCK + 2, BLOCK))
-            for x in range(max(p % BLOCK - 1, 0), min(p % BLOCK + 2, BLOCK))
-        )
-    )
-    for p in range(BLOCK * BLOCK)
-)
 
 
 @kernel()
@@ -89,17 +78,32 @@ def write_labels(
 
 
 @kernel()
-def is_lone(label, inverse_depth, y, x):
-    """Whether hardly a pixel around one has its label, and most have not."""
-    height, width = label.shape
+def is_lone(labels, inverse_depth, here, a):
+    """Whether hardly a pixel around one of label ``a`` has its label, and most have not; ``labels`` is (H·W,)."""
+    height, width = inverse_depth.shape
     same = others = 0
+    y, x = here // width, here % width
     for r in range(max(y - 1, 0), min(y + 2, height)):
         for c in range(max(x - 1, 0), min(x + 2, width)):
             if inverse_depth[r, c] > 0.0:
-                alike = label[r, c] == label[y, x]
+                alike = labels[r * width + c] == a
                 same += alike
                 others += not alike
     return same <= COMPANY and same <= others
+
+
+@kernel(inline=True)
+def label_around(a, b, c, d, e, f, g, h, needed):
+    """The label that so many of eight have, more than half; or 0."""
+    found = np.int32(0)
+    for k in range(4):  # more than half of eight must hold one of the first four
+        own = a if k == 0 else b if k == 1 else c if k == 2 else d
+        n = (
+            np.int32(a == own) + np.int32(b == own) + np.int32(c == own) + np.int32(d == own)
+            + np.int32(e == own) + np.int32(f == own) + np.int32(g == own) + np.int32(h == own)
+        )  # fmt: skip
+        found = own if n >= needed and own > 0 else found
+    return found
 
 
 @kernel()
@@ -120,46 +124,54 @@ def settle_strays(
     sizes : (N + 1,) int32, changed
         Pixels of each label.
     """
-    height, width = label.shape
+    # By one index: pixels are many, and dividing for two of them takes most of the time.
+    width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
+    row_runs, run_start, run_share, run_label = runs.first, runs.start, runs.share, runs.label
+    share_pixels = shares.pixels
     labelled = loose_count
-    for row in range(len(runs.first) - 1):
-        for i in range(runs.first[row], runs.first[row + 1]):
-            a = runs.label[i]
-            if runs.share[i] == WHOLE or a == 0 or sizes[a] <= least:
+    for row in range(len(row_runs) - 1):
+        for i in range(row_runs[row], row_runs[row + 1]):
+            a = run_label[i]
+            if run_share[i] == WHOLE or a == 0 or sizes[a] <= least:
                 continue
-            pixels = shares.pixels[runs.share[i]]
-            for p in range(BLOCK * BLOCK):
-                if not (pixels >> np.int32(p)) & 1 or how_many(pixels & AROUND[p]) > COMPANY:
-                    continue
-                y, x = row * BLOCK + p // BLOCK, runs.start[i] * BLOCK + p % BLOCK
-                if is_lone(label, inverse_depth, y, x) and sizes[a] > least:
-                    loose[loose_count] = y * width + x
+            pixels = share_pixels[run_share[i]]
+            few = pixels & ~in_squares(pixels)
+            corner = row * BLOCK * width + run_start[i] * BLOCK
+            p = 0
+            while few >> np.int32(p) != 0:
+                here = corner + p // BLOCK * width + p % BLOCK
+                same = 0
+                if (few >> np.int32(p)) & 1 and width < here < len(labels) - width - 1:
+                    # Beyond the left or the right end of the image is the other one: so much the less alone.
+                    for k in range(3):
+                        line = here + (k - 1) * width
+                        for x in range(line - 1, line + 2):
+                            same += labels[x] == a
+                may_be_lone = (few >> np.int32(p)) & 1 and same <= COMPANY and sizes[a] > least
+                if may_be_lone and is_lone(labels, inverse_depth, here, a):
+                    loose[loose_count] = here
                     loose_count += 1
                     sizes[a] -= 1
+                p += 1
     for i in range(labelled, loose_count):
-        label[loose[i] // width, loose[i] % width] = 0
-        reason[loose[i] // width, loose[i] % width] = unclaimed
+        labels[loose[i]] = 0
+        reasons[loose[i]] = unclaimed
     found = np.empty(loose_count, np.int32)
     for _ in range(2):
         for i in range(loose_count):
-            y, x = loose[i] // width, loose[i] % width
-            found[i] = label[y, x]
-            if label[y, x] > 0 or y == 0 or x == 0 or y == height - 1 or x == width - 1:
-                continue
-            for k in range(4):  # more than half of eight must hold one of the first four
-                a = label[y - 1, x - 1 + k] if k < 3 else label[y, x - 1]
-                if a <= 0:
-                    continue
-                n = 0
-                for r in range(y - 1, y + 2):
-                    for c in range(x - 1, x + 2):
-                        n += label[r, c] == a
-                if n >= needed:
-                    found[i] = a
-                    break
+            here = np.int64(loose[i])
+            found[i] = labels[here]
+            column = np.uint32(here) % np.uint32(width)
+            inside = (here > width) & (here < len(labels) - width) & (column > 0) & (column < width - 1)
+            if labels[here] == 0 and inside:
+                above, below = here - width, here + width
+                found[i] = label_around(
+                    labels[above - 1], labels[above], labels[above + 1], labels[here - 1], labels[here + 1],
+                    labels[below - 1], labels[below], labels[below + 1], needed,
+                )  # fmt: skip
         for i in range(loose_count):
             if found[i] > 0:
-                if label[loose[i] // width, loose[i] % width] == 0:
+                if labels[loose[i]] == 0:
                     sizes[found[i]] += 1
-                label[loose[i] // width, loose[i] % width] = found[i]
-                reason[loose[i] // width, loose[i] % width] = 0
+                labels[loose[i]] = found[i]
+                reasons[loose[i]] = 0

@@ -13,7 +13,7 @@ from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
 from .segment_moments import difference, fit, rise, solve
-from .segment_noise import variance, waviness
+from .segment_noise import sensor_variance, variance, waviness
 
 # A region this many times larger than its neighbour takes in several such at a time.
 MUCH_LARGER = 4.0
@@ -22,6 +22,8 @@ TOGETHER = 64
 # Variances by which joining two halves of one plane raises the sum of squared residuals in 95 cases of 100: χ²(3).
 CHANCE = 7.8
 FEW_SLOTS = 1 << 12
+# Flags that are looked at together.
+WORD = 8
 # Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
 DOWN, RIGHT = (0, 1, 1, 1), (1, 0, 1, -1)
 
@@ -76,25 +78,28 @@ def neighbours(region, rays, contacts):
     pairs, where, table = contacts
     rows, columns = region.shape
     # With a rim of no regions: a block's neighbours, and theirs, are there without looking where the frame ends.
-    around = np.empty((rows + 2, columns + 4), np.int32)
-    around[:] = -1
+    around = np.full((rows + 2, columns + 4), np.int32(-1))
     for row in range(rows):
         copy(region[row], around[row, 2 : columns + 2])
-    beside = np.empty((len(DOWN), columns), np.int32)  # another region beside each block of a row, or -1
-    any_beside = np.empty(columns, np.int32)
+    differs = np.zeros(
+        -(-columns // WORD) * WORD, np.bool_
+    )  # blocks of a row beside which there is another region
+    words = differs.view(np.uint64)
     slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: what is small stays in the cache
     count = 0
     for row in range(rows):
-        any_beside[:] = -1
-        own = around[row, 2:]
-        for k in range(len(DOWN)):
-            near, far = around[row + DOWN[k], 2 + RIGHT[k] :], around[row + 2 * DOWN[k], 2 + 2 * RIGHT[k] :]
-            others = beside[k]
-            for c in range(columns):
-                b = near[c] if near[c] >= 0 else far[c]  # a gap of one block: look across it
-                others[c] = b if (own[c] >= 0) & (b != own[c]) else -1
-            for c in range(columns):
-                any_beside[c] &= others[c]
+        own, below, beyond = around[row], around[row + 1], around[row + 2]
+        for c in range(columns):
+            a = own[c + 2]
+            # A gap of one block: look across it.
+            right = own[c + 3] if own[c + 3] >= 0 else own[c + 4]
+            down = below[c + 2] if below[c + 2] >= 0 else beyond[c + 2]
+            down_right = below[c + 3] if below[c + 3] >= 0 else beyond[c + 4]
+            down_left = below[c + 1] if below[c + 1] >= 0 else beyond[c]
+            differs[c] = (a >= 0) & (
+                ((right >= 0) & (right != a)) | ((down >= 0) & (down != a))
+                | ((down_right >= 0) & (down_right != a)) | ((down_left >= 0) & (down_left != a))
+            )  # fmt: skip
         needed = min(2 * (count + len(DOWN) * columns), len(table))
         if len(slots) < needed:
             while len(slots) < needed:
@@ -102,27 +107,31 @@ def neighbours(region, rays, contacts):
             for i in range(count):
                 row_of(pairs[i, 0], pairs[i, 1], pairs, i, slots)
         i = 0
-        for column in range(columns):
-            if any_beside[column] == -1:
+        for w in range(len(words)):
+            if words[w] == 0:
                 continue
-            for k in range(len(DOWN)):
-                b = beside[k, column]
-                if b < 0:
+            for column in range(w * WORD, (w + 1) * WORD):
+                if not differs[column]:
                     continue
-                a = region[row, column]
-                a, b = min(a, b), max(a, b)
-                if i >= count or pairs[i, 0] != a or pairs[i, 1] != b:  # mostly the same pair as just before
-                    i = row_of(a, b, pairs, count, slots)
-                    if i == count:
-                        pairs[i, 0] = a
-                        pairs[i, 1] = b
-                        where[i, :] = 0.0
-                        count += 1
-                step = 1 if region[row + DOWN[k], column + RIGHT[k]] >= 0 else 2
-                r, c = row + step * DOWN[k], column + step * RIGHT[k]
-                where[i, 0] += 1.0
-                where[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
-                where[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
+                for k in range(len(DOWN)):
+                    step = 1 if around[row + DOWN[k], column + 2 + RIGHT[k]] >= 0 else 2
+                    r, c = row + step * DOWN[k], column + step * RIGHT[k]
+                    a, b = region[row, column], around[r, c + 2]
+                    if b < 0 or b == a:
+                        continue
+                    a, b = min(a, b), max(a, b)
+                    if (
+                        i >= count or pairs[i, 0] != a or pairs[i, 1] != b
+                    ):  # mostly the same pair as just before
+                        i = row_of(a, b, pairs, count, slots)
+                        if i == count:
+                            pairs[i, 0] = a
+                            pairs[i, 1] = b
+                            where[i, 0] = where[i, 1] = where[i, 2] = 0.0
+                            count += 1
+                    where[i, 0] += 1.0
+                    where[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
+                    where[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
     return count
 
 
@@ -136,7 +145,7 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
     """
     alpha, rss, variances, waviness_square = described
-    pairs, where, _ = contacts
+    pairs, where = contacts.pairs, contacts.where
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
     # Joint moments; smaller, touch, step, rss, variance, squared waviness; what comes out.
@@ -145,13 +154,13 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
         number = min(TOGETHER, count - start)
         for i in range(number):
             a, b = pairs[start + i, 0], pairs[start + i, 1]
-            m_a, m_b, at = moments[a], moments[b], where[start + i]
+            k = start + i
             d_u, d_v, d_1 = difference(alpha, a, b)
-            for k in range(10):
-                m[k, i] = m_a[k] + m_b[k]
-            m[10, i] = min(m_a[0], m_b[0])
-            m[11, i] = at[0]
-            m[12, i] = d_1 * at[0] + d_u * at[1] + d_v * at[2]
+            for j in range(10):
+                m[j, i] = moments[a, j] + moments[b, j]
+            m[10, i] = min(moments[a, 0], moments[b, 0])
+            m[11, i] = where[k, 0]
+            m[12, i] = d_1 * where[k, 0] + d_u * where[k, 1] + d_v * where[k, 2]
             m[13, i] = rss[a] + rss[b]
             m[14, i] = min(variances[a], variances[b])
             w_a, w_b = waviness_square[a], waviness_square[b]
@@ -168,13 +177,29 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
             cost[start + i] = m[17, i]
 
 
-@kernel(inline=True)
-def describe(moments, a, noise, described):
-    """Plane, residual, variance of a pixel and squared waviness of region ``a``: to ``described``, in this order."""
+@kernel()
+def describe(moments, chosen, noise, described):
+    """Plane, residual, variance of a pixel and squared waviness of ``chosen`` regions: to ``described``, in this order.
+
+    ``chosen`` is (N,) bool.
+    """
+    sigma, x, y = noise.sigma, noise.lateral_variance_x, noise.lateral_variance_y
+    lens, growth = noise.lens, noise.growth
     alpha, rss, variances, waviness_square = described
-    rss[a] = fit(moments[a], alpha[a])
-    variances[a] = variance(moments[a], alpha[a], noise) if rss[a] >= 0.0 else 0.0
-    waviness_square[a] = waviness(moments[a, 0], noise.growth) ** 2
+    for a in range(len(chosen)):
+        if not chosen[a]:
+            continue
+        n = moments[a, 0]
+        rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
+            n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4], moments[a, 5], moments[a, 6],
+            moments[a, 7], moments[a, 8], moments[a, 9],
+        )  # fmt: skip
+        sensor = sensor_variance(moments[a, 3] / n, sigma)
+        variances[a] = sensor + x * alpha[a, 0] ** 2 + y * alpha[a, 1] ** 2 if rss[a] >= 0.0 else 0.0
+        waviness_square[a] = waviness(n, growth) ** 2
+    for a in range(len(chosen) if lens.shape[1] > 0 else 0):
+        if chosen[a] and rss[a] >= 0.0:
+            variances[a] = variance(moments[a], alpha[a], noise)
 
 
 @kernel()
@@ -225,7 +250,8 @@ def contract(contacts, count, parent, changed):
                 continue
         pairs[kept, 0] = a
         pairs[kept, 1] = b
-        copy(where[i], where[kept])
+        for k in range(3):
+            where[kept, k] = where[i, k]
         kept += 1
     return kept
 
@@ -262,7 +288,8 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     pairs = contacts.pairs
     for a in range(regions):
         parent[a] = a
-        describe(moments, a, noise, described)
+    changed[:] = True
+    describe(moments, changed, noise, described)
     while count > 0:
         disagreements(moments, described, contacts, count, rules, tolerance, cost)
         agreed = 0
@@ -284,7 +311,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
             if not mutual or changed[b] or parent[a] != a:
                 # Or what only chance tells apart, as they are now: one or both have been joined with others.
                 a = root_of(parent, a)
-                if a == b or rise(moments[a], moments[b]) > CHANCE * min(variances[a], variances[b]):
+                if a == b or rise(moments, a, b) > CHANCE * min(variances[a], variances[b]):
                     continue
             parent[b] = a
             for j in range(10):
@@ -293,9 +320,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
             joined += 1
         if joined == 0:
             break
-        for a in range(regions):
-            if changed[a]:
-                describe(moments, a, noise, described)
+        describe(moments, changed, noise, described)
         count = contract(contacts, count, parent, changed)
     for a in range(regions):
         parent[a] = root_of(parent, a)
@@ -312,8 +337,9 @@ def keep_pairs_inside(contacts, parent, chosen):
     for i in range(len(pairs)):
         root = parent[pairs[i, 0]]
         if root == parent[pairs[i, 1]] and chosen[root]:
-            copy(pairs[i], pairs[kept])
-            copy(where[i], where[kept])
+            for k in range(3):
+                pairs[kept, k] = pairs[i, k]
+                where[kept, k] = where[i, k]
             kept += 1
     return kept
 
@@ -360,7 +386,8 @@ def number_regions(parent, moments, least, number):
         number[i] = -1
         if parent[i] == i and moments[i, 0] >= least:
             number[i] = count
-            copy(moments[i], moments[count])
+            for k in range(10):
+                moments[count, k] = moments[i, k]
             count += 1
     for i in range(len(parent)):
         number[i] = number[parent[i]]

@@ -46,13 +46,29 @@ def residual(m):
 
 
 @kernel(inline=True)
-def rise(m, k):
-    """How much larger it is for the union of two than for the two apart."""
-    together = solve(
-        m[0] + k[0], m[1] + k[1], m[2] + k[2], m[3] + k[3], m[4] + k[4],
-        m[5] + k[5], m[6] + k[6], m[7] + k[7], m[8] + k[8], m[9] + k[9],
+def residual_of_two(moments, a, b):
+    """That of the plane of what rows ``a`` and ``b`` of moments have together."""
+    return solve(
+        moments[a, 0] + moments[b, 0], moments[a, 1] + moments[b, 1], moments[a, 2] + moments[b, 2],
+        moments[a, 3] + moments[b, 3], moments[a, 4] + moments[b, 4], moments[a, 5] + moments[b, 5],
+        moments[a, 6] + moments[b, 6], moments[a, 7] + moments[b, 7], moments[a, 8] + moments[b, 8],
+        moments[a, 9] + moments[b, 9],
     )[0]  # fmt: skip
-    return together - residual(m) - residual(k)
+
+
+@kernel(inline=True)
+def residual_of(moments, a):
+    """That of row ``a`` of moments."""
+    return solve(
+        moments[a, 0], moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4], moments[a, 5], moments[a, 6],
+        moments[a, 7], moments[a, 8], moments[a, 9],
+    )[0]  # fmt: skip
+
+
+@kernel(inline=True)
+def rise(moments, a, b):
+    """How much larger it is for what rows ``a`` and ``b`` have together than for the two apart."""
+    return residual_of_two(moments, a, b) - residual_of(moments, a) - residual_of(moments, b)
 
 
 @kernel(inline=True)

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from ._jit import kernel
 
 
@@ -20,16 +22,24 @@ def sensor_variance(q, sigma):
 
 
 @kernel()
+def sensor_variances(pixels, sum_q, sigma, variance):
+    """That of the mean of squares of so many ``pixels`` and this sum of inverse depths, (T,) each, to ``variance``."""
+    last, scale = sigma.shape[0] - 2.0, 1.0 / sigma[0]
+    for i in range(len(variance)):
+        position = min(sum_q[i] / max(pixels[i], 1.0) * scale, last)
+        k = min(np.int64(position), sigma.shape[0] - 3)
+        share = position - k
+        value = sigma[k + 1] * (1.0 - share) + sigma[k + 2] * share
+        variance[i] = value * value
+
+
+@kernel(inline=True)
 def waviness(pixels, growth):
     """How much larger noise is over a region of so many pixels than over 8x8: correlated noise grows.
 
     ``growth`` holds the ratio for squares of 8, 16, 32, ... pixels; in between it follows log2 of the side.
     """
-    if pixels <= 64.0:
-        return growth[0]
-    if pixels >= 64.0 * 4.0 ** (len(growth) - 1):
-        return growth[-1]
-    position = 0.5 * math.log2(pixels) - 3.0
+    position = min(max(0.5 * math.log2(pixels) - 3.0, 0.0), len(growth) - 1.0) if pixels > 64.0 else 0.0
     i = min(int(position), len(growth) - 2)
     share = position - i
     return growth[i] * (1.0 - share) + growth[i + 1] * share

@@ -10,20 +10,17 @@ from .segment_blocks import BLOCK, MIXED
 from .segment_contest import (
     AREA,
     NEIGHBOURS,
-    WIDE,
     contend,
     contenders,
     gather,
     is_undisputed,
     line_between,
     misfits,
-    pixels_of,
     sum_owned,
     sums_of_nine,
     take_middle,
 )
 from .segment_moments import misfit
-from .segment_noise import in_square
 from .segment_records import Shares
 from .segment_settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, look_around
 
@@ -128,9 +125,9 @@ def take_over(task, number, owners, shares, new):
 
 
 @kernel()
-def twice_the_room(shares, count):
-    """Shares of which the first ``count`` are the given ones."""
-    room = 2 * len(shares.region)
+def twice_the_room(shares, count, least):
+    """Room for more than ``least`` shares, of which the first ``count`` are the given ones."""
+    room = 2 * least
     larger = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 11)))
     for s in range(count):
         larger.region[s] = shares.region[s]
@@ -151,77 +148,99 @@ def contest(task, inverse_depth, rays, before, pyramid, sensor, planes, rules, r
     count : int
     """
     rows, columns = region.shape
-    tan_x, tan_y = rays.tan_x, rays.tan_y
-    of_block, alpha = pyramid.moments, planes.alpha
-    settled_square = rules.settled * rules.settled
-    limit, close_square = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
-    cut_square = np.float32(rules.cut * rules.cut)
+    tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
+    # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
+    waviness_square, stretch = planes.waviness_square, planes.square_stretch
+    owner, errors, first, shares_of, measured = owners
+    settled_square, reach, cut_square = (
+        rules.settled * rules.settled,
+        rules.reach,
+        np.float32(rules.cut * rules.cut),
+    )
+    limit, close_square = np.float32(reach * reach), np.float32(rules.close * rules.close)
     candidate, near = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS, np.int64)
     owned = np.empty(NEIGHBOURS, np.int64)
-    centre, penalty = np.empty((NEIGHBOURS, 3)), np.empty(NEIGHBOURS, np.float32)
+    centre, variance = np.empty((NEIGHBOURS, 3)), np.empty(NEIGHBOURS)
+    penalty = np.empty(NEIGHBOURS, np.float32)
     # Few arrays, of sizes that are known beforehand: so the compiler sees which rows are apart.
-    space = np.zeros((5 + NEIGHBOURS, AREA), np.float32)
-    around, down, measured, square = space[:3], space[3], space[4:5], space[5:]
+    space = np.zeros((6 + NEIGHBOURS, AREA), np.float32)
+    around, down, square = space[:4], space[4], space[5:]
     small = np.zeros((5 + NEIGHBOURS, BLOCK * BLOCK), np.float32)
-    middle, n, nearby = small[:4], small[4:5], small[5:]
+    middle, nearby = small[:4], small[4:]
     whole = np.zeros((1 + NEIGHBOURS, BLOCK * BLOCK), np.int32)
     winner, within = whole[0], whole[1:]
     for row in range(rows):
+        room = count
+        for column in range(columns):
+            room += NEIGHBOURS if task[row, column] == OPEN else 0
+        if room > len(shares.region):
+            shares = twice_the_room(shares, count, room)
+        share_region, share_pixels, share_sums = shares
         for column in range(columns):
             if task[row, column] != OPEN:
                 continue
             here = row * columns + column
             pixels = of_block[0, here]
-            contending = contenders(before, row, column, rays, candidate, centre)
-            a = candidate[0] if contending == 1 else np.int64(before[row, column])
+            contending = contenders(before, row, column, centre_u, centre_v, candidate, centre)
+            own = np.int64(before[row, column])
+            a = candidate[0] if contending == 1 else own
             fits, error, total = False, 0.0, 1.0
             if a >= 0:
-                total = in_square(sensor[here], planes, a, here)
+                total = (sensor[here] + slope_variance[a] * stretch[here]) * waviness_square[a]
                 error = misfit(of_block, here, alpha, a)
                 fits = error <= settled_square * pixels * total
                 if fits and contending > 1:
-                    distance = rules.reach * math.sqrt(total)
-                    fits = is_undisputed(a, contending, candidate, centre, alpha, rays, row, column, distance)
+                    fits = is_undisputed(
+                        a,
+                        contending,
+                        candidate,
+                        centre,
+                        alpha,
+                        tan_x,
+                        tan_y,
+                        row,
+                        column,
+                        reach * math.sqrt(total),
+                    )
                 if fits and pixels > SPARSE:
-                    owners.block[row, column] = region[row, column] = a
-                    owners.error[row, column] = max(error, 0.0) / total
+                    owner[row, column] = region[row, column] = a
+                    errors[row, column] = max(error, 0.0) / total
                     continue
-            if count + contending > len(shares.region):
-                shares = twice_the_room(shares, count)
             gather(inverse_depth, tan_x, tan_y, row, column, around)
-            owners.block[row, column] = MIXED
-            owners.first[row, column] = count
-            for p in range(BLOCK * BLOCK):
-                within[0, p] = around[0, (p // BLOCK + 1) * WIDE + p % BLOCK + 1] > 0.0
-            owners.measured[row, column] = pixels_of(within[0], 1)
-            if fits:
-                shares.region[count] = region[row, column] = a
-                shares.pixels[count] = owners.measured[row, column]
-                for k in range(10):
-                    shares.sums[count, k] = of_block[k, here]
-                shares.sums[count, 10] = max(error, 0.0) / total
-                owners.count[row, column] = 1
-                count += 1
-                continue
+            owner[row, column] = MIXED
+            first[row, column] = count
             for c in range(3):
                 take_middle(around, c, middle, c)
+            valid = np.int32(0)
+            for p in range(BLOCK * BLOCK):
+                valid |= np.int32(middle[0, p] > 0.0) << np.int32(p)
+            measured[row, column] = valid
+            if fits:
+                share_region[count] = region[row, column] = a
+                share_pixels[count] = valid
+                for k in range(10):
+                    share_sums[count, k] = of_block[k, here]
+                share_sums[count, 10] = max(error, 0.0) / total
+                shares_of[row, column] = 1
+                count += 1
+                continue
             near_count = 0
             for i in range(contending):
                 a = candidate[i]
-                total = in_square(sensor[here], planes, a, here)
+                variance[i] = (sensor[here] + slope_variance[a] * stretch[here]) * waviness_square[a]
                 owned[i] = 0
                 near[near_count] = i
-                penalty[i] = total
-                if misfits(around, alpha, a, math.sqrt(total), limit, square, i, within):
+                if misfits(around, alpha, a, math.sqrt(variance[i]), limit, square, i, within):
                     near_count += 1
             if near_count > 1:
                 for k in range(near_count):
                     i = near[k]
-                    penalty[i] = math.log(penalty[i])
-                    sums_of_nine(square, i, down, nearby)
+                    penalty[i] = math.log(variance[i])
+                    sums_of_nine(square, i, down, nearby, i + 1)
                 for p in range(AREA):
-                    measured[0, p] = 1.0 if around[0, p] > 0.0 else 0.0
-                sums_of_nine(measured, 0, down, n)
+                    around[3, p] = 1.0 if around[0, p] > 0.0 else 0.0
+                sums_of_nine(around, 3, down, nearby, 0)
             for p in range(BLOCK * BLOCK):
                 winner[p] = -1
             for k in range(near_count):
@@ -230,29 +249,30 @@ def contest(task, inverse_depth, rays, before, pyramid, sensor, planes, rules, r
                     i = near[other]
                     line_u, line_v, line_1 = line_between(i, j, candidate, centre, alpha)
                     contend(
-                        i, j, within, middle, n, line_u, line_v, line_1, nearby, penalty, close_square, winner
-                    )  # fmt: skip
+                        i, j, within, middle, line_u, line_v, line_1, nearby, penalty, close_square, winner
+                    )
                 for p in range(BLOCK * BLOCK):
                     winner[p] = j if (winner[p] < 0) & (within[j, p] == 1) else winner[p]
             for k in range(near_count):
                 i = near[k]
-                mask = pixels_of(winner, i)
+                mask = np.int32(0)
+                for p in range(BLOCK * BLOCK):
+                    mask |= np.int32(winner[p] == i) << np.int32(p)
                 if mask == 0:
                     continue
                 take_middle(square, i, middle, 3)
-                sum_owned(i, winner, middle, cut_square, shares.sums[count])
-                owned[i] = int(shares.sums[count, 0])
-                shares.region[count] = candidate[i]
-                shares.pixels[count] = mask
+                owned[i] = sum_owned(i, winner, middle, cut_square, share_sums, count)
+                share_region[count] = candidate[i]
+                share_pixels[count] = mask
                 count += 1
-            owners.count[row, column] = count - owners.first[row, column]
+            shares_of[row, column] = count - first[row, column]
             # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
             most = 0
             for i in range(1, contending):
                 if owned[i] > owned[most]:
                     most = i
             for i in range(contending):
-                if candidate[i] == before[row, column] and 4 * owned[i] >= pixels:
+                if candidate[i] == own and 4 * owned[i] >= pixels:
                     most = i
             region[row, column] = candidate[most] if contending > 0 and owned[most] > 2 else -1
     return shares, count

@@ -34,6 +34,15 @@ def how_many(pixels):
 
 
 @kernel(inline=True)
+def in_squares(pixels):
+    """Those pixels of a share that are one of four in a square of 2x2: they are not alone."""
+    corner = pixels & (pixels & ~LEFT) >> RIGHT_BY
+    corner &= corner >> DOWN_BY
+    across = corner | corner << RIGHT_BY
+    return across | across << DOWN_BY
+
+
+@kernel(inline=True)
 def filled_across(pixels, measured):
     """Pixels of a share, and missing ones between two of a row; or, if nobody else has any, in a row with one."""
     if pixels == measured:

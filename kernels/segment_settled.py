@@ -155,32 +155,50 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
 @kernel()
 def add_up(pyramid, owners, shares, count, sums):
     """Sum up what each region has: of whole blocks, and of the first ``count`` shares."""
-    of_block = pyramid.moments
+    every = slice(0, pyramid.moments.shape[1])
+    b_n, b_u, b_v, b_q, b_uu = rows_of(pyramid.moments, 0, every)
+    b_uv, b_uq, b_vv, b_vq, b_qq = rows_of(pyramid.moments, 5, every)
+    owner, error = owners.block, owners.error
+    share_region, share_sums = shares.region, shares.sums
     moments, squares = sums
     moments[:] = 0.0
     squares[:] = 0.0
-    rows, columns = owners.block.shape
+    rows, columns = owner.shape
     for row in range(rows):
-        owner, error = owners.block[row], owners.error[row]
         column = 0
         while column < columns:
-            a = owner[column]
-            start = column
-            while column < columns and owner[column] == a:
-                column += 1
+            a = owner[row, column]
             if a < 0:
+                column += 1
                 continue
-            for k in range(10):
-                total = 0.0
-                for i in range(row * columns + start, row * columns + column):
-                    total += of_block[k, i]
-                moments[a, k] += total
-            total = 0.0
-            for c in range(start, column):
-                total += error[c]
-            squares[a] += total
+            n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = of_errors = 0.0
+            while column < columns and owner[row, column] == a:
+                i = row * columns + column
+                n += b_n[i]
+                s_u += b_u[i]
+                s_v += b_v[i]
+                s_q += b_q[i]
+                s_uu += b_uu[i]
+                s_uv += b_uv[i]
+                s_uq += b_uq[i]
+                s_vv += b_vv[i]
+                s_vq += b_vq[i]
+                s_qq += b_qq[i]
+                of_errors += error[row, column]
+                column += 1
+            moments[a, 0] += n
+            moments[a, 1] += s_u
+            moments[a, 2] += s_v
+            moments[a, 3] += s_q
+            moments[a, 4] += s_uu
+            moments[a, 5] += s_uv
+            moments[a, 6] += s_uq
+            moments[a, 7] += s_vv
+            moments[a, 8] += s_vq
+            moments[a, 9] += s_qq
+            squares[a] += of_errors
     for s in range(count):
-        a = shares.region[s]
+        a = share_region[s]
         for k in range(10):
-            moments[a, k] += shares.sums[s, k]
-        squares[a] += shares.sums[s, 10]
+            moments[a, k] += share_sums[s, k]
+        squares[a] += share_sums[s, 10]
