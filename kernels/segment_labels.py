@@ -41,39 +41,51 @@ def write_labels(
     int
         How many loose pixels there are.
     """
-    row_runs, run_start, run_stop, run_share, run_label, part = (
-        runs.first, runs.start, runs.stop, runs.share, runs.label, runs.part,
-    )  # fmt: skip
+    row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
+    run_label, part, share_pixels = runs.label, runs.part, shares.pixels
     height, width = label.shape
-    for y in range(height):
-        label[y] = 0
-        q, label_row, reason_row = inverse_depth[y], label[y], reason[y]
-        for x in range(width):
-            reason_row[x] = unclaimed if q[x] > 0.0 else missing
-        row = y // BLOCK
-        for i in range(row_runs[row], row_runs[row + 1]):
-            a, b = run_label[i], why[part[i]]
-            start, stop = run_start[i] * BLOCK, min(run_stop[i] * BLOCK, width)
+    labels, reasons, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
+    # What a row of pixels has of whole blocks: missing pixels aside, the next rows have the same.
+    line_label = np.empty(-(-width // BLOCK) * BLOCK, np.int32)
+    line_reason = np.empty(len(line_label), np.uint8)
+    for row in range(len(row_runs) - 1):
+        first, stop = row_runs[row], row_runs[row + 1]
+        top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
+        line_label[:] = 0
+        line_reason[:] = unclaimed
+        for i in range(first, stop):
+            if run_share[i] == WHOLE:
+                a, b = run_label[i], why[part[i]]
+                # Without a sign: so the compiler knows that they do not count from the end.
+                left, right = np.uint64(run_start[i] * BLOCK), np.uint64(run_stop[i] * BLOCK)
+                for x in range(left, right):
+                    line_label[x] = a
+                for x in range(left, right):
+                    line_reason[x] = b
+        for y in range(top, bottom):
+            q_row, label_row, reason_row = inverse_depth[y], label[y], reason[y]
+            for x in range(width):
+                label_row[x] = line_label[x] if q_row[x] > 0.0 else 0
+            for x in range(width):
+                reason_row[x] = line_reason[x] if q_row[x] > 0.0 else missing
+        for i in range(first, stop):
+            left = run_start[i] * BLOCK
             if run_share[i] != WHOLE:
-                pixels = shares.pixels[run_share[i]] >> np.int32(y % BLOCK * BLOCK)
-                for x in range(stop - start):
-                    if (pixels >> np.int32(x)) & 1:
-                        label_row[start + x] = a
-                        reason_row[start + x] = b
-                        if stray[part[i]]:
-                            loose[loose_count] = y * width + start + x
-                            loose_count += 1
-                continue
-            q_run, label_run, reason_run = q[start:stop], label_row[start:stop], reason_row[start:stop]
-            for x in range(stop - start):
-                label_run[x] = a if q_run[x] > 0.0 else 0
-            for x in range(stop - start):
-                reason_run[x] = b if q_run[x] > 0.0 else missing
-            if stray[part[i]]:
-                for x in range(stop - start):
-                    if q_run[x] > 0.0:
-                        loose[loose_count] = y * width + start + x
-                        loose_count += 1
+                a, b, pixels = run_label[i], why[part[i]], share_pixels[run_share[i]]
+                p = 0
+                while pixels >> np.int32(p) != 0:
+                    if (pixels >> np.int32(p)) & 1:
+                        here = (top + p // BLOCK) * width + left + p % BLOCK
+                        labels[here] = a
+                        reasons[here] = b
+                        loose[loose_count] = here
+                        loose_count += stray[part[i]]
+                    p += 1
+            elif stray[part[i]]:
+                for y in range(top, bottom):
+                    for here in range(y * width + left, y * width + min(run_stop[i] * BLOCK, width)):
+                        loose[loose_count] = here
+                        loose_count += q[here] > 0.0
     return loose_count
 
 
