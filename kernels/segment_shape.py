@@ -117,22 +117,60 @@ def add_blocks(region, means, a, reference, deviation, window, step, centre, sca
     float
         Pixels of the blocks that were added.
     """
-    p = np.empty(TERMS + 1)
-    pixels = 0.0
+    # Sums over all that is fitted of n·xⁱ·yʲ, of n·xⁱ·yʲ·e, and of n·e²: each of them once.
+    n_00 = n_10 = n_01 = n_20 = n_11 = n_02 = n_30 = n_21 = n_12 = n_03 = n_40 = n_31 = n_22 = n_13 = n_04 = (
+        0.0
+    )
+    e_00 = e_10 = e_01 = e_20 = e_11 = e_02 = ee = 0.0
+    c_u, c_v, c_1 = reference[0], reference[1], reference[2]
+    u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
     for row in range(window[0], window[1], step):
         for column in range(window[2], window[3], step):
-            n = means[row, column, 0]
+            n = np.float64(means[row, column, 0])
             if region[row, column] != a or n == 0.0:
                 continue
             u, v = means[row, column, 1], means[row, column, 2]
-            e = (means[row, column, 3] - (reference[0] * u + reference[1] * v + reference[2])) / deviation
-            x, y = (u - centre[0]) / scale, (v - centre[1]) / scale
-            p[0], p[1], p[2], p[3], p[4], p[5], p[6] = 1.0, x, y, x * x, x * y, y * y, e
-            for i in range(TERMS + 1):
-                for j in range(i, TERMS + 1):
-                    products[i, j] += n * p[i] * p[j]
-            pixels += n
-    return pixels
+            e = (means[row, column, 3] - (c_u * u + c_v * v + c_1)) * per_deviation
+            x, y = (u - u_0) * per_length, (v - v_0) * per_length
+            n_x, n_y, n_e = n * x, n * y, n * e
+            n_xx, n_xy, n_yy = n_x * x, n_x * y, n_y * y
+            n_00 += n
+            n_10 += n_x
+            n_01 += n_y
+            n_20 += n_xx
+            n_11 += n_xy
+            n_02 += n_yy
+            n_30 += n_xx * x
+            n_21 += n_xx * y
+            n_12 += n_yy * x
+            n_03 += n_yy * y
+            n_40 += n_xx * x * x
+            n_31 += n_xx * x * y
+            n_22 += n_xx * y * y
+            n_13 += n_xy * y * y
+            n_04 += n_yy * y * y
+            e_00 += n_e
+            e_10 += n_e * x
+            e_01 += n_e * y
+            e_20 += n_e * x * x
+            e_11 += n_e * x * y
+            e_02 += n_e * y * y
+            ee += n_e * e
+    add_row(products, 0, (n_00, n_10, n_01, n_20, n_11, n_02, e_00))
+    add_row(products, 1, (n_20, n_11, n_30, n_21, n_12, e_10))
+    add_row(products, 2, (n_02, n_21, n_12, n_03, e_01))
+    add_row(products, 3, (n_40, n_31, n_22, e_20))
+    add_row(products, 4, (n_22, n_13, e_11))
+    add_row(products, 5, (n_04, e_02))
+    products[6, 6] += ee
+    return n_00
+
+
+@kernel(inline=True)
+def add_row(products, row, values):
+    """Add to a row of the upper triangle."""
+    for k in range(len(values)):
+        products[row, row + k] += values[k]
 
 
 @kernel()
