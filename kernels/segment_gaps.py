@@ -195,6 +195,12 @@ def is_thin(gaps, opened, closed):
     return False
 
 
+@kernel(inline=True)
+def overlap(one, other, side):
+    """Rows of blocks, columns for ``side`` 1, that two boxes of `label_boxes` have in common; below 0 they are apart."""
+    return min(one[2 * side + 1], other[2 * side + 1]) - max(one[2 * side], other[2 * side])
+
+
 @kernel()
 def join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
@@ -217,12 +223,10 @@ def join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, coun
         reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this one sees through the gap
         thin = False
         for side in range(2):
-            # No gap counts as thin that is wider than there are rows, or columns.
-            widest = BLOCK * (
-                min(box[a + 1, 2 * side + 1], box[b + 1, 2 * side + 1])
-                - max(box[a + 1, 2 * side], box[b + 1, 2 * side])
-            )
-            if thin or widest < LEAST:
+            # No gap counts as thin that is wider than there are rows, or columns; none is narrower than between boxes.
+            widest = BLOCK * overlap(box[a + 1], box[b + 1], side)
+            narrowest = -BLOCK * (overlap(box[a + 1], box[b + 1], 1 - side) + 1)
+            if thin or widest < LEAST or narrowest > widest:
                 continue
             gaps = np.empty(widest + 1, np.int64)
             for look in (False, True):  # into the gaps only if they are not too wide anyway
