@@ -197,7 +197,7 @@ def is_thin(gaps, opened, closed):
 
 @kernel(inline=True)
 def overlap(one, other, side):
-    """Rows of blocks, columns for ``side`` 1, that two boxes of `label_boxes` have in common; below 0 they are apart."""
+    """Rows of blocks, columns for ``side`` 1, that two boxes of `label_boxes` share; below 0 they are apart."""
     return min(one[2 * side + 1], other[2 * side + 1]) - max(one[2 * side], other[2 * side])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .segment_blocks import BLOCK
-from .segment_moments import fit
+from .segment_moments import solve
 from .segment_noise import sensor_variance
 from .segment_records import Pyramid
 
@@ -158,14 +158,14 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
 
     Both in variances, where ``sigma`` says what these are: see `expected_variance`.
     """
-    moments, rss = pyramid.moments, pyramid.rss
+    moments, rss, slopes = pyramid.moments, pyramid.rss, pyramid.slope_square
     count = 0
     for i in range(pyramid.offsets[level], pyramid.offsets[level + 1]):
         if not is_measured(moments, rss, level, i):
             continue
         expected = expected_variance(moments[3, i] / moments[0, i], sigma)
         mean_square[count] = rss[i] / (moments[0, i] - 3.0) / expected
-        slope_square[count] = pyramid.slope_square[i] / expected
+        slope_square[count] = slopes[i] / expected
         count += 1
     return count
 
@@ -234,27 +234,32 @@ def together_of(pyramid, coarse, fine, sigma, typical):
     least, most = FULL * (BLOCK << coarse) ** 2, FLAT * typical
     side = 1 << (coarse - fine)
     ratio = np.empty(offsets[coarse + 1] - offsets[coarse])
-    alpha = np.empty(3)
+    pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]
     count = 0
     for row in range(shapes[coarse, 0]):
         for column in range(shapes[coarse, 1]):
             i = offsets[coarse] + row * shapes[coarse, 1] + column
-            m = moments[:, i]
-            if m[0] < least or rss[i] <= 0.0:
+            n = pixels[i]
+            if n < least or rss[i] <= 0.0:
                 continue
-            if rss[i] > most * (m[0] - 3.0) * expected_variance(m[3] / m[0], sigma) or fit(m, alpha) < 0.0:
+            if rss[i] > most * (n - 3.0) * expected_variance(sum_q[i] / n, sigma):
+                continue
+            error, a_u, a_v, a_1 = solve(
+                n, sum_u[i], sum_v[i], sum_q[i], moments[4, i], moments[5, i], moments[6, i], moments[7, i],
+                moments[8, i], moments[9, i],
+            )  # fmt: skip
+            if error < 0.0:
                 continue
             total = 0.0
             parts = -3.0  # the plane takes as many
             for r in range(row * side, row * side + side):
                 for c in range(column * side, column * side + side):
-                    k = moments[:, offsets[fine] + r * shapes[fine, 1] + c]
-                    if k[0] > 0.0:
-                        e = k[3] - (alpha[0] * k[1] + alpha[1] * k[2] + alpha[2] * k[0])
-                        total += e * e / k[0]
-                        parts += 1.0
+                    k = offsets[fine] + r * shapes[fine, 1] + c
+                    e = sum_q[k] - (a_u * sum_u[k] + a_v * sum_v[k] + a_1 * pixels[k])
+                    total += e * e / max(pixels[k], 1.0)
+                    parts += 1.0 if pixels[k] > 0.0 else 0.0
             if parts > 0.0:
-                ratio[count] = total / parts * (m[0] - 3.0) / rss[i]
+                ratio[count] = total / parts * (n - 3.0) / rss[i]
                 count += 1
     if count < FEWEST:
         return 0.0
