@@ -21,7 +21,7 @@ def variance_at(q, noise):
 
 @kernel()
 def label_variances(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, sums
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, growth, sums
 ):  # fmt: skip
     """Sums over the valid pixels of labels 1 to K of the variances of their errors, at the depths of their planes.
 
@@ -33,11 +33,14 @@ def label_variances(
     alpha : (K, 3) float64
         Where it is NaN, each pixel's own depth counts.
     noise : see `statistics.assess`
+    growth : (H, W) float64, or (0, 0)
+        How many times those of ``noise`` the variances of q along the ray are.
     sums : (K, 3) float64, written
         Of the variances of q along the ray, of those of rounding, and of the squares of both together.
     """
     height, width = raw.shape
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
+    grows = growth.shape[0] > 0
     sums[:] = 0.0
     for row in range(height):
         stop = 0
@@ -56,6 +59,8 @@ def label_variances(
                 if math.isnan(q):
                     q = inverse_depth(value, scale, offset, is_disparity)
                 variance = variance_at(q, noise)
+                if grows:
+                    variance *= growth[row, column]
                 square = q * q
                 rounding = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP]
                 along += variance

@@ -58,8 +58,8 @@ OF_RESULTS = np.array(
 
 @kernel(reduction=True)
 def assess(
-    moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, of_pixels, limits, start, stop,
-    status, results,
+    moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, growth, of_pixels, limits, start,
+    stop, status, results,
 ):  # fmt: skip
     """Give status ROUGH to tiles whose residual is larger than noise explains; what noise makes of the planes.
 
@@ -78,6 +78,8 @@ def assess(
         are independent.
     noise : (7 or more,) float64
         See LATERAL_X.
+    growth : (R·C,) float64, or empty
+        How many times those of ``noise`` the variances of q along the ray are at each tile's place in the image.
     of_pixels : (OF_LENS or OF_DEPTHS, R·C) float64, or without any row
         See OF_LENS.
     limits : (LIMITS,) float64
@@ -117,6 +119,9 @@ def assess(
         mean_inverse_depth(in_range_space, room)
         if of_pixels.shape[0] < OF_DEPTHS:
             pixel_variance(noise, last - first, room)
+            if growth.shape[0] > 0:
+                for i in range(last - first):
+                    room[SHARED, i] *= growth[first + i]
         else:
             load(of_pixels[OF_LENS : OF_LENS + 1], first, last, room, SHARED)
             load(of_pixels[OF_LENS + 1 :], first, last, room, ROUNDING)

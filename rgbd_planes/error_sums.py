@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
+from rgbd_planes.falloff import growth_of_pixels
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.label_variances import label_variances
 from rgbd_planes.noise_model import NoiseModel
@@ -51,21 +52,21 @@ class KeepsPixels:
         return self._pixels.error_sums if self._pixels.noise == self.camera.noise else None
 
 
-def _depends_on_depth(noise: NoiseModel | None) -> bool:
-    """Whether pixels at different depths have different variances of q."""
-    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0)
+def _differs(noise: NoiseModel | None) -> bool:
+    """Whether pixels at different depths, or places in the image, have different variances of q."""
+    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0)
 
 
 def sums_of_labels(
     frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats
 ) -> Floats | None:
     """(K, 3) float64: see `kernels.label_variances`; None where all pixels have one variance."""
-    if not _depends_on_depth(camera.noise):
+    if not _differs(camera.noise):
         return None
     sums = np.empty((len(alpha), 3))
     label_variances(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
-        labels, alpha, settings_of(camera), sums,
+        labels, alpha, settings_of(camera), growth_of_pixels(camera), sums,
     )  # fmt: skip
     return sums
 
@@ -73,7 +74,7 @@ def sums_of_labels(
 def sums_of_fits(fits: "PlaneFits") -> Floats | None:
     """The same of the parts of one frame, from the mean and the spread of each one's depths, if it has no sums."""
     noise = fits.camera.noise
-    if noise is None or not _depends_on_depth(noise):
+    if noise is None or not _differs(noise):
         return None
     if fits._error_sums is not None:
         return fits._error_sums
@@ -88,4 +89,6 @@ def sums_of_fits(fits: "PlaneFits") -> Floats | None:
     q = np.maximum(mean + GAUSS_PLACES[:, None] * std, 0.0)
     scale, *variances = noise._variances  # a function need not be defined at 0
     along, rounding = np.interp(scale * q, np.arange(len(variances)), variances), noise._rounding(q)
+    if noise.falloff:
+        along = along * fits._growth
     return np.stack([n * (GAUSS_WEIGHTS @ of) for of in (along, rounding, (along + rounding) ** 2)], axis=1)

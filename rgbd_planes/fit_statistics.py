@@ -55,7 +55,7 @@ class FitStatistics:
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
         self.rows = np.empty((*frames, statistics.RESULTS, *cells))
         """What `kernels.statistics.assess` writes: also whenever the fit's arrays are written into."""
-        assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint)
+        assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
         error_sums = fits._error_sums
         arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
         for frame in np.ndindex(frames):
@@ -192,6 +192,8 @@ class Assessment:
         `residual_statistics.like_rectangles` gives.
     footprint : (N, 5) int64
         Of each tile's pixels, missing ones included: how many, Σx, Σy, Σx² and Σy².
+    growth : (N,) float64
+        See `falloff.growth_of_parts`.
     """
 
     def __init__(
@@ -201,6 +203,7 @@ class Assessment:
         significance: float | None,
         sizes: npt.NDArray[Any],
         footprint: npt.NDArray[np.int64],
+        growth: Floats,
     ) -> None:
         significance = check_significance(significance, camera)
         self._noise = camera.noise
@@ -217,6 +220,7 @@ class Assessment:
         self._of_lens = np.empty((0, len(sizes)))
         if camera.is_distorted and camera.noise.lateral > 0.0:
             self._of_lens = camera.noise.lateral**2 * pitch_square(camera, footprint)
+        self._growth = growth
         self._in_range_space = method.startswith("range")
 
     def of(self, arrays: "Arrays", error_sums: Floats | None = None) -> Work:
@@ -235,8 +239,10 @@ class Assessment:
             moments, reference, results = moments[:, None], reference[:, None], results[:, None]
             planes, errors, counts, status = planes[None], errors[None], counts[None], status[None]
         fits = moments, reference, planes, errors
-        of_pixels = self._of_lens if error_sums is None else self._of_depths(error_sums, counts)
-        settings = self._in_range_space, self._of_noise, of_pixels, self._limits
+        of_pixels, growth = self._of_lens, self._growth
+        if error_sums is not None:
+            of_pixels, growth = self._of_depths(error_sums, counts), np.empty(0)
+        settings = self._in_range_space, self._of_noise, growth, of_pixels, self._limits
 
         def assess(start: int, stop: int) -> None:
             index, tables = counts, self._tables

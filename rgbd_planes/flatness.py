@@ -42,7 +42,7 @@ def flatness(
         a, b, c = np.moveaxis(np.vstack([np.full((1, 3), np.nan), alpha])[pixels], -1, 0)
         fitted = a * camera.tan_x + b * camera.tan_y + c
         residual = as_depth_frame(depth, camera).inverse_depth - fitted
-        usual = np.hypot(1.0, noise.floor) * noise.sigma(fitted)
+        usual = np.hypot(1.0, noise.floor) * noise.sigma(fitted, *camera._rays)
         seen = np.abs(residual) < 6.0 * usual  # also False where missing
         numbers += np.bincount(cell_of[seen], minlength=cells)
         # By plane and cell: weight, and weighted means of the residual and of the ray.

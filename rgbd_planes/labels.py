@@ -109,7 +109,8 @@ def fit_labels(
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
         pixels = Pixels(footprint, camera.noise, sums_of_labels(frame, camera, numbers, arrays["alpha"]))
-        assessment = Assessment(camera, method, significance, like_rectangles(footprint), footprint)
+        none = np.empty(0)  # falloff is in the sums
+        assessment = Assessment(camera, method, significance, like_rectangles(footprint), footprint, none)
         assessment.of(arrays, pixels.error_sums)(0, count)
     return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=pixels, **arrays)
 

@@ -14,6 +14,7 @@ from rgbd_planes.noise_samples import bins_of, mean_depth
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.residual_statistics import like_rectangles
+from rgbd_planes.tile_grid import central_rays
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.uncertainty import same_plane
@@ -91,7 +92,11 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     on_plane, number = labels > 0, labels[labels > 0] - 1
     count = tiles.valid_count[on_plane]
     q = 1.0 / mean_depth(tiles)[on_plane]
-    squares = count * noise._along(q) ** 2, count * tiles.rmse[on_plane] ** 2, noise._rounding(q)
+    squares = (
+        count * noise._along(q) ** 2 * noise._growth(*central_rays(tiles.camera, tiles.tile)[:, on_plane]),
+        count * tiles.rmse[on_plane] ** 2,
+        noise._rounding(q),
+    )
     along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
     lateral = noise.lateral**2 * slope_square(merged.alpha, tiles.camera, merged._footprint)
     # Each tile has three coefficients, which take up as much of what is independent.

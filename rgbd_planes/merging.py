@@ -92,7 +92,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     error_sums = sums_of_fits(fits)
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
-    assessment = Assessment(fits.camera, fits.method, significance, like_rectangles(footprint), footprint)
+    sizes, none = like_rectangles(footprint), np.empty(0)  # falloff is in the sums
+    assessment = Assessment(fits.camera, fits.method, significance, sizes, footprint, none)
     assessment.of(arrays, error_sums)(0, count)
     return MergedPlanes(
         camera=fits.camera,

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 # Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
+_AT_30_DEGREES = 3.0**-0.5  # tangent
 
 KINECT_V1 = 1.425e-3
 """Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
@@ -34,7 +35,8 @@ class NoiseModel:
     Attributes
     ----------
     coefficients : (c0, c1, c2)
-        σq = c0 + c1·q + c2·q² of the random error of one pixel, in 1/m; at no q from 1.2e-3 to 20 1/m below 0.
+        σq = c0 + c1·q + c2·q² of the random error of one pixel on the optical axis, in 1/m; at no q from 1.2e-3 to
+        20 1/m below 0.
     samples : tuple of (q, σq), optional
         Instead of `coefficients`: σq at inverse depths, linear between them, constant beyond.
     formula : function, optional
@@ -57,6 +59,11 @@ class NoiseModel:
     lateral : float
         Standard deviation, in pixels, of how far beside its ray a measurement lies. Times the change of q from pixel
         to pixel it is another error, which is large on steep surfaces. `sigma` does not contain it.
+    falloff : float
+        How fast noise grows away from the optical axis, as where a sensor's own light falls off: at a pixel whose ray
+        is (tanθx, tanθy, 1), at an angle θ from the axis, σq before rounding is (1 + tan²θx + tan²θy)^(falloff / 2),
+        which is 1 / cos^falloff(θ), times that on the axis. The lateral error and rounding do not grow.
+        `rgbd_planes.segment` does not look at it: each frame tells it how much noise there is.
     evidence : NoiseEvidence, optional
         What `rgbd_planes.estimate_noise` saw; a file does not keep it.
 
@@ -77,6 +84,7 @@ class NoiseModel:
     floor_length: float = 60.0
     spread: float = 0.0
     lateral: float = 0.0
+    falloff: float = 0.0
     evidence: Any = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
@@ -91,7 +99,7 @@ class NoiseModel:
                     f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}"
                 )
             object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
-        for name in ("step", "disparity_step", "floor", "floor_length", "spread", "lateral"):
+        for name in ("step", "disparity_step", "floor", "floor_length", "spread", "lateral", "falloff"):
             value = number(name, getattr(self, name))
             if value < 0.0:
                 raise ValueError(f"expected {name} of 0 or more, got {value!r}")
@@ -121,6 +129,9 @@ class NoiseModel:
         if self.formula is None:
             sigmas = zip(1e3 * self.sigma_depth([0.5, 1.0, 2.0]), ("0.5", "1", "2"), strict=True)
             parts = ["sigma " + ", ".join(f"{two_digits(sigma)} mm at {depth} m" for sigma, depth in sigmas)]
+        if self.falloff:
+            times = float(self._growth(_AT_30_DEGREES, 0.0)) ** 0.5
+            parts.append(f"{times:.3g} times as much 30 degrees off the axis")
         if self.lateral:
             parts.append(f"lateral {self.lateral:.2g} pixels")
         for share, length in self.correlation:
@@ -131,19 +142,28 @@ class NoiseModel:
             parts.append(f"spread {self.spread:.2g}")
         return "; ".join(parts)
 
-    def sigma(self, inverse_depth: ArrayLike) -> Floats:
+    def sigma(self, inverse_depth: ArrayLike, tan_x: ArrayLike = 0.0, tan_y: ArrayLike = 0.0) -> Floats:
         """Standard deviation of one pixel's inverse depth, quantisation included, in 1/m.
 
         Parameters
         ----------
         inverse_depth : array_like
             1/m.
+        tan_x, tan_y : array_like, optional
+            tanθx and tanθy of the pixel's ray, for a model with `falloff`; without them the ray is the optical axis.
+            Shapes broadcast.
         """
-        q = np.asarray(inverse_depth, np.float64)
-        return np.asarray(np.sqrt(self._along(q) ** 2 + self._rounding(q)))
+        return self._sigma(np.asarray(inverse_depth, np.float64), self._growth(tan_x, tan_y))
+
+    def _sigma(self, q: Floats, growth: Floats | float) -> Floats:
+        return np.asarray(np.sqrt(self._along(q) ** 2 * growth + self._rounding(q)))
+
+    def _growth(self, tan_x: ArrayLike, tan_y: ArrayLike) -> Floats:
+        """How many times that on the optical axis the variance of q before rounding is on another ray."""
+        return np.asarray((1.0 + np.square(tan_x) + np.square(tan_y)) ** self.falloff)
 
     def _along(self, q: Floats) -> Floats:
-        """Standard deviation of q before rounding."""
+        """Standard deviation of q before rounding, on the optical axis."""
         if self.formula is not None:
             sigma = for_each(self.formula(q), q)
         elif self.samples is not None:
@@ -157,26 +177,26 @@ class NoiseModel:
         """Variance of q from rounding, which is independent from pixel to pixel."""
         return np.asarray(((self.step * q * q) ** 2 + self.disparity_step**2) / 12.0)
 
-    def sigma_depth(self, depth: ArrayLike) -> Floats:
-        """Standard deviation of one pixel's depth in metres at depths in metres: σZ = σq·Z²."""
+    def sigma_depth(self, depth: ArrayLike, tan_x: ArrayLike = 0.0, tan_y: ArrayLike = 0.0) -> Floats:
+        """Standard deviation of one pixel's depth in metres at depths in metres, σZ = σq·Z²: see `sigma`."""
         z = np.asarray(depth, np.float64)
-        return np.asarray(self.sigma(1.0 / z) * z * z)
+        return np.asarray(self.sigma(1.0 / z, tan_x, tan_y) * z * z)
 
     @functools.cached_property
     def _variances(self) -> Floats:
-        """σq² before rounding as `kernels.statistics.pixel_variance` takes it."""
+        """σq² before rounding, on the axis, as `kernels.statistics.pixel_variance` takes it."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
             return np.array([1.0, self.coefficients[0] ** 2])
         return np.concatenate([[_SCALE], self._table() ** 2])
 
     def _table(self) -> Floats:
-        """σq before rounding at all inverse depths, 1.2e-3 to 20 1/m."""
+        """σq before rounding, on the axis, at all inverse depths, 1.2e-3 to 20 1/m."""
         q = np.maximum(np.arange(_ENTRIES + 1), 0.5) / _SCALE  # no function need be defined at 0
         return check_noise(self._along(q), q)
 
     @property
     def is_independent(self) -> bool:
-        """Whether pixels err independently of each other, all of them alike."""
+        """Whether pixels err independently of each other, those of one depth and angle off the axis alike."""
         return not (any(share for share, _ in self.correlation) or self.floor or self.spread)
 
     def statistics(self, count: ArrayLike, size: ArrayLike | None = None) -> ResidualStatistics:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.residual_statistics import ratio_at
+from rgbd_planes.tile_grid import central_rays
 from rgbd_planes.tile_planes import TilePlanes
 
 Floats = npt.NDArray[np.float64]
@@ -46,6 +47,8 @@ class Samples:
         Sum of squared residuals, 1/m².
     count : (T,) int32
         Valid pixels.
+    rays : (2, T) float64
+        tanθx and tanθy in the middle of the tile.
     place : three (T,) arrays of int
         Frame, row and column of the tile.
     """
@@ -56,6 +59,7 @@ class Samples:
     window: int
     rss: Floats
     count: npt.NDArray[np.int32]
+    rays: Floats
     place: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
@@ -98,6 +102,7 @@ class Samples:
             windows.tile[0],
             rss[chosen],
             planes.valid_count[chosen],
+            central_rays(planes.camera, planes.tile)[:, row, column],
             place,
         )
 
@@ -105,10 +110,14 @@ class Samples:
         """Variance of q from the lateral error and from rounding."""
         return np.asarray(model.lateral**2 * self.slope_square + model._rounding(self.q))
 
+    def along(self, model: NoiseModel) -> Floats:
+        """σq² before rounding."""
+        return np.asarray(model._along(self.q) ** 2 * model._growth(*self.rays))
+
     def expected(self, model: NoiseModel) -> tuple[Floats, Floats]:
         """The sum of squared residuals that the model expects, and its degrees of freedom."""
         made = model.statistics(self.count)
-        return made.with_independent(model._along(self.q) ** 2, self.independent(model), self.count)
+        return made.with_independent(self.along(model), self.independent(model), self.count)
 
     def typical(self, model: NoiseModel) -> tuple[float, float]:
         """Mean square residual in units of σq², from the median of the tiles: without independent parts, and all."""
@@ -120,7 +129,7 @@ class Samples:
         return self._middle(model, self.tilt_square / np.log(2.0))
 
     def _middle(self, model: NoiseModel, seen: Floats) -> tuple[float, float]:
-        square = model._along(self.q) ** 2
+        square = self.along(model)
         return float(np.median((seen - self.independent(model)) / square)), float(np.median(seen / square))
 
 

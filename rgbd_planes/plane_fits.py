@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.falloff import growth_of_parts
 from rgbd_planes.kernels import statistics
 from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.wording import two_digits
@@ -157,6 +158,11 @@ class PlaneFits:
     def _footprint(self) -> npt.NDArray[np.int64]:
         """(N, 5): of each of one frame's parts, what `residual_statistics.like_rectangles` takes."""
         raise NotImplementedError
+
+    @property
+    def _growth(self) -> Floats:
+        """(N,): of each of one frame's parts, `falloff.growth_of_parts`."""
+        return growth_of_parts(self.camera, self._footprint)
 
     @property
     def _error_sums(self) -> Floats | None:

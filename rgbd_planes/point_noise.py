@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from rgbd_planes.checks import check_camera, number
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.falloff import growth_of_pixels
 from rgbd_planes.noise import KINECT_V1
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def measurement_noise(
     camera : Camera
     sigma_inverse_depth : float, optional
         Standard deviation of 1/Z in 1/m: for a disparity sensor that of the disparity over focal length times
-        baseline. By default that of ``camera.noise`` at each pixel's depth, or a Kinect v1's if the camera has no
+        baseline. By default that of ``camera.noise`` at each pixel, or a Kinect v1's if the camera has no
         noise model.
 
     Returns
@@ -56,7 +57,9 @@ def measurement_noise(
     along_axis = frame.metres**2
     if sigma_inverse_depth is None:
         assert camera.noise is not None
-        along_axis[frame.valid] *= camera.noise.sigma(frame.inverse_depth[frame.valid])
+        valid, growth = frame.valid, growth_of_pixels(camera)
+        q = frame.inverse_depth[valid]
+        along_axis[valid] *= camera.noise._sigma(q, growth[valid] if growth.size else 1.0)
     else:
         sigma = number("sigma_inverse_depth", sigma_inverse_depth, finite=False)
         if not 0.0 <= sigma < np.inf:

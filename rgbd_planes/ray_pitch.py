@@ -30,9 +30,19 @@ def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
 @functools.lru_cache(maxsize=8)
 def _pitch_square(camera: Camera, footprint: bytes) -> Floats:
     # Kept, as that of the tiles of one camera is asked for with each frame, and takes ten times as long as p-values.
+    made = means_over(_of_pixels(camera), np.frombuffer(footprint, np.int64).reshape(-1, 5))
+    made.flags.writeable = False
+    return made
+
+
+def means_over(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
+    """(K, N) float64: means of tables (K, H, W), which change slowly over the image, over parts of it.
+
+    ``footprint`` is as in `pitch_square`, and a part counts as a rectangle.
+    """
     from scipy.ndimage import map_coordinates
 
-    n, x, y, xx, yy = np.frombuffer(footprint, np.int64).reshape(-1, 5).T.astype(np.float64)
+    n, x, y, xx, yy = footprint.T.astype(np.float64)
     number = np.maximum(n, 1.0)
     columns, rows = (
         sum_ / number
@@ -40,10 +50,8 @@ def _pitch_square(camera: Camera, footprint: bytes) -> Floats:
         for sum_, square in ((x, xx), (y, yy))
     )
     places = np.stack(np.broadcast_arrays(rows[:, None], columns))  # (2, 3, 3, N)
-    there = [map_coordinates(table, places, order=1, mode="nearest") for table in _of_pixels(camera)]
-    made = np.asarray(np.einsum("i,j,kijn->kn", GAUSS_WEIGHTS, GAUSS_WEIGHTS, there))
-    made.flags.writeable = False
-    return made
+    there = [map_coordinates(table, places, order=1, mode="nearest") for table in tables]
+    return np.asarray(np.einsum("i,j,kijn->kn", GAUSS_WEIGHTS, GAUSS_WEIGHTS, there))
 
 
 def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
+from rgbd_planes.falloff import growth_of_tiles
 from rgbd_planes.files import readable, write_beside
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
@@ -59,6 +60,10 @@ class TilePlanes(PlacedFits):
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
         return tile_footprints(self.camera.shape, self.tile)
+
+    @property
+    def _growth(self) -> npt.NDArray[np.float64]:
+        return growth_of_tiles(self.camera, self.tile)
 
     def __getitem__(self, frame: int) -> TilePlanes:
         """The planes of one frame of a batch, without copying.

@@ -15,6 +15,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.falloff import growth_of_tiles
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import (
     ARRAYS,
@@ -93,7 +94,8 @@ class TileFitter:
         self._needed = valid_needed(sizes.prod(axis=1), max_missing)
         self._compiled_for = method, implementation, camera.is_separable
         footprint = tile_footprints(camera.shape, self.tile)
-        self._assessment = Assessment(camera, method, significance, sizes, footprint)
+        growth = growth_of_tiles(camera, self.tile)
+        self._assessment = Assessment(camera, method, significance, sizes, footprint, growth)
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles

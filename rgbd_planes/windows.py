@@ -18,6 +18,7 @@ from rgbd_planes.checks import (
 )
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.falloff import growth_of_parts
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.plane_fits import PlacedFits, allocate
@@ -117,7 +118,9 @@ def fit_windows(
 
     arrays = allocate((), (len(rectangles),))
     sizes = rectangles[:, 2:]
-    assess = Assessment(camera, method, significance, sizes, footprints(rectangles)).of(arrays)
+    footprint = footprints(rectangles)
+    growth = growth_of_parts(camera, footprint)
+    assess = Assessment(camera, method, significance, sizes, footprint, growth).of(arrays)
     needed = valid_needed(sizes.prod(axis=1), max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)
     with announced(("windows", method, implementation, frame.raw.dtype)):

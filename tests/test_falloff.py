@@ -1,0 +1,183 @@
+"""Noise that grows away from the optical axis: in whatever is fitted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import rgbd_planes as rp
+from rgbd_planes.falloff import growth_of_parts, growth_of_pixels
+from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
+
+PINHOLE = rp.Camera(192, 144, 120.0, 120.0, 90.5, 74.5)  # up to 40 degrees off the axis
+CAMERAS = {
+    "pinhole": PINHOLE,
+    "barrel": replace(PINHOLE, distortion=(-0.2, 0.03, 0.002, -0.001, 0.0)),
+    "fisheye": rp.Camera(192, 144, 110.0, 110.0, 95.5, 71.5, (0.01, -0.005, 0.0, 0.0), "fisheye"),
+}
+NOISES = {
+    "constant": rp.noise.NoiseModel((1.4e-3,), falloff=4.0),
+    "by depth": replace(rp.noise.time_of_flight(0.002, 0.001), falloff=4.0),
+    "lateral": rp.noise.NoiseModel((1e-3,), lateral=0.5, falloff=3.0),
+    "rounded": rp.noise.NoiseModel((1e-3,), disparity_step=2e-3, falloff=4.0),
+}
+ALPHA = np.array([0.25, -0.35, 0.8])
+
+
+def away(camera, rows, columns):
+    """Which ring of the image places are in: centre, middle, edge."""
+    reach = np.hypot(camera.width, camera.height) / 2.0
+    radius = np.hypot(rows - camera.height / 2.0, columns - camera.width / 2.0) / reach
+    return np.digitize(radius, (0.4, 0.7))
+
+
+def measured(camera, frames, rng):
+    """(frames, H, W): the depth of the plane `ALPHA` with the camera's noise."""
+    noise = camera.noise
+    q = ALPHA[0] * camera.tan_x + ALPHA[1] * camera.tan_y + ALPHA[2]
+    slope = np.hypot(*np.gradient(q))
+    exact = replace(noise, disparity_step=0.0)
+    errors = rng.standard_normal((2, frames, *q.shape))
+    q = q + exact.sigma(q, camera.tan_x, camera.tan_y) * errors[0] + noise.lateral * slope * errors[1]
+    if noise.disparity_step:
+        q = noise.disparity_step * np.rint(q / noise.disparity_step)
+    return 1.0 / q
+
+
+def fits_of(kind, depth, camera):
+    """Planes of parts of the image of 12 to 16 pixels, and the rows and columns of their middles."""
+    if kind == "tiles":
+        windows = tile_windows(camera.shape, (12, 12))
+        return rp.fit_tiles(depth, camera, 12, significance=0.0), windows
+    windows = tile_windows(camera.shape, (16, 16))
+    if kind == "windows":
+        return rp.fit_windows(depth, camera, windows, significance=0.0), windows
+    blocks = np.arange(1, len(windows) + 1).reshape(9, 12)
+    if kind == "labels":
+        return rp.fit_labels(
+            depth, camera, np.kron(blocks, np.ones((16, 16), int)), significance=0.0
+        ), windows
+    tiles = rp.fit_tiles(depth, camera, 8, significance=0.0)
+    return rp.merge(tiles, np.kron(blocks, np.ones((2, 2), int)), significance=0.0), windows
+
+
+@pytest.mark.parametrize("kind", ["tiles", "windows", "labels", "unions"])
+@pytest.mark.parametrize(
+    ("lens", "name"),
+    [
+        ("pinhole", "constant"),
+        ("pinhole", "by depth"),
+        ("pinhole", "rounded"),
+        ("barrel", "lateral"),
+        ("fisheye", "constant"),
+    ],
+)
+def test_p_values_and_covariances_are_right_all_over_the_image(lens, name, kind, rng):
+    camera = replace(CAMERAS[lens], noise=NOISES[name])
+    p_values, squares, rings = [], [], []
+    for depth in measured(camera, 25, rng):
+        fits, windows = fits_of(kind, depth, camera)
+        error = fits.alpha.reshape(-1, 3) - ALPHA
+        covariance = fits.alpha_covariance.reshape(-1, 3, 3)
+        squares.append(np.sum(error * np.linalg.solve(covariance, error[..., None])[..., 0], axis=-1))
+        p_values.append(fits.p_value.ravel())
+        rings.append(away(camera, *(windows[:, :2] + windows[:, 2:] / 2.0).T))
+    p_all, square, ring = (np.concatenate(of) for of in (p_values, squares, rings))
+    for i in range(3):
+        here = ring == i
+        # Of three degrees of freedom, with the variance 6.
+        assert np.mean(square[here]) == pytest.approx(3.0, abs=4.0 * np.sqrt(6.0 / here.sum()) + 0.06)
+        assert np.mean(p_all[here] < 0.01) == pytest.approx(0.01, abs=4.0 * np.sqrt(0.01 / here.sum()) + 2e-3)
+        if name != "rounded":  # rounding errors vary less than normal ones
+            assert stats.kstest(p_all[here], "uniform").pvalue > 1e-4
+    # Without it there is too much noise at the edge.
+    plain = replace(camera, noise=replace(camera.noise, falloff=0.0))
+    assert np.mean(fits_of(kind, depth, plain)[0].p_value.ravel()[rings[-1] == 2] < 0.01) > 0.3
+
+
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_that_of_a_part_is_the_mean_over_its_pixels(lens):
+    camera = replace(CAMERAS[lens], noise=NOISES["constant"])
+    growth = growth_of_pixels(camera)
+    assert growth.min() == pytest.approx(1.0, abs=1e-3)
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    np.testing.assert_allclose(growth, np.linalg.norm(rays, axis=-1) ** 8)
+    windows = np.concatenate([tile_windows(camera.shape, (16, 16)), [(48, 60, 80, 64), (3, 7, 1, 1)]])
+    mean = [growth[y : y + h, x : x + w].mean() for y, x, h, w in windows]
+    np.testing.assert_allclose(growth_of_parts(camera, footprints(windows)), mean, rtol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["tiles", "windows", "labels", "unions"])
+def test_none_at_all_is_the_same_bits(kind, rng):
+    """And next to none, of which every factor is 1."""
+    noise = rp.noise.NoiseModel((1e-3, 2e-4), step=1e-3, lateral=0.3, spread=0.2, correlation=((0.3, 2.0),))
+    camera = replace(CAMERAS["barrel"], noise=noise)
+    (depth,) = measured(camera, 1, rng)
+    assert not growth_of_parts(camera, tile_footprints(camera.shape, (12, 12))).size
+    fits, _ = fits_of(kind, depth, camera)
+    hardly, _ = fits_of(kind, depth, replace(camera, noise=replace(noise, falloff=1e-300)))
+    for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std"):
+        np.testing.assert_array_equal(getattr(fits, name), getattr(hardly, name))
+    again = replace(hardly, camera=camera)  # another noise, given to what is fitted
+    np.testing.assert_allclose(again.p_value, fits.p_value, rtol=1e-3, atol=1e-6)
+
+
+def test_rough_by_significance_is_a_small_p_value(rng):
+    camera = replace(PINHOLE, noise=NOISES["by depth"])
+    (depth,) = measured(camera, 1, rng)
+    tiles = rp.fit_tiles(depth, camera, 6, significance=0.2)
+    sure = np.abs(tiles.p_value / 0.2 - 1.0) > 0.02
+    rough = tiles.status == rp.TileStatus.ROUGH
+    np.testing.assert_array_equal(rough[sure], (tiles.p_value < 0.2)[sure])
+    assert 0.1 < rough.mean() < 0.3
+    batch = rp.TileFitter(camera, 6).fit_batch([depth, depth])
+    np.testing.assert_array_equal(batch.p_value, np.stack([tiles.p_value] * 2))
+
+
+def test_sums_of_labels_are_those_of_numpy(rng):
+    noise = NOISES["by depth"]
+    camera = replace(CAMERAS["barrel"], noise=noise)
+    (depth,) = measured(camera, 1, rng)
+    labels = rng.integers(0, 4, camera.shape)
+    fits = rp.fit_labels(depth, camera, labels)
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    for i in range(3):
+        here = labels == i + 1
+        variance = noise.sigma(rays[here] @ fits.alpha[i], camera.tan_x[here], camera.tan_y[here]) ** 2
+        wanted = [variance.sum(), 0.0, np.sum(variance**2)]
+        np.testing.assert_allclose(fits._pixels.error_sums[i], wanted, rtol=1e-4, atol=1e-20)
+
+
+def test_sigma_on_the_axis_and_off_it(tmp_path, rng):
+    noise = rp.noise.NoiseModel((1e-3,), step=0.01, falloff=4.0)
+    assert noise.sigma(0.5) == replace(noise, falloff=0.0).sigma(0.5)
+    angle = np.radians(40.0)
+    rounding = (0.01 * 0.25) ** 2 / 12.0
+    tan = np.tan(angle) * np.array([0.6, 0.8])
+    wanted = np.sqrt((1e-3 / np.cos(angle) ** 4) ** 2 + rounding)
+    np.testing.assert_allclose(noise.sigma([0.5, 0.5], *tan), wanted)
+    np.testing.assert_allclose(noise.sigma_depth(2.0, *tan), 4.0 * wanted)
+    assert "; 1.78 times as much 30 degrees off the axis" in repr(noise)
+    assert "off the axis" not in repr(replace(noise, falloff=0.0))
+    with pytest.raises(ValueError, match=r"falloff of 0 or more, got -1\.0"):
+        rp.noise.NoiseModel(falloff=-1)
+    with pytest.raises(TypeError, match="falloff as a number, got 'a'"):
+        rp.noise.NoiseModel(falloff="a")
+
+    camera = replace(PINHOLE, noise=noise)
+    camera.save(tmp_path / "camera.json")
+    assert rp.Camera.load(tmp_path / "camera.json") == camera
+    older = {name: value for name, value in noise.to_dict().items() if name != "falloff"}
+    assert rp.noise.NoiseModel.from_dict(older) == replace(noise, falloff=0.0)
+    assert "falloff" not in replace(noise, falloff=0.0).to_dict()
+    depth = measured(camera, 1, rng)[0]
+    tiles = rp.fit_tiles(depth, camera, 12)
+    tiles.save(tmp_path / "tiles.npz")
+    np.testing.assert_array_equal(rp.TilePlanes.load(tmp_path / "tiles.npz").p_value, tiles.p_value)
+
+    depth[3, 5] = 0.0
+    points = rp.measurement_noise(depth, camera)
+    assert np.isnan(points[3, 5]).all()
+    depth[3, 5] = np.nan
+    np.testing.assert_allclose(points[..., 2], noise.sigma_depth(depth, camera.tan_x, camera.tan_y))
