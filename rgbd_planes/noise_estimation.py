@@ -1,10 +1,11 @@
 """A sensor's noise from ordinary frames: whatever in them is flat shows it.
 
 Flat tiles of several sizes are used, and large planes. How the tiles' mean square residual changes with depth gives
-σq, how it changes with the slope of the surface the lateral error. How it grows with the size of the tile, and how
-much more the slopes of tiles differ from their surroundings' than independent errors would make them, says how far
-errors reach: independent errors leave all sizes alike, a bias that bends over 50 pixels shows in large tiles only,
-and one over hundreds of pixels in how far large planes are bent. How unequal the tiles are gives the spread.
+σq, how it changes with the angle off the optical axis the falloff, and with the slope of the surface the lateral
+error. How it grows with the size of the tile, and how much more the slopes of tiles differ from their surroundings'
+than independent errors would make them, says how far errors reach: independent errors leave all sizes alike, a bias
+that bends over 50 pixels shows in large tiles only, and one over hundreds of pixels in how far large planes are bent.
+How unequal the tiles are gives the spread.
 """
 
 from __future__ import annotations
@@ -58,6 +59,10 @@ _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: 
 _UNEVEN = 3.0  # of windows that are as they should be: 1.1 to 1.6 with real sensors
 _BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: of the few waves that it has room for
+_PARTS = 6  # of the image along either side, each of which a falloff must do without
+_SURE = 3.0  # standard errors of a falloff, from which on there is one
+_TURNS, _CLOSE = 10, 0.02  # of fitting depth and falloff: most; and a relative change that is none
+_SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms, and steps that find their least sum
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
@@ -137,6 +142,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
             reaching = all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
     exact = np.asarray(opened[0]).dtype.kind == "f"
     model = _fit_depth(samples[REFERENCE], NoiseModel() if exact else quantised(NoiseModel(), camera))
+    model = _fit_falloff(samples[REFERENCE], model)
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
@@ -151,10 +157,10 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     return replace(model, evidence=evidence_of(opened, camera, model, samples, count))
 
 
-def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
+def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     """σq against depth, in bins, and the lateral error with which residuals are nearest to the model.
 
-    That of ``rounding`` is known.
+    The rounding and the falloff are those of ``known``.
 
     Each bin's σq is that which makes half of its residuals larger than the model's; of three neighbours the middle
     one is taken. Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
@@ -164,14 +170,15 @@ def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
     bins = [bins[i] for i in first]  # where all is at one depth, one bin tells as much as several
     seen = samples.rss / samples.count
     seen = np.maximum(seen, 1e-3 * np.median(seen))
+    growth = known._growth(*samples.rays)
     best: tuple[float, float, Floats] = (np.inf, 0.0, np.zeros(len(q)))
     for lateral in LATERALS.tolist():
-        known = samples.independent(replace(rounding, lateral=lateral))
-        own = np.array([np.median((seen - known)[some]) for some in bins])
-        variance = np.maximum(own, [0.01 * np.median(seen[some]) for some in bins])
+        independent = samples.independent(replace(known, lateral=lateral))
+        own = np.array([np.median(((seen - independent) / growth)[some]) for some in bins])
+        variance = np.maximum(own, [0.01 * np.median((seen / growth)[some]) for some in bins])
         ends = np.concatenate([variance[:1], variance, variance[-1:]])
         variance = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
-        error = np.log(seen / (np.interp(samples.q, q, variance) + known))
+        error = np.log(seen / (np.interp(samples.q, q, variance) * growth + independent))
         distance = float(np.mean(np.abs(error - np.median(error))))
         if distance < 0.999 * best[0]:
             best = distance, lateral, variance
@@ -184,7 +191,53 @@ def _fit_depth(samples: Samples, rounding: NoiseModel) -> NoiseModel:
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),
         np.concatenate([sigma[0] * farther**power, sigma, sigma[-1] * nearer**power]),
     )
-    return replace(along, lateral=lateral, step=rounding.step, disparity_step=rounding.disparity_step)
+    return replace(
+        along,
+        lateral=lateral,
+        falloff=known.falloff,
+        step=known.step,
+        disparity_step=known.disparity_step,
+    )
+
+
+def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
+    """How fast noise, of which ``model`` has the depth, grows away from the optical axis: both, fitted in turns.
+
+    There is a falloff only if what depth leaves over grows by more than chance may make it grow, by the jackknife over
+    parts of the image: a few noisy surfaces towards the edge, in however many frames, make none.
+    """
+    # What of the angle goes with the depth, as on a floor, says nothing: depth may explain it as well.
+    away = np.log1p(np.sum(samples.rays**2, axis=0))
+    bins = bins_of(samples.q, 60)
+    middles, first = np.unique([np.median(samples.q[some]) for some in bins], return_index=True)
+    away = away - np.interp(samples.q, middles, [np.mean(away[bins[i]]) for i in first])
+    row, column = (_PARTS * (i - i.min()) // (np.ptp(i) + 1) for i in samples.place[1:])
+    part = _PARTS * row + column
+
+    left = samples.left(model)
+    slope = _slope(away, left)
+    without = [_slope(away[part != i], left[part != i]) for i in np.unique(part)]
+    if not slope > _SURE * np.sqrt(len(without) - 1.0) * np.std(without):
+        return model
+    for _ in range(_TURNS):
+        model = _fit_depth(samples, replace(model, falloff=max(model.falloff + slope, 0.0)))
+        slope = _slope(away, samples.left(model))
+        if abs(slope) < _CLOSE * model.falloff:
+            break
+    return model
+
+
+def _slope(x: Floats, y: Floats) -> float:
+    """Of logarithms y on x, with the least sum of absolute deviations, of small ones the least squares (Huber 1964)."""
+    slope = level = 0.0
+    for _ in range(_ROUNDS):
+        weight = 1.0 / np.maximum(np.abs(y - level - slope * x), _SMALL)
+        weight /= np.sum(weight)
+        middle = np.sum(weight * x)
+        away = weight * (x - middle)
+        slope = float(np.sum(away * y) / max(np.sum(away * x), 1e-12))
+        level = float(np.sum(weight * y) - slope * middle)
+    return slope
 
 
 def _alone(part: tuple[float, float]) -> NoiseModel:

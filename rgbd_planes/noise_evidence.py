@@ -40,6 +40,8 @@ class NoiseEvidence:
         Of those tiles; uniform if the model is right.
     noise_map : (R, C) float64
         Their residual over the model's, by place in the image, as far as whole windows go; NaN where no frame is flat.
+    edge_growth : float
+        How many times that on the optical axis the model's σq, before rounding, is where they are farthest from it.
     flatness : (⌈H / 8⌉, ⌈W / 8⌉) float64
         The sensor's own bias over the image in 1/m, in cells of 8 pixels: what all large planes of all frames
         have in common. NaN where none was seen. A part that is itself planar over the image does not show.
@@ -58,6 +60,7 @@ class NoiseEvidence:
     sigma_fit: Floats
     p_values: Floats
     noise_map: Floats
+    edge_growth: float
     flatness: Floats
     flatness_count: npt.NDArray[np.int64]
     flatness_std: Floats
@@ -122,6 +125,7 @@ def evidence_of(
         sigma_fit=np.sqrt([np.median((expected / chosen.count)[some]) for some in bins]),
         p_values=ndtr(-deviate_of(ratio, freedom, model.spread)),
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
+        edge_growth=float(np.sqrt(np.max(model._growth(*chosen.rays)))),
         flatness=bias,
         flatness_count=count,
         flatness_std=deviation,

@@ -114,6 +114,12 @@ class Samples:
         """σq² before rounding."""
         return np.asarray(model._along(self.q) ** 2 * model._growth(*self.rays))
 
+    def left(self, model: NoiseModel) -> Floats:
+        """Logarithms of mean square residuals over the variances of independent errors."""
+        seen = self.rss / self.count
+        seen = np.maximum(seen, 1e-3 * np.median(seen))
+        return np.asarray(np.log(seen / (self.along(model) + self.independent(model))))
+
     def expected(self, model: NoiseModel) -> tuple[Floats, Floats]:
         """The sum of squared residuals that the model expects, and its degrees of freedom."""
         made = model.statistics(self.count)

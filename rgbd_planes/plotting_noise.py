@@ -42,6 +42,9 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     maps = lower.subplots(1, 2)
     title = "Noise over the image, as a multiple of the model's"
     _draw_map(maps[0], evidence.noise_map, title, cmap="viridis", vmin=0.5, vmax=2.0)
+    if evidence.edge_growth > 1.0:
+        note = f"     the model's grows to {two_digits(evidence.edge_growth)} times towards the edge"
+        maps[0].set_xlabel(maps[0].get_xlabel() + note, fontsize=9)
     bias = 1e3 * np.where(evidence.flatness_count >= 16, evidence.flatness, np.nan)
     some = np.isfinite(bias)
     title = "Bias over the image, of 1/Z: what all large planes have in common, 1e-3 / m"

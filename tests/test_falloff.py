@@ -1,12 +1,15 @@
-"""Noise that grows away from the optical axis: in whatever is fitted."""
+"""Noise that grows away from the optical axis: in whatever is fitted, and found again in frames."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
+from test_noise_estimation import CAMERA as SEEING
+from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
+from rgbd_planes import noise_estimation
 from rgbd_planes.falloff import growth_of_parts, growth_of_pixels
 from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
 
@@ -181,3 +184,85 @@ def test_sigma_on_the_axis_and_off_it(tmp_path, rng):
     assert np.isnan(points[3, 5]).all()
     depth[3, 5] = np.nan
     np.testing.assert_allclose(points[..., 2], noise.sigma_depth(depth, camera.tan_x, camera.tan_y))
+
+
+def seen_with(falloff, rng, length=0.0, views=VIEWS):
+    """Frames of the furnished room with a noise that grows so, a half of it correlated where there is a length."""
+    noise = rp.noise.NoiseModel((1.4e-3,), falloff=falloff)
+    for view in views:
+        q = 1.0 / rendering(*view).depth
+        errors = rng.standard_normal(q.shape)
+        if length:
+            errors = np.sqrt(0.5) * (errors + smooth(rng, length))
+        yield 1.0 / (q + noise.sigma(q, SEEING.tan_x, SEEING.tan_y) * errors)
+
+
+@pytest.mark.parametrize(("falloff", "length"), [(2.0, 0.0), (4.0, 2.0), (8.0, 0.0)])
+def test_is_found_again(falloff, length, rng):
+    """And serves frames that it was not estimated from, in the centre as at the edge."""
+    camera = replace(SEEING, depth_scale=None)
+    model = rp.estimate_noise(list(seen_with(falloff, rng, length)), camera)
+    assert model.falloff == pytest.approx(falloff, rel=0.1)
+    assert model.sigma(0.5) * np.hypot(1.0, model.floor) == pytest.approx(1.4e-3, rel=0.08)
+    assert model.spread < 0.15
+    assert model.floor < 0.3
+    evidence = model.evidence
+    farthest = 1.0 + SEEING.tan_x.max() ** 2 + SEEING.tan_y.max() ** 2  # nearly: there are flat tiles
+    assert evidence.edge_growth == pytest.approx(farthest ** (0.5 * model.falloff), rel=0.2)
+    figure = evidence.plot()
+    (noise_map,) = (axes for axes in figure.axes if axes.get_title().startswith("Noise over"))
+    assert "times towards the edge" in noise_map.get_xlabel()
+    map_ = evidence.noise_map
+    ring = away(SEEING, *(12 * np.indices(map_.shape) + 6))
+    for i in range(3):
+        assert np.nanmean(map_[ring == i]) == pytest.approx(1.0, abs=0.05)
+
+    view = ((0.1, -1.4, 0.0), (0.2, -1.0, 2.6))
+    labels = rendering(*view).tile_labels((8, 8))
+    ring = away(SEEING, *(8 * np.indices(labels.shape) + 4))
+    p_values = np.array(
+        [
+            rp.fit_tiles(depth, replace(camera, noise=model), 8).p_value
+            for depth in seen_with(falloff, rng, length, [view] * 3)
+        ]
+    )
+    for i in range(3):
+        assert 0.004 < np.mean(p_values[:, (labels > 0) & (ring == i)] < 0.01) < 0.025
+
+
+def test_chance_in_the_map_of_the_bias_grows_with_it(rng):
+    """Of six planes over the whole image, which have no bias."""
+    camera, noise, seen = replace(SEEING, depth_scale=None), rp.noise.NoiseModel((1.4e-3,), falloff=6.0), []
+    for tilt in np.linspace(-0.3, 0.3, 6):
+        q = 1.0 / rp.scenes.plane((tilt, 0.2, -1.0), 1.5).render(camera).depth
+        seen.append(1.0 / (q + noise.sigma(q, camera.tan_x, camera.tan_y) * rng.standard_normal(q.shape)))
+    model = rp.estimate_noise(seen, camera)
+    assert model.falloff == pytest.approx(6.0, rel=0.1)
+    of_chance = model.evidence.flatness / model.evidence.flatness_std
+    ring = away(camera, *(8 * np.indices(of_chance.shape) + 4))
+    for i in range(3):
+        assert np.sqrt(np.nanmean(of_chance[ring == i] ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_where_there_is_none_nothing_changes(rng, monkeypatch):
+    """Not one bit of what was estimated by depth alone."""
+    seen = list(seen_with(0.0, rng))
+    found = rp.estimate_noise(seen, replace(SEEING, depth_scale=None))
+    assert found.falloff == 0.0
+    assert found.evidence.edge_growth == 1.0
+    assert "towards the edge" not in "".join(axes.get_xlabel() for axes in found.evidence.plot().axes)
+    monkeypatch.setattr(noise_estimation, "_fit_falloff", lambda samples, model: model)
+    assert rp.estimate_noise(seen, replace(SEEING, depth_scale=None)) == found
+
+
+def test_what_differs_from_surface_to_surface_is_none(rng):
+    """Noisy surfaces here and there, also towards the edge: these make a spread."""
+    seen = []
+    for view in VIEWS:
+        scene = rendering(*view)
+        times = rng.uniform(0.6, 1.8, len(scene.planes) + 1)[np.maximum(scene.labels, 0)]
+        q = 1.0 / scene.depth
+        seen.append(1.0 / (q + 1.4e-3 * times * rng.standard_normal(q.shape)))
+    model = rp.estimate_noise(seen, replace(SEEING, depth_scale=None))
+    assert model.falloff == 0.0
+    assert model.spread > 0.15

@@ -61,6 +61,7 @@ def frames(model, rng, views=VIEWS):
 )
 def test_finds_the_noise_again(truth, rng):
     model = rp.estimate_noise(list(frames(truth, rng)), CAMERA)
+    assert model.falloff == 0.0
     q = 1.0 / np.linspace(1.5, 3.2, 8)
     total = np.hypot(1.0, model.floor) * model.sigma(q)
     np.testing.assert_allclose(total, np.hypot(1.0, truth.floor) * truth.sigma(q), rtol=0.15)
@@ -98,6 +99,7 @@ def test_independent_noise_of_small_frames_stays_independent(width, height, foca
     camera, seen = small_frames(width, height, focal, count)
     model = rp.estimate_noise(seen, camera)
     assert model.floor < 0.1
+    assert model.falloff == 0.0
     np.testing.assert_allclose(model.sigma([0.3, 0.5]), rp.noise.kinect_v1().sigma([0.3, 0.5]), rtol=0.15)
 
 
