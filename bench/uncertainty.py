@@ -28,9 +28,9 @@ EVERYTHING = ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "o
 def cost_report(repeats: int = 300) -> list[str]:
     """Time of the fit with statistics over that of the fit alone, in turns."""
     frame = case()
-    # As a sensor's estimated noise: a table by depth, correlation, a lateral part.
+    # As a sensor's estimated noise: a table by depth, correlation, a lateral part, a falloff.
     seen = rp.noise.table([0.1, 0.3, 0.5, 0.8, 1.2], [1.2e-3, 1.4e-3, 1.4e-3, 1.5e-3, 1.8e-3])
-    estimated = replace(seen, correlation=((0.3, 2.0),), floor=0.5, spread=0.3, lateral=0.4)
+    estimated = replace(seen, correlation=((0.3, 2.0),), floor=0.5, spread=0.3, lateral=0.4, falloff=1.0)
     lines = [
         "## Cost",
         "",

@@ -1,5 +1,6 @@
 """Estimated noise against real frames: ``python -m bench.uncertainty real``."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,15 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.noise_samples import mean_depth
+from rgbd_planes.ray_pitch import slope_square
+from rgbd_planes.tile_grid import central_rays, tile_footprints
 from tests.real_data import FOLDER as DATA
 
 FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
+RINGS = ("centre", "middle", "edge")
+"""Of the image: equally many tiles are nearest to its middle, farthest from it, and in between."""
+WITH_RINGS = ("azure_kinect_nfov", "kinect1_7scenes_seq")
 
 
 @dataclass(frozen=True)
@@ -107,13 +114,15 @@ class RealResult:
     rejected_independent: float
     predicted: float
     observed: float
+    rings: tuple[tuple[float, float], ...] = ()
+    """Of each of `RINGS`: the root mean square residual over the model's, and the share that is rejected."""
 
 
 def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealResult:
     """Shares rejected at 1 and at 0.1 %; predicted and observed rms angle to the whole flat part, in degrees."""
     camera = replace(data.camera, noise=noise)
     plain = replace(data.camera, noise=rp.noise.kinect_v1())
-    p, q, predicted, observed = [], [], [], []
+    p, q, predicted, observed, excess, distance = [], [], [], [], [], []
     for depth, labels in zip(data.second, data.labels, strict=True):
         regions = flat_regions(depth, data.camera, labels)
         tiles = rp.fit_tiles(depth, camera, size, max_missing=0.1, significance=0.0)
@@ -125,6 +134,8 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         inside = region > 0
         p.append(tiles.p_value[inside])
         q.append(replace(tiles, camera=plain).p_value[inside])
+        excess.append(_residual_over_expected(tiles, inside))
+        distance.append(np.hypot(*(size * (np.argwhere(inside) + 0.5) - np.array(camera.shape) / 2.0).T))
         merged = rp.merge(tiles, region, significance=0.0)
         # Regions of few tiles are mostly the tile itself.
         enough = np.bincount(region.ravel(), minlength=len(merged.status) + 1)[1:] >= 9
@@ -134,6 +145,8 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         observed.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
         predicted.append(tiles.angle_std[chosen])
     p_all, seen = np.concatenate(p), np.concatenate(observed)
+    rings = np.array_split(np.argsort(np.concatenate(distance), kind="stable"), len(RINGS))
+    square = np.minimum(np.concatenate(excess), 9.0)  # no single edge is to be all that counts
     return RealResult(
         tiles=len(p_all),
         angles=len(seen),
@@ -142,7 +155,25 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         rejected_independent=float(np.mean(np.concatenate(q) < 0.01)) if len(p_all) else np.nan,
         predicted=float(np.sqrt(np.mean(np.concatenate(predicted) ** 2))) if len(seen) else np.nan,
         observed=float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan,
+        rings=tuple(
+            (float(np.sqrt(np.mean(square[ring]))), float(np.mean(p_all[ring] < 0.01)))
+            for ring in rings
+            if len(ring)
+        ),
     )
+
+
+def _residual_over_expected(tiles: rp.TilePlanes, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Sum of squared residuals of the chosen tiles of a frame over what the camera's noise expects."""
+    noise = tiles.camera.noise
+    assert noise is not None
+    footprint = tile_footprints(tiles.camera.shape, tiles.tile)[chosen.ravel()]
+    q, count = 1.0 / mean_depth(tiles)[chosen], tiles.valid_count[chosen]
+    growth = noise._growth(*central_rays(tiles.camera, tiles.tile)[:, chosen])
+    lateral = noise.lateral**2 * slope_square(tiles.alpha[chosen], tiles.camera, footprint)
+    made = noise.statistics(count, np.broadcast_to(tiles.tile, (len(count), 2)))
+    expected, _ = made.with_independent(noise._along(q) ** 2 * growth, lateral + noise._rounding(q), count)
+    return np.asarray(count * tiles.rmse[chosen] ** 2 / expected)
 
 
 SIZES = (8, 16, 24)
@@ -160,7 +191,7 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
         if folder is not None and (not rows or rows[-1]["data"] != data.name):
             noise.evidence.plot().savefig(folder / f"noise_{data.name}.png", dpi=70)
         for size in SIZES:
-            row: dict[str, Any] = {"data": data.name, "size": size}
+            row: dict[str, Any] = {"data": data.name, "size": size, "falloff": noise.falloff}
             for name, of in (("", noise), ("own_", own)):
                 result = real_result(data, of, size)
                 ratio = result.predicted / result.observed if result.angles >= FEWEST_ANGLES else np.nan
@@ -172,6 +203,8 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
                     f"{name}angle": ratio if np.isfinite(ratio) else None,
                     "independent": result.rejected_independent,
                 }
+                if not name:
+                    row["rings"] = result.rings
             rows.append(row)
     return rows
 
@@ -260,7 +293,39 @@ def table(rows: list[dict[str, Any]]) -> str:
                 f"| {f'**{share}**' if wrong_beyond_chance(row['rejected'], row['tiles']) else share} "
                 f"| {low:.1f}–{high:.1f} % | {100.0 * row['own_rejected']:.1f} % |"
             )
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *ring_table(rows)])
+
+
+def ring_table(rows: list[dict[str, Any]]) -> list[str]:
+    """The falloffs of the sets' noise, and tiles of the smallest size by ring of the image, as lines of Markdown."""
+
+    def cell(data: str, text: Callable[[dict[str, Any]], str]) -> str:
+        return ", ".join(text(row) for row in rows if (row["data"], row["size"]) == (data, SIZES[0]))
+
+    def of_ring(i: int, entry: int, form: str) -> Callable[[dict[str, Any]], str]:
+        return lambda row: form.format(row["rings"][i][entry])
+
+    falloffs = {data: cell(data, lambda row: f"{row['falloff']:.2f}") for data in SETS}
+    kept = [
+        f"{SETS[row['data']]} ({falloffs[row['data']]})"
+        for row in rows
+        if row["falloff"] and row["size"] == SIZES[0]
+    ]
+    forms = {"residual": (0, "{:.2f}"), "rejected": (1, "{:.1%}")}
+    kinds = [(name, kind, i) for name in forms for i, kind in enumerate(RINGS)]
+    lines = [
+        f"The noise grows away from the optical axis, with these falloffs: {'; '.join(dict.fromkeys(kept))}. In the "
+        "others there is none. Of the third of the tiles of 8 pixels that is nearest to the middle of the image, of "
+        "the next and of the outermost third, the root mean square residual over the model's and the share that is "
+        "rejected:",
+        "",
+        "| frames | " + " | ".join(f"{name}, {kind}" for name, kind, _ in kinds) + " |",
+        "|---" + "|---:" * len(kinds) + "|",
+    ]
+    for data in WITH_RINGS:
+        cells = [cell(data, of_ring(i, *forms[name])).replace("%", " %") for name, _, i in kinds]
+        lines.append(f"| {SETS[data]} | {' | '.join(cells)} |")
+    return lines
 
 
 def real_report(folder: Path) -> list[str]:

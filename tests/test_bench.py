@@ -176,6 +176,21 @@ def test_few_angles_are_no_measurement(monkeypatch):
             assert (row["rejected"], row["angle"], row["own_angle"]) == (0.01, expected, expected)
 
 
+def test_rings_show_what_the_model_lacks(rng):
+    """Of noise that grows off the axis: by the model all are alike, by one that does not know there is too much."""
+    camera = rp.Camera(320, 240, 200.0, 200.0, 159.5, 119.5)
+    noise = rp.noise.NoiseModel((1.4e-3,), falloff=4.0)
+    q = 0.5 + 0.1 * camera.tan_x + 0.05 * camera.tan_y
+    depth = 1.0 / (q + noise.sigma(q, camera.tan_x, camera.tan_y) * rng.standard_normal(q.shape))
+    data = uncertainty_real.RealSet("a", camera, [], [depth], [np.ones(camera.shape, int)])
+    for residual, rejected in uncertainty_real.real_result(data, noise, 8).rings:
+        assert residual == pytest.approx(1.0, abs=0.02)
+        assert rejected < 0.03
+    plain = uncertainty_real.real_result(data, rp.noise.NoiseModel((1.4e-3,)), 8).rings
+    assert 1.0 < plain[0][0] < plain[1][0] < plain[2][0]
+    assert plain[2][1] > 0.3
+
+
 def test_a_batch_is_measured():
     pytest.importorskip("pyarrow")
     result = batch_throughput.measure(frames=64, rounds=1)
