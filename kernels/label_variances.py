@@ -33,7 +33,7 @@ def label_variances(
     alpha : (K, 3) float64
         Where it is NaN, each pixel's own depth counts.
     noise : see `statistics.assess`
-    growth : (H, W) float64, or (0, 0)
+    growth : (H, W) float64, or empty
         How many times those of ``noise`` the variances of q along the ray are.
     sums : (K, 3) float64, written
         Of the variances of q along the ray, of those of rounding, and of the squares of both together.

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
+from rgbd_planes.falloff import EVEN
 from rgbd_planes.kernels import statistics
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.ray_pitch import pitch_square
@@ -241,7 +242,7 @@ class Assessment:
         fits = moments, reference, planes, errors
         of_pixels, growth = self._of_lens, self._growth
         if error_sums is not None:
-            of_pixels, growth = self._of_depths(error_sums, counts), np.empty(0)
+            of_pixels, growth = self._of_depths(error_sums, counts), EVEN
         settings = self._in_range_space, self._of_noise, growth, of_pixels, self._limits
 
         def assess(start: int, stop: int) -> None:

@@ -21,6 +21,7 @@ from rgbd_planes.checks import (
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.error_sums import KeepsPixels, Pixels, sums_of_labels
+from rgbd_planes.falloff import EVEN
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
@@ -109,8 +110,8 @@ def fit_labels(
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
         pixels = Pixels(footprint, camera.noise, sums_of_labels(frame, camera, numbers, arrays["alpha"]))
-        none = np.empty(0)  # falloff is in the sums
-        assessment = Assessment(camera, method, significance, like_rectangles(footprint), footprint, none)
+        sizes = like_rectangles(footprint)  # and no growth: the sums have it
+        assessment = Assessment(camera, method, significance, sizes, footprint, EVEN)
         assessment.of(arrays, pixels.error_sums)(0, count)
     return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=pixels, **arrays)
 

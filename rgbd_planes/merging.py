@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from rgbd_planes.checks import check_labels, plain_array
 from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, sums_of_fits
+from rgbd_planes.falloff import EVEN
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
@@ -92,8 +93,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     error_sums = sums_of_fits(fits)
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
-    sizes, none = like_rectangles(footprint), np.empty(0)  # falloff is in the sums
-    assessment = Assessment(fits.camera, fits.method, significance, sizes, footprint, none)
+    sizes = like_rectangles(footprint)  # and no growth: the sums have it
+    assessment = Assessment(fits.camera, fits.method, significance, sizes, footprint, EVEN)
     assessment.of(arrays, error_sums)(0, count)
     return MergedPlanes(
         camera=fits.camera,

@@ -11,6 +11,7 @@ from test_noise_estimation import VIEWS, rendering, smooth
 import rgbd_planes as rp
 from rgbd_planes import noise_estimation
 from rgbd_planes.falloff import growth_of_parts, growth_of_pixels
+from rgbd_planes.kernels import label_variances, statistics
 from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
 
 PINHOLE = rp.Camera(192, 144, 120.0, 120.0, 90.5, 74.5)  # up to 40 degrees off the axis
@@ -113,13 +114,17 @@ def test_that_of_a_part_is_the_mean_over_its_pixels(lens):
 
 @pytest.mark.parametrize("kind", ["tiles", "windows", "labels", "unions"])
 def test_none_at_all_is_the_same_bits(kind, rng):
-    """And next to none, of which every factor is 1."""
+    """As next to none, of which every factor is 1; and it is the same kernels, compiled once."""
     noise = rp.noise.NoiseModel((1e-3, 2e-4), step=1e-3, lateral=0.3, spread=0.2, correlation=((0.3, 2.0),))
     camera = replace(CAMERAS["barrel"], noise=noise)
     (depth,) = measured(camera, 1, rng)
     assert not growth_of_parts(camera, tile_footprints(camera.shape, (12, 12))).size
     fits, _ = fits_of(kind, depth, camera)
+    assert np.isfinite(fits.p_value).all()
+    compiled = len(statistics.assess.signatures), len(label_variances.label_variances.signatures)
     hardly, _ = fits_of(kind, depth, replace(camera, noise=replace(noise, falloff=1e-300)))
+    assert np.isfinite(hardly.p_value).all()
+    assert compiled == (len(statistics.assess.signatures), len(label_variances.label_variances.signatures))
     for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std"):
         np.testing.assert_array_equal(getattr(fits, name), getattr(hardly, name))
     again = replace(hardly, camera=camera)  # another noise, given to what is fitted
