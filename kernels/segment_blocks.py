@@ -84,23 +84,46 @@ def add_columns(q, u, v, count, along):
 
 
 @kernel(inline=True)
-def add_separable(q, u, row_v, count, along):
-    """The same where tanθx, ``u[0]``, is that of the column and tanθy, ``row_v`` (BLOCK,), that of the row."""
-    for x in range(count * BLOCK):
-        n = s_v = s_q = s_vv = s_vq = s_qq = 0.0
-        for k in range(BLOCK):
-            p = np.float64(q[k, x])
-            valid = 1.0 if p > 0.0 else 0.0
-            v_x = valid * row_v[k]
-            n += valid
-            s_v += v_x
-            s_q += p
-            s_vv += v_x * row_v[k]
-            s_vq += p * row_v[k]
-            s_qq += p * p
-        c = u[0, x]
-        along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, c * n, s_v, s_q, c * c * n
-        along[5, x], along[6, x], along[7, x], along[8, x], along[9, x] = c * s_v, c * s_q, s_vv, s_vq, s_qq
+def apart(values, count, columns):
+    """Put the first, second, ... columns of pixels of ``count`` blocks beside each other: (BLOCK·CHUNK,)."""
+    for c in range(count):
+        x = c * BLOCK
+        columns[c] = values[x]
+        columns[CHUNK + c] = values[x + 1]
+        columns[2 * CHUNK + c] = values[x + 2]
+        columns[3 * CHUNK + c] = values[x + 3]
+
+
+@kernel(inline=True)
+def add_separable(q, u, row_v, count, sums):
+    """Moments of blocks where tanθx, ``u``, is that of the column and tanθy, ``row_v`` (BLOCK,), that of the row.
+
+    ``q`` (BLOCK, BLOCK·CHUNK) and ``u`` have their columns as `apart` puts them; ``sums`` is (10, CHUNK).
+    """
+    for c in range(count):
+        n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
+        for j in range(BLOCK):
+            x = j * CHUNK + c
+            of_n = of_v = of_q = 0.0
+            for k in range(BLOCK):
+                p = np.float64(q[k, x])
+                valid = 1.0 if p > 0.0 else 0.0
+                v = valid * row_v[k]
+                of_n += valid
+                of_v += v
+                of_q += p
+                s_vv += v * row_v[k]
+                s_vq += p * row_v[k]
+                s_qq += p * p
+            n += of_n
+            s_v += of_v
+            s_q += of_q
+            s_u += u[x] * of_n
+            s_uu += u[x] * u[x] * of_n
+            s_uv += u[x] * of_v
+            s_uq += u[x] * of_q
+        sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c] = n, s_u, s_v, s_q, s_uu
+        sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c] = s_uv, s_uq, s_vv, s_vq, s_qq
 
 
 @kernel(reduction=True)
@@ -138,7 +161,8 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     sums = np.empty((10, CHUNK))
     largest = np.zeros(CHUNK * BLOCK, np.float32)
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
-    row_v = np.empty(BLOCK)
+    row_v = np.zeros(BLOCK)
+    of_columns, u_columns = np.zeros((BLOCK, CHUNK * BLOCK), np.float32), np.zeros(CHUNK * BLOCK)
     for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
         for start in range(0, columns, CHUNK):
@@ -161,11 +185,14 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
                     copy(tan_y[y, left:right], v[k, : right - left])
             if separable:
                 copy(tan_x[0, left:right], u[0, : right - left])
-                add_separable(q, u, row_v, count, along)
+                apart(u[0], count, u_columns)
+                for k in range(BLOCK):
+                    apart(q[k], count, of_columns[k])
+                add_separable(of_columns, u_columns, row_v, count, sums)
             else:
                 add_columns(q, u, v, count, along)
-            for k in range(10):
-                fold(along[k], sums[k], count)
+                for k in range(10):
+                    fold(along[k], sums[k], count)
             i = row * columns + start
             solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])
             for k in range(10):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
-from .segment_blocks import BLOCK, CHUNK, EMPTY, MIXED, UNSEEN
+from .segment_blocks import BLOCK, CHUNK, EMPTY, MIXED
 from .segment_moments import rows_of
 from .segment_noise import about_plane, sensor_variance
 
@@ -123,6 +123,13 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
             count = min(CHUNK, columns - start)
             stop = start + count
             own, line, owner = region[row, start:stop], task[row, start:stop], owners.block[row, start:stop]
+            alone = 0
+            for c in range(count):
+                alone += line[c] == ALONE
+            if alone == 0:  # as in most of the last rounds
+                for c in range(count):
+                    owner[c] = own[c] if (line[c] == DONE) & (owner[c] >= 0) else owner[c]
+                continue
             for c in range(count):
                 of_region = about[own[c] if own[c] >= 0 else regions]
                 for k in range(5):
@@ -148,7 +155,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
                 is_alone = line[c] == ALONE
                 is_open = (line[c] == OPEN) | (is_alone & ~fits)
                 is_whole = (is_alone & fits) | ((line[c] == DONE) & (owner[c] >= 0))
-                owner[c] = own[c] if is_whole else UNSEEN if is_open else owner[c]
+                owner[c] = own[c] if is_whole else owner[c]
                 line[c] = OPEN if is_open else SAME if line[c] == SAME else DONE
 
 
