@@ -20,6 +20,8 @@ RIGHT_BY, DOWN_BY = np.int32(1), np.int32(BLOCK)
 ACROSS, DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
 # Missing pixels in a row that still are holes in a surface.
 GAP = 3
+# From either side of them so many, at least.
+BESIDE = (GAP + 1) // 2
 # First run of a block that has none.
 NONE = np.int32(-1)
 
@@ -44,11 +46,12 @@ def in_squares(pixels):
 
 @kernel(inline=True)
 def filled_across(pixels, measured):
-    """Pixels of a share, and missing ones between two of a row; or, if nobody else has any, in a row with one."""
+    """Pixels of a share, and missing ones beside them in a row; or, if nobody else has any, all of a row with one."""
     if pixels == measured:
         return ((pixels | pixels >> np.int32(1) | pixels >> np.int32(2) | pixels >> np.int32(3)) & LEFT) * TOP
-    right, left = (pixels & ~LEFT) >> RIGHT_BY, (pixels << RIGHT_BY) & ALL & ~LEFT
-    return pixels | (ALL & ~measured & right & left)
+    for _ in range(BESIDE):
+        pixels |= (((pixels & ~LEFT) >> RIGHT_BY) | ((pixels << RIGHT_BY) & ~LEFT)) & ALL & ~measured
+    return pixels
 
 
 @kernel(inline=True)
@@ -58,7 +61,9 @@ def filled_down(pixels, measured):
         return (
             (pixels | pixels >> np.int32(4) | pixels >> np.int32(8) | pixels >> np.int32(12)) & TOP
         ) * LEFT
-    return pixels | (ALL & ~measured & (pixels >> DOWN_BY) & (pixels << DOWN_BY))
+    for _ in range(BESIDE):
+        pixels |= ((pixels >> DOWN_BY) | (pixels << DOWN_BY)) & ALL & ~measured
+    return pixels
 
 
 @kernel(inline=True)
@@ -140,7 +145,9 @@ def list_runs(
             count += 1
         elif b == MIXED:
             first = count
-            others = measured[left]
+            taken = np.int32(0)
+            for s in range(first_share[left], first_share[left] + shares_of[left]):
+                taken |= share_pixels[s] if number[share_region[s]] >= 0 else np.int32(0)
             for s in range(first_share[left], first_share[left] + shares_of[left]):
                 a = number[share_region[s]]
                 if a < 0:
@@ -154,7 +161,7 @@ def list_runs(
                     if label[k] == a:
                         unite(parent, count, k)
                 count += 1
-                others &= ~share_pixels[s]
+            others = measured[left] & ~taken
             many[left] = count - first
             if count > first:
                 at[left] = first
