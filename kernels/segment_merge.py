@@ -276,6 +276,11 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
         What ``region_floor``, ``region_jump`` and ``region_crest`` are multiplied by.
     parent : (N,) int64, written
         The region that each one went into.
+
+    Returns
+    -------
+    int
+        Number of pairs that are left in ``contacts``, of regions that others have gone into.
     """
     regions = moments.shape[0]
     cost = np.empty(count)
@@ -324,6 +329,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
         count = contract(contacts, count, parent, changed)
     for a in range(regions):
         parent[a] = root_of(parent, a)
+    return count
 
 
 @kernel()
@@ -395,8 +401,28 @@ def number_regions(parent, moments, least, number):
 
 
 @kernel()
+def rename_pairs(pairs, count, number):
+    """Give the regions of the first ``count`` pairs their new ``number`` (N,); whether all have one.
+
+    What touches whom is another matter where a region is given up: one looks across its blocks then.
+    """
+    kept = True
+    for a in range(len(number)):
+        kept &= number[a] >= 0
+    for i in range(count):
+        for k in range(2):
+            pairs[i, k] = number[pairs[i, k]]
+    return kept
+
+
+@kernel()
 def renumber(region, number):
     """Give the blocks of regions, (R, C) int32, their new ``number`` (N,); none stays -1."""
+    same = True
+    for a in range(len(number)):
+        same &= number[a] == a
+    if same:
+        return
     for row in range(region.shape[0]):
         for column in range(region.shape[1]):
             a = region[row, column]

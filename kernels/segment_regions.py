@@ -7,7 +7,15 @@ from .copying import copy
 from .segment_blocks import EMPTY
 from .segment_growth import grow_together
 from .segment_joining import leaves
-from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, renumber
+from .segment_merge import (
+    find_rough,
+    keep_pairs_inside,
+    merge,
+    neighbours,
+    number_regions,
+    rename_pairs,
+    renumber,
+)
 from .segment_moments import misfit
 from .segment_noise import in_square
 from .segment_pixels import own_pixels
@@ -92,8 +100,8 @@ def find_regions(
     region : (R, C) int32, written
         Region that owns most of a block, or -1.
     owners : Owners, written
-    contacts : Contacts
-        Room to work in.
+    contacts : Contacts, written
+        Of the regions in the end.
     sums : Sums, written
         Of the regions, with room for R·C.
 
@@ -104,6 +112,7 @@ def find_regions(
     count : int
         Regions in the end.
     shares : Shares
+    contact_count : int
     """
     moments, squares = sums
     count = leaves(pyramid, state, region, owners.block, moments)
@@ -121,12 +130,12 @@ def find_regions(
             contacts.pairs[:pair_count].copy(), contacts.where[:pair_count].copy(), contacts.table
         )
         parent = np.empty(count, np.int64)
-        merge(moments[:count], contacts, pair_count, noise, rules, 1.0, parent)
+        pair_count = merge(moments[:count], contacts, pair_count, noise, rules, 1.0, parent)
         several = np.empty(count, np.bool_)
-        if find_rough(moments, parent, noise, rules.rough, several):
-            pair_count = keep_pairs_inside(first, parent, several)
+        is_rough = find_rough(moments, parent, noise, rules.rough, several)
+        if is_rough:
             again = np.empty(count, np.int64)
-            merge(first_moments, first, pair_count, noise, rules, 0.5, again)
+            merge(first_moments, first, keep_pairs_inside(first, parent, several), noise, rules, 0.5, again)
             for a in range(count):
                 if several[parent[a]]:
                     copy(first_moments[a], moments[a])
@@ -142,7 +151,9 @@ def find_regions(
             for a in range(count):
                 if number[a] >= 0:
                     squares[number[a]] += own_squares[a]
-            return number, merged, shares
+            if is_rough or not rename_pairs(contacts.pairs, pair_count, number):
+                pair_count = neighbours(region, rays, contacts)
+            return number, merged, shares, pair_count
         count = merged
         last_alpha = alpha
         alpha = np.empty((count, 3))
@@ -154,4 +165,4 @@ def find_regions(
             inverse_depth, rays, pyramid, sensor, region, planes, noise.sigma, rules, trip == 0, before, number,
             last_alpha, owners, shares, Sums(moments[:count], squares[:count]),
         )  # fmt: skip
-    return number, count, shares
+    return number, count, shares, 0

@@ -19,7 +19,6 @@ from rgbd_planes.kernels import (
     segment_inside,
     segment_joining,
     segment_labels,
-    segment_merge,
     segment_parts,
     segment_planes,
     segment_regions,
@@ -144,7 +143,7 @@ def segment_frame(
     state = np.empty(pyramid.offsets[-1], np.int8)
     segment_joining.join_blocks(pyramid, noise, rules, work.sensor, state)
     region = np.empty(work.blocks, np.int32)
-    number, count, shares = segment_regions.find_regions(
+    number, count, shares, contacts = segment_regions.find_regions(
         inverse_depth, rays, pyramid, work.sensor, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
         work.contacts, work.sums,
     )  # fmt: skip
@@ -152,7 +151,6 @@ def segment_frame(
     planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)
     segment_planes.fit_regions(sums.moments, noise, planes)
 
-    contacts = segment_merge.neighbours(region, rays, work.contacts)
     means = np.empty((*work.blocks, 4), np.float32)
     segment_shape.owned_means(owners, shares, number, region, pyramid, means)
     curved = np.empty(count, np.bool_)
