@@ -3,6 +3,9 @@
 Where two planes are far apart, the residual averaged over the pixel and its neighbours decides; where both fit
 within the noise, which is along the line in which they meet, the side of that line decides: it is the one thing
 there that is free of noise.
+
+Blocks with as many contenders are worked on together, LANES of them: one for each place in the processor's vectors,
+pixel by pixel. So there are no branches, which no processor could foresee.
 """
 
 import math
@@ -14,9 +17,11 @@ from .segment_blocks import BLOCK
 from .segment_moments import difference
 
 NEIGHBOURS = 9  # blocks, and so the regions that can contend for one
+PAIRS = NEIGHBOURS * (NEIGHBOURS - 1) // 2
 SIDE = BLOCK + 2  # of a block with the pixels around it
-WIDE = 8  # places that each of its rows takes: as many as a vector has
-AREA = SIDE * WIDE
+AREA = SIDE * SIDE
+LANES = 64  # blocks that are worked on together
+NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel comes near to
 
 
 @kernel(inline=True)
@@ -81,89 +86,49 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
 
 
 @kernel(inline=True)
-def gather(inverse_depth, tan_x, tan_y, row, column, around):
-    """Copy q, tanθx and tanθy of a block and its rim, (3, AREA); outside the image nothing is measured."""
-    height, width = inverse_depth.shape
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    top, left = row * BLOCK - 1, column * BLOCK - 1
-    if top >= 0 and left >= 0 and top + SIDE <= height and left + WIDE <= width:
-        for i in range(SIDE):
-            for j in range(WIDE):
-                around[0, i * WIDE + j] = inverse_depth[top + i, left + j]
-            for j in range(WIDE):
-                around[1, i * WIDE + j] = tan_x[(top + i) * step_y, left + j]
-            if step_x:
-                for j in range(WIDE):
-                    around[2, i * WIDE + j] = tan_y[top + i, left + j]
-            else:
-                v = np.float32(tan_y[top + i, 0])
-                for j in range(WIDE):
-                    around[2, i * WIDE + j] = v
-        return
-    for p in range(AREA):
-        around[0, p] = around[1, p] = around[2, p] = 0.0
-    for y in range(max(top, 0), min(top + SIDE, height)):
-        for x in range(max(left, 0), min(left + SIDE, width)):
-            p = (y - top) * WIDE + x - left
-            around[0, p] = inverse_depth[y, x]
-            around[1, p] = tan_x[y * step_y, x]
-            around[2, p] = tan_y[y, x * step_x]
+def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
+    """Copy q, tanθx and tanθy of a block and its rim to lane ``n``; outside the image nothing is measured.
 
-
-@kernel(inline=True)
-def misfits(around, alpha, a, deviation, limit, square, i, within):
-    """Squared residuals of a block and its rim against plane ``a``, in variances, to row ``i`` of ``square``.
-
-    They are cut off at ``limit``, so that pixels beyond a depth jump do not outweigh the others, and 0 where
-    nothing was measured. ``within[i]`` becomes 1 for the block's pixels below the limit, 0 for the others; returns
-    how many they are.
+    ``q``, ``u`` and ``v`` (AREA, LANES) float32 are written; of tanθx only the first row, and of tanθy the first
+    column, where others are alike: see `repeat_rays`.
     """
-    scale = np.float32(1.0 / deviation)
-    c_u, c_v, c_1 = (
-        np.float32(alpha[a, 0]) * scale,
-        np.float32(alpha[a, 1]) * scale,
-        np.float32(alpha[a, 2]) * scale,
-    )
-    for p in range(AREA):
-        q = around[0, p]
-        e = q * scale - (c_u * around[1, p] + c_v * around[2, p] + c_1)
-        square[i, p] = min(e * e, limit) if q > 0.0 else np.float32(0.0)
-    count = 0
-    for y in range(BLOCK):
-        for x in range(BLOCK):
-            p = (y + 1) * WIDE + x + 1
-            near = np.int32((square[i, p] < limit) & (around[0, p] > 0.0))
-            within[i, y * BLOCK + x] = near
-            count += near
-    return count
+    height, width = inverse_depth.shape
+    separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
+    top, left = row * BLOCK - 1, column * BLOCK - 1
+    for i in range(SIDE):
+        y = top + i
+        for j in range(SIDE):
+            x = left + j
+            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+            q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
+    for i in range(1 if separable else SIDE):
+        y = 0 if separable else min(max(top + i, 0), height - 1)
+        for j in range(SIDE):
+            u[i * SIDE + j, n] = tan_x[y, min(max(left + j, 0), width - 1)]
+    for i in range(SIDE):
+        y = min(max(top + i, 0), height - 1)
+        for j in range(1 if separable else SIDE):
+            v[i * SIDE + j, n] = tan_y[y, 0 if separable else min(max(left + j, 0), width - 1)]
 
 
 @kernel(inline=True)
-def take_middle(values, i, middle, j):
-    """Leave out the rim around a block: from row ``i`` to row ``j``."""
-    for y in range(BLOCK):
-        for x in range(BLOCK):
-            middle[j, y * BLOCK + x] = values[i, (y + 1) * WIDE + x + 1]
+def repeat_rays(u, v):
+    """Give all rows the tanθx of the first one, and all columns the tanθy of the first one."""
+    for i in range(SIDE):
+        for j in range(SIDE):
+            for n in range(LANES):
+                u[i * SIDE + j, n] = u[j, n]
+            for n in range(LANES):
+                v[i * SIDE + j, n] = v[i * SIDE, n]
 
 
 @kernel(inline=True)
-def sums_of_nine(values, i, down, sums, j):
-    """Sums of the 3x3 around every pixel of a block, of row ``i`` to row ``j``; ``down`` is room to work in."""
-    for p in range(BLOCK * WIDE):
-        down[p] = values[i, p] + values[i, p + WIDE] + values[i, p + 2 * WIDE]
-    for y in range(BLOCK):
-        for x in range(BLOCK):
-            p = y * WIDE + x
-            sums[j, y * BLOCK + x] = down[p] + down[p + 1] + down[p + 2]
-
-
-@kernel(inline=True)
-def line_between(i, j, candidate, centre, alpha):
+def line_between(a, b, alpha, centre, i, j):
     """Where the planes of two contending regions meet between the regions.
 
-    Returns the line's coefficients, positive on j's side, or zeros where the planes do not meet between the two.
+    Rows ``i`` and ``j`` of ``centre`` are those of `contenders`. Returns the line's coefficients, positive on b's side,
+    or zeros where the planes do not meet between the two.
     """
-    a, b = candidate[i], candidate[j]
     d_u, d_v, d_1 = difference(alpha, b, a)
     side_i = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1 * centre[i, 2]
     side_j = d_u * centre[j, 0] + d_v * centre[j, 1] + d_1 * centre[j, 2]
@@ -174,42 +139,111 @@ def line_between(i, j, candidate, centre, alpha):
 
 
 @kernel(inline=True)
-def contend(i, j, within, middle, line_u, line_v, line_1, sums, penalty, close, winner):
-    """Let region ``j`` contend with region ``i`` for those pixels of a block that this one has.
+def misfits(q, u, v, plane, k, limit, square):
+    """Squared residuals of blocks and their rims against the planes of contender ``k``, in variances.
 
-    Without branches, which no processor could foresee. The first row of ``sums`` has the measured pixels around each,
-    the next one the sums of squares of the first region, and so on.
+    To rows k·AREA and following of ``square``. They are cut off at ``limit``, so that pixels beyond a depth jump do not
+    outweigh the others, and 0 where nothing was measured. ``plane`` (4·NEIGHBOURS, LANES) has α and 1 over the standard
+    deviation of each contender.
     """
-    meet = (line_u != 0.0) | (line_v != 0.0) | (line_1 != 0.0)
-    for k in range(BLOCK * BLOCK):
-        by_side = meet & (sums[i + 1, k] < close * sums[0, k]) & (sums[j + 1, k] < close * sums[0, k])
-        beyond = line_u * middle[1, k] + line_v * middle[2, k] + line_1 > 0.0
-        cheaper = sums[j + 1, k] + penalty[j] * sums[0, k] < sums[i + 1, k] + penalty[i] * sums[0, k]
-        wins = (winner[k] == i) & (within[j, k] == 1) & ((by_side & beyond) | (cheaper & ~by_side))
-        winner[k] = j if wins else winner[k]
+    for p in range(AREA):
+        for n in range(LANES):
+            e = q[p, n] - (plane[4 * k, n] * u[p, n] + plane[4 * k + 1, n] * v[p, n] + plane[4 * k + 2, n])
+            e *= plane[4 * k + 3, n]
+            square[k * AREA + p, n] = min(e * e, limit) if q[p, n] > 0.0 else np.float32(0.0)
 
 
-@kernel(inline=True, reduction=True)
-def sum_owned(i, winner, middle, cut, sums, s):
-    """Sum up the pixels that contender ``i`` has: to row ``s`` of ``sums``, as those of `Shares`; returns how many.
+@kernel(inline=True)
+def sums_of_nine(values, first, sums, k, down):
+    """Sums of the 3x3 around every pixel of blocks, of which row ``first`` has the first of the rim.
 
-    ``middle`` (4, BLOCK²) has q, tanθx, tanθy and squared residuals, of which each counts as ``cut`` at most.
+    To rows k·BLOCK² and following of ``sums``; ``down`` (BLOCK·SIDE, LANES) is room to work in.
     """
-    n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = error = 0.0
-    for k in range(BLOCK * BLOCK):
-        w = 1.0 if winner[k] == i else 0.0
-        q, u, v = middle[0, k], middle[1, k], middle[2, k]
-        error += w * min(middle[3, k], cut)
-        n += w
-        s_u += w * u
-        s_v += w * v
-        s_q += w * q
-        s_uu += w * u * u
-        s_uv += w * u * v
-        s_uq += w * u * q
-        s_vv += w * v * v
-        s_vq += w * v * q
-        s_qq += w * q * q
-    sums[s, 0], sums[s, 1], sums[s, 2], sums[s, 3], sums[s, 4], sums[s, 5] = n, s_u, s_v, s_q, s_uu, s_uv
-    sums[s, 6], sums[s, 7], sums[s, 8], sums[s, 9], sums[s, 10] = s_uq, s_vv, s_vq, s_qq, error
-    return np.int64(n)
+    for p in range(BLOCK * SIDE):
+        for n in range(LANES):
+            down[p, n] = values[first + p, n] + values[first + p + SIDE, n] + values[first + p + 2 * SIDE, n]
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            p = y * SIDE + x
+            for n in range(LANES):
+                sums[(k * BLOCK + y) * BLOCK + x, n] = down[p, n] + down[p + 1, n] + down[p + 2, n]
+
+
+@kernel(inline=True)
+def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner):
+    """Let contender ``j`` contend with ``i`` for those pixels that this one has.
+
+    The first BLOCK² rows of ``sums`` have the measured pixels around each, the next ones the sums of squares of the
+    first contender, and so on. ``winner`` (BLOCK², LANES) is changed.
+    """
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            k, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
+            own, other = (i + 1) * BLOCK * BLOCK + k, (j + 1) * BLOCK * BLOCK + k
+            for n in range(LANES):
+                within = (square[j * AREA + p, n] < limit) & (q[p, n] > 0.0)
+                a, b, c = line[3 * pair, n], line[3 * pair + 1, n], line[3 * pair + 2, n]
+                meet = (a != 0.0) | (b != 0.0) | (c != 0.0)
+                by_side = meet & (sums[own, n] < close * sums[k, n]) & (sums[other, n] < close * sums[k, n])
+                beyond = a * u[p, n] + b * v[p, n] + c > 0.0
+                cheaper = (
+                    sums[other, n] + penalty[j, n] * sums[k, n] < sums[own, n] + penalty[i, n] * sums[k, n]
+                )
+                wins = (winner[k, n] == i) & within & ((by_side & beyond) | (cheaper & ~by_side))
+                winner[k, n] = j if wins else winner[k, n]
+
+
+@kernel(inline=True)
+def take_rest(j, q, square, limit, winner):
+    """Let contender ``j`` have those pixels that are within its limit and that nobody has."""
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            k, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
+            for n in range(LANES):
+                wins = (winner[k, n] < 0) & (square[j * AREA + p, n] < limit) & (q[p, n] > 0.0)
+                winner[k, n] = j if wins else winner[k, n]
+
+
+@kernel(inline=True)
+def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
+    """Sum up the pixels that contender ``k`` has, as those of `Shares`, and say which they are.
+
+    To rows 11·k and following of ``owned``, and row k of ``pixels``. Squared residuals count as ``cut`` at most.
+    """
+    o = 11 * k
+    for n in range(LANES):
+        pixels[k, n] = 0
+    for j in range(11):
+        for n in range(LANES):
+            owned[o + j, n] = 0.0
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            i, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
+            for n in range(LANES):
+                w = 1.0 if winner[i, n] == k else 0.0
+                q_p, w_u, w_v = np.float64(q[p, n]), w * u[p, n], w * v[p, n]
+                owned[o, n] += w
+                owned[o + 1, n] += w_u
+                owned[o + 2, n] += w_v
+                owned[o + 3, n] += w * q_p
+                owned[o + 4, n] += w_u * u[p, n]
+                owned[o + 5, n] += w_u * v[p, n]
+                owned[o + 6, n] += w_u * q_p
+                owned[o + 7, n] += w_v * v[p, n]
+                owned[o + 8, n] += w_v * q_p
+                owned[o + 9, n] += w * q_p * q_p
+                owned[o + 10, n] += w * min(square[k * AREA + p, n], cut)
+            for n in range(LANES):
+                pixels[k, n] |= np.int32(winner[i, n] == k) << np.int32(i)
+
+
+@kernel(inline=True)
+def measured_pixels(q, pixels):
+    """Which pixels of the blocks are measured: to the last row of ``pixels``."""
+    for n in range(LANES):
+        pixels[NEIGHBOURS, n] = 0
+    for y in range(BLOCK):
+        for x in range(BLOCK):
+            for n in range(LANES):
+                measured = q[(y + 1) * SIDE + x + 1, n] > 0.0
+                pixels[NEIGHBOURS, n] |= np.int32(measured) << np.int32(y * BLOCK + x)

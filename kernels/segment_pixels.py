@@ -9,16 +9,22 @@ from .copying import copy
 from .segment_blocks import BLOCK, MIXED
 from .segment_contest import (
     AREA,
+    LANES,
     NEIGHBOURS,
+    NOWHERE,
+    PAIRS,
+    SIDE,
     contend,
     contenders,
     gather,
     is_undisputed,
     line_between,
+    measured_pixels,
     misfits,
+    repeat_rays,
     sum_owned,
     sums_of_nine,
-    take_middle,
+    take_rest,
 )
 from .segment_merge import WORD
 from .segment_moments import misfit
@@ -29,7 +35,7 @@ from .segment_settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchan
 @kernel()
 def own_pixels(
     inverse_depth, rays, pyramid, sensor, region, planes, sigma, rules, is_first, before, number, last_alpha,
-    owners, shares, sums,
+    owners, shares, contended, sums,
 ):  # fmt: skip
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
@@ -62,6 +68,8 @@ def own_pixels(
         Of the last round, at first EMPTY or UNSEEN.
     shares : Shares
         Of the last round.
+    contended : Contended
+        Room to work in: for as many blocks as there are, and NEIGHBOURS regions for each.
     sums : Sums, written
 
     Returns
@@ -80,18 +88,35 @@ def own_pixels(
     for row in range(rows):
         copy(region[row], before[row])
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
-    opened, same = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
+    # One place more than there are blocks: what comes after the last one is written, too.
+    opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
     open_count, same_count = list_blocks(tasks, opened, same)
+    sparse_count, count, listed = decide(
+        opened[:open_count], rays, before, pyramid, sensor, planes, rules, region, owners, contended
+    )
     shares_of = owners.count.reshape(-1)
-    room = NEIGHBOURS * open_count  # at most: the system gives no memory for what nobody writes to
+    room = sparse_count + listed
     for i in same[:same_count]:
         room += shares_of[i]
     new = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 11)))
-    count = take_over(same[:same_count], number, owners, shares, new)
-    count = contest(
-        opened[:open_count], inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, count
-    )  # fmt: skip
-    add_up(pyramid, owners, new, count, sums)
+    put = take_over(same[:same_count], number, owners, shares, new)
+    put = share_sparse(opened[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
+    put = contest(
+        contended,
+        count,
+        inverse_depth,
+        rays,
+        before,
+        pyramid,
+        sensor,
+        planes,
+        rules,
+        region,
+        owners,
+        new,
+        put,
+    )
+    add_up(pyramid, owners, new, put, sums)
     return new
 
 
@@ -144,137 +169,200 @@ def take_over(blocks, number, owners, shares, new):
 
 
 @kernel()
-def contest(
-    blocks, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, count
-):
-    """Give blocks whole to a region that no other contends for, or each pixel to one, or to none.
+def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners, contended):
+    """Give blocks whole to a region that no other contends for, if they fit it; list the others.
 
-    The shares are added after the first ``count``. Arguments as in `own_pixels`.
+    Parameters
+    ----------
+    blocks : (K,) int32
+        The first become those of which hardly a pixel is measured, and these go whole to a region: see `share_sparse`.
+    rays, before, pyramid, sensor, planes, rules, region, owners
+        As in `own_pixels`.
+    contended : Contended, written
 
     Returns
     -------
-    int
-        How many there are then.
+    tuple of int
+        How many blocks there are of the first and of the other kind, and how many contenders.
     """
     columns = region.shape[1]
-    tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
     # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
     of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
-    owner, errors, first, shares_of, measured = owners
-    settled_square, reach, cut_square = (
-        rules.settled * rules.settled,
-        rules.reach,
-        np.float32(rules.cut * rules.cut),
-    )
-    limit, close_square = np.float32(reach * reach), np.float32(rules.close * rules.close)
-    candidate, near = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS, np.int64)
-    owned = np.empty(NEIGHBOURS, np.int64)
-    centre, variance = np.empty((NEIGHBOURS, 3)), np.empty(NEIGHBOURS)
-    penalty = np.empty(NEIGHBOURS, np.float32)
-    # Few arrays, of sizes that are known beforehand: so the compiler sees which rows are apart.
-    space = np.zeros((6 + NEIGHBOURS, AREA), np.float32)
-    around, down, square = space[:4], space[4], space[5:]
-    small = np.zeros((5 + NEIGHBOURS, BLOCK * BLOCK), np.float32)
-    middle, nearby = small[:4], small[4:]
-    whole = np.zeros((1 + NEIGHBOURS, BLOCK * BLOCK), np.int32)
-    winner, within = whole[0], whole[1:]
-    share_region, share_pixels, share_sums = shares
+    owner, errors = owners.block, owners.error
+    block, many, first, all_candidates, all_centres = contended
+    settled_square, reach = rules.settled * rules.settled, rules.reach
+    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
+    sparse = count = listed = 0
     for here in blocks:
-        row, column = (
-            np.int64(np.uint32(here) // np.uint32(columns)),
-            np.int64(np.uint32(here) % np.uint32(columns)),
-        )
+        row, column = place(here, columns)
         pixels = of_block[0, here]
         contending = contenders(before, row, column, centre_u, centre_v, candidate, centre)
-        own = np.int64(before[row, column])
-        a = candidate[0] if contending == 1 else own
+        a = candidate[0] if contending == 1 else np.int64(before[row, column])
         fits, error, total = False, 0.0, 1.0
         if a >= 0:
             total = (sensor[here] + slope_variance[a] * stretch[here]) * waviness_square[a]
             error = misfit(of_block, here, alpha, a)
             fits = error <= settled_square * pixels * total
             if fits and contending > 1:
+                distance = reach * math.sqrt(total)
                 fits = is_undisputed(
-                    a,
-                    contending,
-                    candidate,
-                    centre,
-                    alpha,
-                    tan_x,
-                    tan_y,
-                    row,
-                    column,
-                    reach * math.sqrt(total),
+                    a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance
                 )
-            if fits and pixels > SPARSE:
-                owner[row, column] = region[row, column] = a
-                errors[row, column] = max(error, 0.0) / total
-                continue
-        gather(inverse_depth, tan_x, tan_y, row, column, around)
-        owner[row, column] = MIXED
-        first[row, column] = count
-        for c in range(3):
-            take_middle(around, c, middle, c)
-        valid = np.int32(0)
-        for p in range(BLOCK * BLOCK):
-            valid |= np.int32(middle[0, p] > 0.0) << np.int32(p)
-        measured[row, column] = valid
         if fits:
-            share_region[count] = region[row, column] = a
-            share_pixels[count] = valid
-            for k in range(10):
-                share_sums[count, k] = of_block[k, here]
-            share_sums[count, 10] = max(error, 0.0) / total
-            shares_of[row, column] = 1
-            count += 1
+            owner[row, column] = region[row, column] = a
+            errors[row, column] = max(error, 0.0) / total
+            blocks[sparse] = here
+            sparse += pixels <= SPARSE
             continue
-        near_count = 0
+        owner[row, column] = MIXED
+        block[count], many[count], first[count] = here, contending, listed
         for i in range(contending):
-            a = candidate[i]
-            variance[i] = (sensor[here] + slope_variance[a] * stretch[here]) * waviness_square[a]
-            owned[i] = 0
-            near[near_count] = i
-            if misfits(around, alpha, a, math.sqrt(variance[i]), limit, square, i, within):
-                near_count += 1
-        if near_count > 1:
-            for k in range(near_count):
-                i = near[k]
-                penalty[i] = math.log(variance[i])
-                sums_of_nine(square, i, down, nearby, i + 1)
-            for p in range(AREA):
-                around[3, p] = 1.0 if around[0, p] > 0.0 else 0.0
-            sums_of_nine(around, 3, down, nearby, 0)
-        for p in range(BLOCK * BLOCK):
-            winner[p] = -1
-        for k in range(near_count):
-            j = near[k]
-            for other in range(k):
-                i = near[other]
-                line_u, line_v, line_1 = line_between(i, j, candidate, centre, alpha)
-                contend(i, j, within, middle, line_u, line_v, line_1, nearby, penalty, close_square, winner)
-            for p in range(BLOCK * BLOCK):
-                winner[p] = j if (winner[p] < 0) & (within[j, p] == 1) else winner[p]
-        for k in range(near_count):
-            i = near[k]
-            mask = np.int32(0)
-            for p in range(BLOCK * BLOCK):
-                mask |= np.int32(winner[p] == i) << np.int32(p)
-            if mask == 0:
+            all_candidates[listed] = candidate[i]
+            for k in range(3):
+                all_centres[listed, k] = centre[i, k]
+            listed += 1
+        count += 1
+    return sparse, count, listed
+
+
+@kernel(inline=True)
+def place(block, columns):
+    """Row and column of a block. By numbers without a sign, of half the size, which are divided in half the time."""
+    return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))
+
+
+@kernel()
+def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
+    """Make of whole blocks shares of what is measured in them: what is missing there are not only holes.
+
+    The shares are added after the first ``put``; returns how many there are then.
+    """
+    height, width = inverse_depth.shape
+    columns = region.shape[1]
+    of_block = pyramid.moments
+    owner, errors, first, shares_of, measured = owners
+    share_region, share_pixels, share_sums = shares
+    for here in blocks:
+        row, column = place(here, columns)
+        mask = np.int32(0)
+        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+            for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+                mask |= np.int32(inverse_depth[y, x] > 0.0) << np.int32(y % BLOCK * BLOCK + x % BLOCK)
+        share_region[put], share_pixels[put] = region[row, column], mask
+        for k in range(10):
+            share_sums[put, k] = of_block[k, here]
+        share_sums[put, 10] = errors[row, column]
+        owner[row, column], measured[row, column] = MIXED, mask
+        first[row, column], shares_of[row, column] = put, 1
+        put += 1
+    return put
+
+
+@kernel()
+def contest(
+    contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put
+):
+    """Give each pixel of the first ``count`` blocks that are contended for to one of the contenders, or to none.
+
+    The shares are added after the first ``put``; returns how many there are then. Other arguments as in `own_pixels`.
+    """
+    columns = region.shape[1]
+    # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
+    waviness_square, stretch = planes.waviness_square, planes.square_stretch
+    first_share, shares_of, measured = owners.first, owners.count, owners.measured
+    share_region, share_pixels, share_sums = shares
+    block, many, first, candidate, centre = contended
+    limit, close = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
+    cut = np.float32(rules.cut * rules.cut)
+    separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
+    # Of sizes that are known beforehand, and few: so the compiler sees which rows are apart.
+    space = np.empty((4 * AREA, LANES), np.float32)
+    q, u, v, is_measured = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA], space[3 * AREA :]
+    plane, penalty = np.empty((4 * NEIGHBOURS, LANES), np.float32), np.zeros((NEIGHBOURS, LANES), np.float32)
+    line = np.empty((3 * PAIRS, LANES), np.float32)
+    square = np.empty((NEIGHBOURS * AREA, LANES), np.float32)
+    sums = np.empty(((NEIGHBOURS + 1) * BLOCK * BLOCK, LANES), np.float32)
+    down = np.empty((BLOCK * SIDE, LANES), np.float32)
+    winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
+    owned, pixels = np.empty((NEIGHBOURS * 11, LANES)), np.zeros((NEIGHBOURS + 1, LANES), np.int32)
+    listed = np.empty(LANES, np.int64)
+    for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks that are worked on together
+        contending = least
+        lanes = 0
+        for c in range(count + 1):
+            if c < count and least <= many[c] <= most:
+                here = block[c]
+                row, column = place(here, columns)
+                gather(inverse_depth, tan_x, tan_y, row, column, lanes, q, u, v)
+                contending = max(contending, many[c])
+                for j in range(most):
+                    # Of a contender that there is not no pixel comes near to the plane.
+                    plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
+                for j in range(many[c]):
+                    b = candidate[first[c] + j]
+                    total = (sensor[here] + slope_variance[b] * stretch[here]) * waviness_square[b]
+                    plane[4 * j, lanes], plane[4 * j + 1, lanes] = alpha[b, 0], alpha[b, 1]
+                    plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = alpha[b, 2], 1.0 / math.sqrt(total)
+                    penalty[j, lanes] = math.log(total) if most > 1 else 0.0
+                    for i in range(j):
+                        a = candidate[first[c] + i]
+                        pair = 3 * (j * (j - 1) // 2 + i)
+                        line[pair, lanes], line[pair + 1, lanes], line[pair + 2, lanes] = line_between(
+                            a, b, alpha, centre, first[c] + i, first[c] + j
+                        )
+                listed[lanes] = c
+                lanes += 1
+            if lanes < LANES and (c < count or lanes == 0):
                 continue
-            take_middle(square, i, middle, 3)
-            owned[i] = sum_owned(i, winner, middle, cut_square, share_sums, count)
-            share_region[count] = candidate[i]
-            share_pixels[count] = mask
-            count += 1
-        shares_of[row, column] = count - first[row, column]
-        # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
-        most = 0
-        for i in range(1, contending):
-            if owned[i] > owned[most]:
-                most = i
-        for i in range(contending):
-            if candidate[i] == own and 4 * owned[i] >= pixels:
-                most = i
-        region[row, column] = candidate[most] if contending > 0 and owned[most] > 2 else -1
-    return count
+            for n in range(lanes, LANES):
+                for p in range(AREA):
+                    q[p, n] = 0.0
+            if separable:
+                repeat_rays(u, v)
+            if contending > 1:
+                for p in range(AREA):
+                    for n in range(LANES):
+                        is_measured[p, n] = 1.0 if q[p, n] > 0.0 else 0.0
+                sums_of_nine(is_measured, 0, sums, 0, down)
+            for k in range(BLOCK * BLOCK):
+                for n in range(LANES):
+                    winner[k, n] = -1
+            pair = 0
+            for j in range(contending):
+                misfits(q, u, v, plane, j, limit, square)
+                if contending > 1:
+                    sums_of_nine(square, j * AREA, sums, j + 1, down)
+                for i in range(j):
+                    contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner)
+                    pair += 1
+                take_rest(j, q, square, limit, winner)
+            measured_pixels(q, pixels)
+            for j in range(contending):
+                sum_owned(j, winner, q, u, v, square, cut, owned, pixels)
+            for n in range(lanes):
+                c = listed[n]
+                row, column = place(block[c], columns)
+                own, quarter = before[row, column], 0.25 * of_block[0, block[c]]
+                measured[row, column], first_share[row, column] = pixels[NEIGHBOURS, n], put
+                largest, most_pixels, stays = -1, 2.0, False
+                for j in range(many[c]):
+                    if pixels[j, n] == 0:
+                        continue
+                    a = candidate[first[c] + j]
+                    share_region[put], share_pixels[put] = a, pixels[j, n]
+                    for k in range(11):
+                        share_sums[put, k] = owned[11 * j + k, n]
+                    put += 1
+                    # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
+                    of_own = owned[11 * j, n]
+                    stays |= (a == own) & (of_own >= quarter) & (of_own > 2.0)
+                    if of_own > most_pixels:
+                        largest, most_pixels = a, of_own
+                shares_of[row, column] = put - first_share[row, column]
+                region[row, column] = own if stays else largest
+            contending, lanes = least, 0
+    return put

@@ -119,6 +119,16 @@ class Shares(NamedTuple):
     sums: Array  # (S, 11) float64: moments, and the sum of squared residuals in variances
 
 
+class Contended(NamedTuple):
+    """Blocks that regions contend for; how many is said beside."""
+
+    block: Array  # (K,) int32: row · C + column
+    many: Array  # (K,) int32: how many regions contend for it
+    first: Array  # (K,) int32: the first of them among the following
+    candidate: Array  # (L,) int32: region
+    centre: Array  # (L, 3) float64: where its blocks around the block lie, see `segment_contest.contenders`
+
+
 class Contacts(NamedTuple):
     """Regions that touch: the first rows are in use, how many is said beside."""
 

@@ -81,7 +81,7 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
 
 @kernel()
 def find_regions(
-    inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contacts, sums
+    inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, sums
 ):  # fmt: skip
     """Merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
 
@@ -100,6 +100,8 @@ def find_regions(
     region : (R, C) int32, written
         Region that owns most of a block, or -1.
     owners : Owners, written
+    contended : Contended
+        Room to work in: see `segment_pixels.own_pixels`.
     contacts : Contacts, written
         Of the regions in the end.
     sums : Sums, written
@@ -163,6 +165,6 @@ def find_regions(
             spread_out(region, owners.block, pyramid, sensor, planes, rules.settled)
         shares = own_pixels(
             inverse_depth, rays, pyramid, sensor, region, planes, noise.sigma, rules, trip == 0, before, number,
-            last_alpha, owners, shares, Sums(moments[:count], squares[:count]),
+            last_alpha, owners, shares, contended, Sums(moments[:count], squares[:count]),
         )  # fmt: skip
     return number, count, shares, 0

@@ -145,7 +145,7 @@ def segment_frame(
     region = np.empty(work.blocks, np.int32)
     number, count, shares, contacts = segment_regions.find_regions(
         inverse_depth, rays, pyramid, work.sensor, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
-        work.contacts, work.sums,
+        work.contended, work.contacts, work.sums,
     )  # fmt: skip
     sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
     planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)

@@ -8,7 +8,8 @@ import numpy as np
 from rgbd_planes.camera import Camera
 from rgbd_planes.kernels import segment_noise
 from rgbd_planes.kernels.segment_blocks import BLOCK
-from rgbd_planes.kernels.segment_records import Contacts, Owners, Pyramid, Rays, Sums
+from rgbd_planes.kernels.segment_contest import NEIGHBOURS
+from rgbd_planes.kernels.segment_records import Contacts, Contended, Owners, Pyramid, Rays, Sums
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -63,6 +64,13 @@ class Workspace:
         self.sensor = np.empty(blocks)
         self.owners = Owners(
             np.empty(self.blocks, np.int32), np.empty(self.blocks), *np.empty((3, *self.blocks), np.int32)
+        )
+        self.contended = Contended(
+            np.empty(blocks, np.int32),
+            np.empty(blocks, np.int32),
+            np.empty(blocks, np.int32),
+            np.empty(NEIGHBOURS * blocks, np.int32),
+            np.empty((NEIGHBOURS * blocks, 3)),
         )
         self.sums = Sums(np.empty((blocks, 10)), np.empty(blocks))
         self.contacts = Contacts(
