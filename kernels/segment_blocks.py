@@ -12,11 +12,9 @@ from .segment_noise import through_lens
 
 # Pixels along a block's side.
 BLOCK = 4
-# Owner of a block: EMPTY where no pixel is measured; MIXED where each pixel has an owner of its own; UNSEEN before
-# the first round.
+# Owner of a block: EMPTY where no pixel is measured; MIXED where regions have shares of it, or nobody has anything;
+# UNSEEN before the first round.
 EMPTY, MIXED, UNSEEN = -1, -2, -3
-# Owner of a pixel of a MIXED block: measured but nobody's; not measured.
-UNOWNED, MISSING = -1, -2
 # Blocks of a row that are worked on together.
 CHUNK = 84
 

@@ -81,20 +81,20 @@ def label_boxes(runs, box):
 
 
 @kernel(inline=True)
-def columns_in_row(k, y, runs, shares, width):
+def columns_in_row(k, y, runs, width):
     """First column of a run's pixels in row ``y``, and the one after the last: the same if it has none there."""
     if runs.share[k] == WHOLE:
         return runs.start[k] * BLOCK, min(runs.stop[k] * BLOCK, width)
-    four = (shares.pixels[runs.share[k]] >> np.int32(y % BLOCK * BLOCK)) & TOP
+    four = (runs.pixels[k] >> np.int32(y % BLOCK * BLOCK)) & TOP
     return runs.start[k] * BLOCK + FIRST[four], runs.start[k] * BLOCK + STOP[four]
 
 
 @kernel(inline=True)
-def rows_in_column(k, row, x, runs, shares, height):
+def rows_in_column(k, row, x, runs, height):
     """The same of its rows in column ``x``; it lies in row ``row`` of blocks."""
     if runs.share[k] == WHOLE:
         return row * BLOCK, min(row * BLOCK + BLOCK, height)
-    column = shares.pixels[runs.share[k]] >> np.int32(x % BLOCK)
+    column = runs.pixels[k] >> np.int32(x % BLOCK)
     four = np.int32(0)
     for y in range(BLOCK):
         four |= ((column >> np.int32(y * BLOCK)) & np.int32(1)) << np.int32(y)
@@ -109,7 +109,7 @@ def sees_through(inverse_depth, rays, alpha, reach, y, x):
 
 
 @kernel()
-def gaps_across(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
+def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     """Gaps between labels a and b along the rows.
 
     ``gaps`` (G,) int64 is written: how many gaps of 0, 1, 2, ... pixels one does not see through. Returns how many
@@ -130,7 +130,7 @@ def gaps_across(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look
         for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
             last, end = NO_RUN, 0  # the label of the last run, and where it ends
             for i in own[:count]:
-                start, stop = columns_in_row(i, y, runs, shares, width)
+                start, stop = columns_in_row(i, y, runs, width)
                 if start == stop:
                     continue
                 if last != NO_RUN and last != runs.label[i]:
@@ -149,7 +149,7 @@ def gaps_across(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look
 
 
 @kernel()
-def gaps_down(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
+def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     """The same along the columns."""
     height, width = inverse_depth.shape
     closed = opened = 0
@@ -163,7 +163,7 @@ def gaps_down(runs, shares, inverse_depth, rays, a, b, alpha, reach, box, look, 
                 continue
             own, other = (last[0], last[1]) if runs.label[i] == a else (last[1], last[0])
             for x in range(max(runs.start[i], first) * BLOCK, min(min(runs.stop[i], stop) * BLOCK, width)):
-                upper, lower = rows_in_column(i, row, x, runs, shares, height)
+                upper, lower = rows_in_column(i, row, x, runs, height)
                 if upper == lower:
                     continue
                 k = x - first * BLOCK
@@ -202,14 +202,13 @@ def overlap(one, other, side):
 
 
 @kernel()
-def join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, count, parent):
+def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
 
     Parameters
     ----------
     runs : Runs
         Row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
-    shares : Shares
     inverse_depth : (H, W) float32
     rays : Rays
     pairs, count : see `find_coplanar`
@@ -232,11 +231,11 @@ def join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, coun
             for look in (False, True):  # into the gaps only if they are not too wide anyway
                 if side == 0:
                     opened, closed = gaps_across(
-                        runs, shares, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
+                        runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip
                 else:
                     opened, closed = gaps_down(
-                        runs, shares, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
+                        runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip
                 thin = is_thin(gaps, opened, closed)
                 if not thin:

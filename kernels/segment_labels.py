@@ -19,7 +19,7 @@ def label_runs(runs, number):
 
 @kernel()
 def write_labels(
-    runs, shares, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, label, reason
+    runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, label, reason
 ):  # fmt: skip
     """Write the final labels and the reasons.
 
@@ -27,7 +27,6 @@ def write_labels(
     ----------
     runs : Runs
         With their final labels, 0 for none.
-    shares : Shares
     why : (P,) uint8
         Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are those of the other pixels.
     stray : (P,) bool
@@ -42,7 +41,7 @@ def write_labels(
         How many loose pixels there are.
     """
     row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
-    run_label, part, share_pixels = runs.label, runs.part, shares.pixels
+    run_label, part, run_pixels = runs.label, runs.part, runs.pixels
     height, width = label.shape
     labels, reasons, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
     # What a row of pixels has of whole blocks: missing pixels aside, the next rows have the same.
@@ -71,7 +70,7 @@ def write_labels(
         for i in range(first, stop):
             left = run_start[i] * BLOCK
             if run_share[i] != WHOLE:
-                a, b, pixels = run_label[i], why[part[i]], share_pixels[run_share[i]]
+                a, b, pixels = run_label[i], why[part[i]], run_pixels[i]
                 p = 0
                 while pixels >> np.int32(p) != 0:
                     if (pixels >> np.int32(p)) & 1:
@@ -120,12 +119,17 @@ def label_around(a, b, c, d, e, f, g, h, needed):
 
 @kernel()
 def settle_strays(
-    runs, shares, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes
+    runs, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes
 ):  # fmt: skip
     """Take the label from pixels that stand alone, and let loose ones go with those around them.
 
     Parameters
     ----------
+    runs : Runs
+        With their final labels, 0 for none.
+    inverse_depth : (H, W) float32
+    unclaimed : uint8
+        Reason of pixels that lose their label.
     least : int
         Pixels that a label keeps.
     needed : int
@@ -139,14 +143,14 @@ def settle_strays(
     # By one index: pixels are many, and dividing for two of them takes most of the time.
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
     row_runs, run_start, run_share, run_label = runs.first, runs.start, runs.share, runs.label
-    share_pixels = shares.pixels
+    run_pixels = runs.pixels
     labelled = loose_count
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
             a = run_label[i]
             if run_share[i] == WHOLE or a == 0 or sizes[a] <= least:
                 continue
-            pixels = share_pixels[run_share[i]]
+            pixels = run_pixels[i]
             few = pixels & ~in_squares(pixels)
             corner = row * BLOCK * width + run_start[i] * BLOCK
             p = 0

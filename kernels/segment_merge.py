@@ -194,7 +194,7 @@ def describe(moments, chosen, noise, described):
             n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4], moments[a, 5], moments[a, 6],
             moments[a, 7], moments[a, 8], moments[a, 9],
         )  # fmt: skip
-        sensor = sensor_variance(moments[a, 3] / n, sigma)
+        sensor = sensor_variance(moments[a, 3] / max(n, 1.0), sigma)
         variances[a] = sensor + x * alpha[a, 0] ** 2 + y * alpha[a, 1] ** 2 if rss[a] >= 0.0 else 0.0
         waviness_square[a] = waviness(n, growth) ** 2
     for a in range(len(chosen) if lens.shape[1] > 0 else 0):

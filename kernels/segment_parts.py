@@ -6,11 +6,22 @@ from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
 from .segment_blocks import BLOCK
+from .segment_moments import add, ray_of
 from .segment_runs import WHOLE, how_many
 
 
 @kernel()
-def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
+def add_piece(pixels, row, column, inverse_depth, rays, moments, k):
+    """Add pixels of a block to row ``k`` of moments."""
+    for p in range(BLOCK * BLOCK):
+        if (pixels >> np.int32(p)) & 1:
+            y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
+            u, v = ray_of(rays, y, x)
+            add(moments[k], u, v, inverse_depth[y, x])
+
+
+@kernel()
+def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, parts):
     """Number the parts and share out what the regions own.
 
     The largest part of a region gets its moments less those of the other parts, whose blocks are added up.
@@ -22,8 +33,8 @@ def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
     owners : Owners
     shares : Shares
     pyramid : Pyramid
-    width : int
-        Of the image.
+    inverse_depth : (H, W) float32
+    rays : Rays
     sums : Sums
         Of the regions; changed.
     parts : Parts, written
@@ -33,9 +44,23 @@ def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
     int
         Number of parts.
     """
-    row_runs, run_start, run_stop, run_share, run_label, _, _, run_across, run_down, parent, part = runs
+    (
+        row_runs,
+        run_start,
+        run_stop,
+        run_share,
+        run_pixels,
+        run_label,
+        _,
+        _,
+        run_across,
+        run_down,
+        parent,
+        part,
+    ) = runs
     region_moments, region_squares = sums
     moments, squares, size, across, down, first, owner = parts
+    width = inverse_depth.shape[1]
     count = 0
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
@@ -43,7 +68,7 @@ def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
             y, x = row * BLOCK, run_start[i] * BLOCK
             pixels = np.int64(BLOCK * BLOCK * (run_stop[i] - run_start[i]))  # holes and all
             if run_share[i] != WHOLE:
-                mask = shares.pixels[run_share[i]]
+                mask = run_pixels[i]
                 pixels = how_many(mask)
                 p = 0
                 while not (mask >> np.int32(p)) & 1:
@@ -69,22 +94,27 @@ def measure_parts(runs, owners, shares, pyramid, width, sums, parts):
         a = owner[k]
         if largest[a] < 0 or size[k] > size[largest[a]]:
             largest[a] = k
-    columns = owners.block.shape[1]
+    columns, of_block, error = owners.block.shape[1], pyramid.moments, owners.error
+    share_pixels, share_sums = shares.pixels, shares.sums
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
             k = part[i]
             if largest[owner[k]] == k:
                 continue
             s = run_share[i]
-            if s != WHOLE:
+            if s == WHOLE:
+                for c in range(run_start[i], run_stop[i]):
+                    for j in range(10):
+                        moments[k, j] += of_block[j, row * columns + c]
+                    squares[k] += error[row, c]
+            elif run_pixels[i] == share_pixels[s]:
                 for j in range(10):
-                    moments[k, j] += shares.sums[s, j]
-                squares[k] += shares.sums[s, 10]
-                continue
-            for c in range(run_start[i], run_stop[i]):
-                for j in range(10):
-                    moments[k, j] += pyramid.moments[j, row * columns + c]
-                squares[k] += owners.error[row, c]
+                    moments[k, j] += share_sums[s, j]
+                squares[k] += share_sums[s, 10]
+            else:
+                add_piece(run_pixels[i], row, run_start[i], inverse_depth, rays, moments, k)
+                # The residuals of a share are not told apart: pixels have their part of them.
+                squares[k] += share_sums[s, 10] * how_many(run_pixels[i]) / share_sums[s, 0]
     for k in range(count):
         a = owner[k]
         if largest[a] != k:

@@ -138,17 +138,17 @@ class Contacts(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Blocks side by side that one region has, or its share of a MIXED one: one row of blocks after the other."""
+    """Blocks side by side that one region has, or a piece of its share of a MIXED one; one row after the other."""
 
     first: Array  # (R + 1,) int32: first run of each row
     start: Array  # (K,) int32: first column of blocks
     stop: Array  # last column + 1
     share: Array  # the share, or WHOLE
+    pixels: Array  # its pixels in each of its blocks: see `Shares`
     label: Array
-    filled_x: (
-        Array  # its pixels in each of its blocks, and missing ones between them along the row: see `Shares`
-    )
-    filled_y: Array  # the same along the column
+    # Its pixels and the missing ones beside them in the same row, and in the same column; of whole blocks all.
+    filled_x: Array
+    filled_y: Array
     across: Array  # runs of pixels along the rows that begin in it, missing pixels between them aside
     down: Array  # the same along the columns
     parent: Array  # roots stand for connected parts

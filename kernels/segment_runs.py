@@ -18,10 +18,10 @@ LEFT = np.int32(sum(1 << BLOCK * y for y in range(BLOCK)))
 # By how many bits a pixel is from the one on its right, from the one below, and from one side of a block to the other.
 RIGHT_BY, DOWN_BY = np.int32(1), np.int32(BLOCK)
 ACROSS, DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
-# Missing pixels in a row that still are holes in a surface.
+# Pixels in a row, missing or of no label, that still are holes in a surface.
 GAP = 3
-# From either side of them so many, at least.
-BESIDE = (GAP + 1) // 2
+# Pieces that a share has at most: of any four pixels in a square only one can be alone.
+PIECES = (BLOCK // 2) ** 2
 # First run of a block that has none.
 NONE = np.int32(-1)
 
@@ -45,25 +45,42 @@ def in_squares(pixels):
 
 
 @kernel(inline=True)
-def filled_across(pixels, measured):
-    """Pixels of a share, and missing ones beside them in a row; or, if nobody else has any, all of a row with one."""
-    if pixels == measured:
-        return ((pixels | pixels >> np.int32(1) | pixels >> np.int32(2) | pixels >> np.int32(3)) & LEFT) * TOP
-    for _ in range(BESIDE):
-        pixels |= (((pixels & ~LEFT) >> RIGHT_BY) | ((pixels << RIGHT_BY) & ~LEFT)) & ALL & ~measured
-    return pixels
+def spread_across(pixels, through):
+    """Pixels of a block, and those of the same row that one comes to from them ``through`` others."""
+    right = left = pixels
+    for _ in range(BLOCK - 1):
+        right |= (right << RIGHT_BY) & ~LEFT & through
+        left |= ((left & ~LEFT) >> RIGHT_BY) & through
+    return right | left
 
 
 @kernel(inline=True)
-def filled_down(pixels, measured):
+def spread_down(pixels, through):
     """The same of columns."""
-    if pixels == measured:
-        return (
-            (pixels | pixels >> np.int32(4) | pixels >> np.int32(8) | pixels >> np.int32(12)) & TOP
-        ) * LEFT
-    for _ in range(BESIDE):
-        pixels |= ((pixels >> DOWN_BY) | (pixels << DOWN_BY)) & ALL & ~measured
-    return pixels
+    lower = upper = pixels
+    for _ in range(BLOCK - 1):
+        lower |= (lower << DOWN_BY) & through
+        upper |= (upper >> DOWN_BY) & through
+    return lower | upper
+
+
+@kernel(inline=True)
+def beside(pixels):
+    """Pixels of a block, and those that touch them, corner to corner at least."""
+    across = pixels | ((pixels << RIGHT_BY) & ~LEFT) | ((pixels & ~LEFT) >> RIGHT_BY)
+    return (across | (across << DOWN_BY) | (across >> DOWN_BY)) & ALL
+
+
+@kernel()
+def piece_of(pixels, free):
+    """Those pixels of a share that one comes to from its first one, in a row or a column also over ``free`` ones."""
+    piece = pixels & -pixels
+    grown = np.int32(0)
+    while grown != piece:
+        grown = piece
+        reached = beside(piece) | spread_across(piece, free | pixels) | spread_down(piece, free | pixels)
+        piece = reached & pixels
+    return piece
 
 
 @kernel(inline=True)
@@ -76,6 +93,16 @@ def starts_across(pixels):
 def starts_down(pixels):
     """How many runs along its columns it has."""
     return how_many(pixels & ~(pixels << DOWN_BY))
+
+
+@kernel(inline=True)
+def is_one_piece(pixels, free):
+    """Whether a share has one run in each of its rows and columns, over ``free`` pixels: as good as connected."""
+    rows = (pixels | pixels >> np.int32(1) | pixels >> np.int32(2) | pixels >> np.int32(3)) & LEFT
+    columns = (pixels | pixels >> np.int32(4) | pixels >> np.int32(8) | pixels >> np.int32(12)) & TOP
+    return (starts_across(spread_across(pixels, free)) == how_many(rows)) & (
+        starts_down(spread_down(pixels, free)) == how_many(columns)
+    )
 
 
 @kernel(inline=True)
@@ -101,14 +128,14 @@ def meet_at_corner(above, below, side):
 
 
 @kernel()
-def meet_over_gap(one, missing_one, other, missing_other, side):
-    """Whether pixels of two blocks meet over at most GAP missing pixels: side by side if ``side``, or down."""
+def meet_over_gap(one, free_one, other, free_other, side):
+    """Whether pixels of two blocks meet over at most GAP free ones: side by side if ``side``, or down."""
     for step in range(GAP + 1):
         a, b = one, other
         for _ in range(step):
-            a |= ((a << RIGHT_BY) & ~LEFT if side else a << DOWN_BY) & missing_one
+            a |= ((a << RIGHT_BY) & ~LEFT if side else a << DOWN_BY) & free_one
         for _ in range(GAP - step):
-            b |= ((b & ~LEFT) >> RIGHT_BY if side else b >> DOWN_BY) & missing_other
+            b |= ((b & ~LEFT) >> RIGHT_BY if side else b >> DOWN_BY) & free_other
         if (meet_across(a, b) if side else meet_down(a, b)) != 0:
             return True
     return False
@@ -116,52 +143,78 @@ def meet_over_gap(one, missing_one, other, missing_other, side):
 
 @kernel(inline=True)
 def list_runs(
-    owner, first_share, shares_of, measured, share_region, share_pixels, number, top, width, count, start, stop, share,
-    label, filled_x, filled_y, across, down, parent, at, many, loose, loose_count,
+    owner, first_share, shares_of, measured, share_region, share_pixels, number, top, height, width, count, start, stop,
+    share, pixels, label, filled_x, filled_y, across, down, parent, at, many, taken, loose, loose_count,
 ):  # fmt: skip
     """Write the runs of a row of blocks after the first ``count``, and its loose pixels; how many there are of each.
 
-    ``at`` (C,) and ``many`` (C,) int32 are written: the first run of each block, and how many it has. ``top`` is the
-    first row of pixels; the other arguments are fields of `Owners`, of that row, `Shares` and `Runs`.
+    ``at``, ``many`` and ``taken`` (C,) int32 are written: the first run of each block, how many it has, and the pixels
+    that these have. ``top`` is the first row of pixels; the other arguments are fields of `Owners`, of that row,
+    `Shares` and `Runs`.
     """
     columns = len(owner)
+    # Of whole blocks that reach beyond the image, the pixels that are in it.
+    rows = min(height - top, BLOCK)
+    inside = ALL >> np.int32(BLOCK * (BLOCK - rows))
     column = 0
     while column < columns:
         left = column
         column += 1
         b = owner[left]
-        at[left], many[left] = NONE, 0
+        at[left], many[left], taken[left] = NONE, 0, 0
         if b >= 0:
             a = number[b]
             if a < 0:
                 continue
-            at[left], many[left] = count, 1
+            at[left], many[left], taken[left] = count, 1, ALL
             while column < columns and owner[column] >= 0 and number[owner[column]] == a:
-                at[column], many[column] = count, 1
+                at[column], many[column], taken[column] = count, 1, ALL
                 column += 1
-            start[count], stop[count], share[count], label[count] = left, column, WHOLE, a
-            filled_x[count], filled_y[count], parent[count] = ALL, ALL, count
-            across[count], down[count] = BLOCK, BLOCK * (column - left)
+            start[count], stop[count], share[count], pixels[count], label[count] = left, column, WHOLE, ALL, a
+            filled_x[count], filled_y[count], parent[count] = inside, inside, count
+            across[count], down[count] = rows, min(column * BLOCK, width) - left * BLOCK
             count += 1
         elif b == MIXED:
             first = count
-            taken = np.int32(0)
-            for s in range(first_share[left], first_share[left] + shares_of[left]):
-                taken |= share_pixels[s] if number[share_region[s]] >= 0 else np.int32(0)
-            for s in range(first_share[left], first_share[left] + shares_of[left]):
+            begin, end = first_share[left], first_share[left] + shares_of[left]
+            for s in range(begin, end):
+                taken[left] |= share_pixels[s] if number[share_region[s]] >= 0 else 0
+            for s in range(begin, end):
                 a = number[share_region[s]]
-                if a < 0:
-                    continue
-                start[count], stop[count], share[count], label[count] = left, column, s, a
-                filled_x[count] = filled_across(share_pixels[s], measured[left])
-                filled_y[count] = filled_down(share_pixels[s], measured[left])
-                across[count], down[count] = starts_across(filled_x[count]), starts_down(filled_y[count])
-                parent[count] = count
-                for k in range(first, count):  # regions that have become one
-                    if label[k] == a:
-                        unite(parent, count, k)
-                count += 1
-            others = measured[left] & ~taken
+                left_over = share_pixels[s] if a >= 0 else np.int32(0)
+                while left_over != 0:  # something thin in front may cut it in two
+                    free = ALL & ~taken[left]
+                    piece = left_over
+                    if left_over != taken[left] and not is_one_piece(left_over, free):
+                        piece = piece_of(left_over, free)
+                    left_over &= ~piece
+                    start[count], stop[count], share[count], pixels[count], label[count] = (
+                        left,
+                        column,
+                        s,
+                        piece,
+                        a,
+                    )
+                    filled_x[count] = spread_across(piece, ALL & ~measured[left])
+                    filled_y[count] = spread_down(piece, ALL & ~measured[left])
+                    across[count], down[count] = starts_across(filled_x[count]), starts_down(filled_y[count])
+                    parent[count] = count
+                    for k in range(first, count):
+                        if label[k] != a or share[k] == s:
+                            continue
+                        # Regions that have become one: together they have fewer runs than each for itself.
+                        both = piece | pixels[k]
+                        if piece_of(both, free) == both:
+                            unite(parent, count, k)
+                            x, y = filled_x[count] | filled_x[k], filled_y[count] | filled_y[k]
+                            across[count] += (
+                                starts_across(x) - starts_across(filled_x[k]) - starts_across(filled_x[count])
+                            )
+                            down[count] += (
+                                starts_down(y) - starts_down(filled_y[k]) - starts_down(filled_y[count])
+                            )
+                    count += 1
+            others = measured[left] & ~taken[left]
             many[left] = count - first
             if count > first:
                 at[left] = first
@@ -173,8 +226,10 @@ def list_runs(
 
 
 @kernel()
-def find_runs(owners, shares, number, width, runs, loose):
+def find_runs(owners, shares, number, height, width, runs, loose):
     """Runs of equal labels along the rows of blocks, united into connected parts.
+
+    Runs are connected where their pixels touch, or meet over at most GAP pixels that no label has.
 
     Parameters
     ----------
@@ -182,12 +237,12 @@ def find_runs(owners, shares, number, width, runs, loose):
     shares : Shares
     number : (N,) int64
         Label of each region, below 0 for none.
-    width : int
+    height, width : int
         Of the image.
     runs : Runs, written
-        But for ``part``.
+        But for ``part``. With room for as many as there are blocks, and PIECES for each share.
     loose : (L,) int32, written
-        Measured pixels without a label: row · W + column.
+        Measured pixels without a label in blocks that are not whole: row · W + column.
 
     Returns
     -------
@@ -197,21 +252,23 @@ def find_runs(owners, shares, number, width, runs, loose):
     # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
     owner, _, first_share, shares_of, measured = owners
     share_region, share_pixels, _ = shares
-    first, start, stop, share, label, filled_x, filled_y, across, down, parent, _ = runs
+    first, start, stop, share, pixels, label, filled_x, filled_y, across, down, parent, _ = runs
     rows, columns = owner.shape
     # Of the blocks of this row, and of the one above: see `list_runs`; with a rim.
     here, above = np.full(columns + 2, NONE), np.full(columns + 2, NONE)
     many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
+    taken_here, taken_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     changes = np.zeros(columns, np.bool_)
     count = loose_count = 0
     for row in range(rows):
         first[row] = count
         here, above = above, here
         many_here, many_above = many_above, many_here
+        taken_here, taken_above = taken_above, taken_here
         count, loose_count = list_runs(
             owner[row], first_share[row], shares_of[row], measured[row], share_region, share_pixels, number,
-            row * BLOCK, width, count, start, stop, share, label, filled_x, filled_y, across, down, parent,
-            here[1:-1], many_here[1:-1], loose, loose_count,
+            row * BLOCK, height, width, count, start, stop, share, pixels, label, filled_x, filled_y, across, down,
+            parent, here[1:-1], many_here[1:-1], taken_here[1:-1], loose, loose_count,
         )  # fmt: skip
         # Where a block's runs and those above are those of the block before, there is nothing new.
         for c in range(columns):
@@ -222,40 +279,33 @@ def find_runs(owners, shares, number, width, runs, loose):
         for c in range(columns):
             if not changes[c] or many_here[c + 1] == 0:
                 continue
-            missing = ALL & ~measured[row, c]
+            free = ALL & ~taken_here[c + 1]
             for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
-                a = label[k]
-                own = ALL if share[k] == WHOLE else share_pixels[share[k]]
+                a, own = label[k], pixels[k]
                 if here[c] != here[c + 1]:
                     for j in range(here[c], here[c] + many_here[c]):
                         if label[j] != a:
                             continue
-                        other = ALL if share[j] == WHOLE else share_pixels[share[j]]
-                        across[k] -= how_many((filled_x[j] >> ACROSS) & filled_x[k] & LEFT)
-                        if meet_across(other, own) != 0 or meet_over_gap(
-                            other, ALL & ~measured[row, c - 1], own, missing, True
+                        if meet_across(pixels[j], own) != 0 or meet_over_gap(
+                            pixels[j], ALL & ~taken_here[c], own, free, True
                         ):
                             unite(parent, j, k)
+                            across[k] -= how_many((filled_x[j] >> ACROSS) & filled_x[k] & LEFT)
                 for side in range(-1, 2):
                     d = c + 1 + side
                     for j in range(above[d], above[d] + many_above[d]):
                         if label[j] != a:
                             continue
-                        other = ALL if share[j] == WHOLE else share_pixels[share[j]]
-                        if side == 0:
+                        if side != 0:
+                            if parent[j] != parent[k] and meet_at_corner(pixels[j], own, side) != 0:
+                                unite(parent, j, k)
+                        elif meet_down(pixels[j], own) != 0 or meet_over_gap(
+                            pixels[j], ALL & ~taken_above[d], own, free, False
+                        ):
+                            unite(parent, j, k)
                             if share[k] != WHOLE or share[j] != WHOLE:
                                 down[k] -= how_many((filled_y[j] >> DOWN) & filled_y[k] & TOP)
                             elif c == max(start[j], start[k]):
-                                down[k] -= BLOCK * (min(stop[j], stop[k]) - c)
-                        if parent[j] == parent[k]:
-                            continue
-                        if side != 0:
-                            meet = meet_at_corner(other, own, side) != 0
-                        else:
-                            meet = meet_down(other, own) != 0 or meet_over_gap(
-                                other, ALL & ~measured[row - 1, c], own, missing, False
-                            )
-                        if meet:
-                            unite(parent, j, k)
+                                down[k] -= min(min(stop[j], stop[k]) * BLOCK, width) - c * BLOCK
     first[rows] = count
     return count, loose_count

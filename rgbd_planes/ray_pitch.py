@@ -71,7 +71,9 @@ def lens_by_angle(camera: Camera) -> Floats:
     seen = np.ones(camera.shape, bool) if camera._without_ray is None else ~camera._without_ray
     u, v = camera.tan_x[seen], camera.tan_y[seen]
     uu, uv, vv = abs(camera.fx * camera.fy) * _of_pixels(camera)[:, seen]
-    square = np.maximum(u * u + v * v, 1e-300)
+    off = (u != 0.0) | (v != 0.0)  # on the axis itself no direction is that of the radius
+    u, v, uu, uv, vv = u[off], v[off], uu[off], uv[off], vv[off]
+    square = u * u + v * v
     along = (u * u * uu + 2.0 * u * v * uv + v * v * vv) / square
     across = uu + vv - along
     radius = np.sqrt(square)

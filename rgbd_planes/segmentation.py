@@ -188,11 +188,12 @@ def _result(
     deviation = np.empty(len(curved))
     segment_planes.deviations(sums.moments, region_planes, noise.sigma, deviation)
 
-    room = owners.block.size + len(shares.region)
-    runs = Runs(np.empty(len(owners.block) + 1, np.int32), *np.empty((10, room), np.int32))
-    run_count, loose_count = segment_runs.find_runs(owners, shares, number_of, camera.width, runs, loose)
+    runs = work.runs_for(len(shares.region))
+    run_count, loose_count = segment_runs.find_runs(
+        owners, shares, number_of, camera.height, camera.width, runs, loose
+    )
     parts = Parts(np.empty((run_count, 10)), *np.empty((2, run_count)), *np.empty((4, run_count), np.int64))
-    count = segment_parts.measure_parts(runs, owners, shares, work.pyramid, camera.width, sums, parts)
+    count = segment_parts.measure_parts(runs, owners, shares, work.pyramid, inverse_depth, rays, sums, parts)
     why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
     number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
     found = segment_parts.judge_parts(
@@ -204,7 +205,7 @@ def _result(
     moments, deviation = parts.moments[kept], deviation[parts.region[kept]]
     alpha, rss = np.empty((found, 3)), np.empty(found)
     segment_planes.fit_planes(moments, alpha, rss)
-    if _join_across_gaps(moments, alpha, rss, deviation, number, runs, shares, rays, inverse_depth, rules):
+    if _join_across_gaps(moments, alpha, rss, deviation, number, runs, rays, inverse_depth, rules):
         found = int(number.max())
         segment_labels.label_runs(runs, number)
     moments, alpha, rss, deviation = moments[:found], alpha[:found], rss[:found], deviation[:found]
@@ -217,7 +218,7 @@ def _result(
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_labels.write_labels(
-        runs, shares, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
+        runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
     )
     inside = np.empty((found, 10))
     segment_inside.inside_moments(labels, inverse_depth, rays, moments, inside)
@@ -229,7 +230,7 @@ def _result(
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]
     segment_labels.settle_strays(
-        runs, shares, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
+        runs, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
     )
     sorted_sigma = np.sort(noise.sigma[1:])  # np.median takes ten times as long
     return Segmentation(
@@ -260,7 +261,6 @@ def _join_across_gaps(
     deviation: Floats,
     number: NDArray[np.int32],
     runs: Runs,
-    shares: Shares,
     rays: Rays,
     inverse_depth: NDArray[np.float32],
     rules: Rules,
@@ -276,5 +276,5 @@ def _join_across_gaps(
     if count == 0:
         return False
     parent = np.arange(len(moments))
-    segment_gaps.join_across(runs, shares, inverse_depth, rays, alpha, deviation, pairs, count, parent)
+    segment_gaps.join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, parent)
     return bool(segment_gaps.join_planes(parent, number, moments, alpha, rss, deviation) < len(moments))

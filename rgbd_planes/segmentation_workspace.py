@@ -9,7 +9,8 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.kernels import segment_noise
 from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.kernels.segment_contest import NEIGHBOURS
-from rgbd_planes.kernels.segment_records import Contacts, Contended, Owners, Pyramid, Rays, Sums
+from rgbd_planes.kernels.segment_records import Contacts, Contended, Owners, Pyramid, Rays, Runs, Sums
+from rgbd_planes.kernels.segment_runs import PIECES
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -79,6 +80,18 @@ class Workspace:
             np.zeros(1 << (4 * blocks).bit_length(), np.int32),
         )
         self.loose = np.empty(pixels, np.int32)
+        self._runs = self._new_runs(0)
+
+    def runs_for(self, shares: int) -> Runs:
+        """Room for the runs of all blocks and of so many shares."""
+        if len(self._runs.start) < len(self.sums.moments) + PIECES * shares:
+            self._runs = self._new_runs(2 * shares)
+        return self._runs
+
+    def _new_runs(self, shares: int) -> Runs:
+        room = len(self.sums.moments) + PIECES * shares
+        of_each = [np.empty(room, np.int32) for _ in Runs._fields[1:]]
+        return Runs(np.empty(self.blocks[0] + 1, np.int32), *of_each)
 
 
 class Workspaces(threading.local):

@@ -109,6 +109,15 @@ def test_table_by_angle_is_that_of_round_lenses(lens):
     assert lens_by_angle(PINHOLE).shape == (2, 0)
 
 
+def test_a_pixel_on_the_axis_is_no_direction():
+    distortion = (0.1, -0.2, 0.001, -0.002, 0.05)
+    on_axis, beside = (
+        rp.Camera(320, 240, 200.0, 200.0, cx, cy, distortion=distortion)
+        for cx, cy in ((161, 121), (161.3, 121.2))
+    )
+    np.testing.assert_allclose(lens_by_angle(on_axis), lens_by_angle(beside), rtol=0.05, atol=0.05)
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_segments_of_a_fisheye_with_a_lateral_error(given, rng):
     """Half a pixel is much of 1/Z where a lens sees far to the side: that was several times too little there."""

@@ -996,6 +996,64 @@ def test_squares_with_a_constant_quarter_show_no_noise():
         np.testing.assert_array_equal(found[here], expected)
 
 
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize(("pixels", "planes"), [(1, 1), (2, 1), (3, 1), (4, 2)])
+def test_a_slit_cuts_a_wall_in_two_wherever_it_is(upright, pixels, planes):
+    # Where blocks begin and end must not matter. What is seen through a slit of three pixels may be a stray.
+    rng = np.random.default_rng(1)
+    camera = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
+    for place in range(50, 54):
+        q = np.full(camera.shape, 0.5)
+        (q.T if upright else q)[place : place + pixels] = 0.1
+        assert len(segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), camera)) == planes
+
+
+def test_a_pole_within_a_block_leaves_the_wall_one():
+    # What it leaves of the wall on either side are two pieces of one share.
+    rng = np.random.default_rng(2)
+    for place in range(100, 104):
+        q = np.full(CAMERA.shape, 0.5)
+        q[:, place : place + 2] = 1.5
+        q[:, 200:] = 0.7
+        found = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA)
+        assert len(found) == 2
+        assert found.labels[120, 90] == found.labels[120, 110] > 0
+
+
+def test_holes_leave_planes_as_wide_as_they_are():
+    # Two missing pixels side by side are no end of a run: narrow planes would be left out.
+    for share in (0.05, 0.2, 0.4):
+        rendering = scenes.room().render(CAMERA)
+        full, holed = (
+            compare_labels(segment(depth, CAMERA).labels, np.where(depth > 0, rendering.labels, 0))
+            .hoover(0.8)
+            .correct
+            for depth in (rendering.measure(seed=4), rendering.measure(seed=4, holes=share))
+        )
+        assert holed >= full - 2
+
+
+def test_a_column_of_pixels_is_no_plane():
+    # Missing pixels lie between it and the wall, too many to be holes.
+    camera = Camera(32, 64, 30.0, 30.0, 15.5, 31.5)
+    depth = np.full(camera.shape, 2.0)
+    depth[:, 10:] = np.nan
+    depth[:, 15] = 2.0
+    found = segment(depth + 1e-4 * np.random.default_rng(0).normal(size=depth.shape), camera)
+    assert len(found) == 1
+    assert np.isfinite(found.planes).all()
+    assert (found.reason[:, 15] == Reason.NARROW).all()
+
+
+@pytest.mark.parametrize(("width", "height"), [(5, 7), (7, 5), (9, 6), (50, 2), (2, 50)])
+def test_blocks_end_where_the_image_does(width, height):
+    camera = Camera(width, height, 10.0, 10.0, width / 2, height / 2)
+    depth = np.full(camera.shape, 2.0)
+    found = segment(depth, camera, min_size=20)
+    assert len(found) == (min(width, height) > 4)
+    assert segment(depth, camera, min_size=20).sigma == found.sigma
+
+
 def test_boxes_of_labels_reach_to_the_edges():
     rng = np.random.default_rng(4)
     labels = np.kron(rng.integers(1, 9, (5, 7)), np.ones((3, 2), np.int32)).astype(np.int32)
@@ -1006,7 +1064,9 @@ def test_boxes_of_labels_reach_to_the_edges():
     some = [np.concatenate(of).astype(np.int32) for of in (starts, stops, values)]
     box = np.zeros((9, 4), np.int64)
     start, stop, value = some
-    segment_gaps.label_boxes(Runs(first.astype(np.int32), start, stop, start, value, *[start] * 6), box)
+    segment_gaps.label_boxes(
+        Runs(first.astype(np.int32), start, stop, start, start, value, *[start] * 6), box
+    )
     for label, (down, across) in enumerate(find_objects(labels), start=1):
         assert box[label].tolist() == [down.start, down.stop, across.start, across.stop]
 
