@@ -41,49 +41,32 @@ def points_of_row(
 
 
 @kernel(inline=True)
-def end_of_run(labels, start):
-    """The column after the last of a run of equal labels in a row."""
-    stop = start + 1
-    while stop < len(labels) and labels[stop] == labels[start]:
-        stop += 1
-    return stop
-
-
-@kernel(inline=True)
-def add_footprint(row, start, stop, footprint):
-    """Add the places of a run's pixels: how many, Σx, Σy, Σx² and Σy²."""
+def add_footprint(row, start, stop, footprint, i):
+    """Add the places of a run's pixels to row ``i``: how many, Σx, Σy, Σx² and Σy²."""
     n, last = stop - start, stop - 1
-    footprint[0] += n
-    footprint[1] += n * (start + last) // 2
-    footprint[2] += n * row
+    footprint[i, 0] += n
+    footprint[i, 1] += n * (start + last) // 2
+    footprint[i, 2] += n * row
     # The sum of squares up to k is k(k + 1)(2k + 1) / 6.
-    footprint[3] += (last * (last + 1) * (2 * last + 1) - (start - 1) * start * (2 * start - 1)) // 6
-    footprint[4] += n * row * row
-
-
-@kernel(inline=True)
-def find_first(points, start, stop, reference):
-    """Make the first valid point of a run the reference of its label; whether there is one."""
-    for i in range(start, stop):
-        if points[3, i] > 0.0:
-            for k in range(3):
-                reference[k] = points[k, i]
-            return True
-    return False
+    footprint[i, 3] += (last * (last + 1) * (2 * last + 1) - (start - 1) * start * (2 * start - 1)) // 6
+    footprint[i, 4] += n * row * row
 
 
 @kernel(reduction=True)
-def add_run(points, start, stop, reference, sums):
-    """Add a run's points, less ``reference``, to a label's ten ``sums``.
+def add_run(points, start, stop, reference, sums, i):
+    """Add a run's points, less row ``i`` of ``reference``, to row ``i`` of ``sums``, ten each.
 
     Those of eq. tan_theta_scattermatrix, or of eq. XYZ_scattermatrix.
     """
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
-    for i in range(start, stop):
-        there = points[3, i]
-        u = points[0, i] - there * reference[0]
-        v = points[1, i] - there * reference[1]
-        w = points[2, i] - there * reference[2]
+    r_u, r_v, r_w = reference[i, 0], reference[i, 1], reference[i, 2]
+    us, vs, ws, theres = points[0], points[1], points[2], points[3]
+    # Without a sign: so the compiler knows that they do not count from the end.
+    for k in range(np.uint64(start), np.uint64(stop)):
+        there = theres[k]
+        u = us[k] - there * r_u
+        v = vs[k] - there * r_v
+        w = ws[k] - there * r_w
         n += there
         s_u += u
         s_v += v
@@ -94,16 +77,16 @@ def add_run(points, start, stop, reference, sums):
         s_vv += v * v
         s_vw += v * w
         s_ww += w * w
-    sums[0] += n
-    sums[1] += s_u
-    sums[2] += s_v
-    sums[3] += s_w
-    sums[4] += s_uu
-    sums[5] += s_uv
-    sums[6] += s_uw
-    sums[7] += s_vv
-    sums[8] += s_vw
-    sums[9] += s_ww
+    sums[i, 0] += n
+    sums[i, 1] += s_u
+    sums[i, 2] += s_v
+    sums[i, 3] += s_w
+    sums[i, 4] += s_uu
+    sums[i, 5] += s_uv
+    sums[i, 6] += s_uw
+    sums[i, 7] += s_vv
+    sums[i, 8] += s_vw
+    sums[i, 9] += s_ww
 
 
 @kernel()
@@ -135,11 +118,20 @@ def label_moments(
         points_of_row(
             raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, points
         )
+        line = labels[row]
         stop = 0
         while stop < width:
-            start, stop = stop, end_of_run(labels[row], stop)
-            i = labels[row, start] - 1
-            if i >= 0:
-                add_footprint(row, start, stop, footprint[i])
-                begun[i] = begun[i] or find_first(points, start, stop, reference[i])
-                add_run(points, start, stop, reference[i], moments[i])
+            start, label = stop, line[stop]
+            while stop < width and line[stop] == label:
+                stop += 1
+            i = label - 1
+            if i < 0:
+                continue
+            add_footprint(row, start, stop, footprint, i)
+            first = start
+            while not begun[i] and first < stop:  # the first valid point is the reference
+                begun[i] = points[3, first] > 0.0
+                for k in range(3):
+                    reference[i, k] = points[k, first] if begun[i] else 0.0
+                first += 1
+            add_run(points, start, stop, reference, moments, i)

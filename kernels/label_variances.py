@@ -4,7 +4,6 @@ import math
 
 from ._jit import kernel
 from .depth import inverse_depth
-from .label_moments import end_of_run
 from .statistics import DEPTH_STEP, DISPARITY_STEP, SCALE, VARIANCES
 
 
@@ -43,10 +42,13 @@ def label_variances(
     grows = growth.shape[0] > 0
     sums[:] = 0.0
     for row in range(height):
+        line = labels[row]
         stop = 0
         while stop < width:
-            start, stop = stop, end_of_run(labels[row], stop)
-            i = labels[row, start] - 1
+            start, label = stop, line[stop]
+            while stop < width and line[stop] == label:
+                stop += 1
+            i = label - 1
             if i < 0:
                 continue
             a, b, c = alpha[i, 0], alpha[i, 1], alpha[i, 2]
