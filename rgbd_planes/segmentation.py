@@ -89,11 +89,11 @@ def segment(
 
     Notes
     -----
-    Blocks of 4x4 pixels, joined by fours where they are one plane, and with their neighbours where these surely are,
-    are merged by what joining adds to the sum of squared residuals in inverse depth, which moments give exactly
-    (Papadakis and Willis 2017 split squares in the same space, from above). Then each pixel goes to the plane it fits, the planes are fitted
-    anew to the pixels they own, and this is done three times, after which hardly a pixel changes. The same bits
-    come out for the same frame, always.
+    Blocks of 4x4 pixels, joined by fours where they are one plane, and with their neighbours where these surely
+    are, are merged by what joining adds to the sum of squared residuals in inverse depth, which moments give
+    exactly (Papadakis and Willis 2017 split squares in the same space, from above). Then each pixel goes to the
+    plane it fits, the planes are fitted anew to the pixels they own, and this is done three times, after which
+    hardly a pixel changes. The same bits come out for the same frame, always.
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
