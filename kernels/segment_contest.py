@@ -21,6 +21,7 @@ PAIRS = NEIGHBOURS * (NEIGHBOURS - 1) // 2
 SIDE = BLOCK + 2  # of a block with the pixels around it
 AREA = SIDE * SIDE
 LANES = 64  # blocks that are worked on together
+ROOM = 4 * AREA + BLOCK * SIDE  # rows of `share_out`'s room
 NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel comes near to
 
 
@@ -83,6 +84,12 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
         beyond = (side_a * side_b < 0.0) & (low > 0.0 if side_a > 0.0 else high < 0.0)
         disputed |= not ((low > distance) | (high < -distance) | beyond)
     return not disputed
+
+
+@kernel(inline=True)
+def middle(k):
+    """Which pixel of a block with its rim is pixel ``k`` of the block."""
+    return (k // BLOCK + 1) * SIDE + k % BLOCK + 1
 
 
 @kernel(inline=True)
@@ -162,11 +169,10 @@ def sums_of_nine(values, first, sums, k, down):
     for p in range(BLOCK * SIDE):
         for n in range(LANES):
             down[p, n] = values[first + p, n] + values[first + p + SIDE, n] + values[first + p + 2 * SIDE, n]
-    for y in range(BLOCK):
-        for x in range(BLOCK):
-            p = y * SIDE + x
-            for n in range(LANES):
-                sums[(k * BLOCK + y) * BLOCK + x, n] = down[p, n] + down[p + 1, n] + down[p + 2, n]
+    for i in range(BLOCK * BLOCK):
+        p = middle(i) - SIDE - 1
+        for n in range(LANES):
+            sums[k * BLOCK * BLOCK + i, n] = down[p, n] + down[p + 1, n] + down[p + 2, n]
 
 
 @kernel(inline=True)
@@ -196,12 +202,11 @@ def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winn
 @kernel(inline=True)
 def take_rest(j, q, square, limit, winner):
     """Let contender ``j`` have those pixels that are within its limit and that nobody has."""
-    for y in range(BLOCK):
-        for x in range(BLOCK):
-            k, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
-            for n in range(LANES):
-                wins = (winner[k, n] < 0) & (square[j * AREA + p, n] < limit) & (q[p, n] > 0.0)
-                winner[k, n] = j if wins else winner[k, n]
+    for k in range(BLOCK * BLOCK):
+        p = middle(k)
+        for n in range(LANES):
+            wins = (winner[k, n] < 0) & (square[j * AREA + p, n] < limit) & (q[p, n] > 0.0)
+            winner[k, n] = j if wins else winner[k, n]
 
 
 @kernel(inline=True)
@@ -216,25 +221,24 @@ def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
     for j in range(11):
         for n in range(LANES):
             owned[o + j, n] = 0.0
-    for y in range(BLOCK):
-        for x in range(BLOCK):
-            i, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
-            for n in range(LANES):
-                w = 1.0 if winner[i, n] == k else 0.0
-                q_p, w_u, w_v = np.float64(q[p, n]), w * u[p, n], w * v[p, n]
-                owned[o, n] += w
-                owned[o + 1, n] += w_u
-                owned[o + 2, n] += w_v
-                owned[o + 3, n] += w * q_p
-                owned[o + 4, n] += w_u * u[p, n]
-                owned[o + 5, n] += w_u * v[p, n]
-                owned[o + 6, n] += w_u * q_p
-                owned[o + 7, n] += w_v * v[p, n]
-                owned[o + 8, n] += w_v * q_p
-                owned[o + 9, n] += w * q_p * q_p
-                owned[o + 10, n] += w * min(square[k * AREA + p, n], cut)
-            for n in range(LANES):
-                pixels[k, n] |= np.int32(winner[i, n] == k) << np.int32(i)
+    for i in range(BLOCK * BLOCK):
+        p = middle(i)
+        for n in range(LANES):
+            w = 1.0 if winner[i, n] == k else 0.0
+            q_p, w_u, w_v = np.float64(q[p, n]), w * u[p, n], w * v[p, n]
+            owned[o, n] += w
+            owned[o + 1, n] += w_u
+            owned[o + 2, n] += w_v
+            owned[o + 3, n] += w * q_p
+            owned[o + 4, n] += w_u * u[p, n]
+            owned[o + 5, n] += w_u * v[p, n]
+            owned[o + 6, n] += w_u * q_p
+            owned[o + 7, n] += w_v * v[p, n]
+            owned[o + 8, n] += w_v * q_p
+            owned[o + 9, n] += w * q_p * q_p
+            owned[o + 10, n] += w * min(square[k * AREA + p, n], cut)
+        for n in range(LANES):
+            pixels[k, n] |= np.int32(winner[i, n] == k) << np.int32(i)
 
 
 @kernel(inline=True)
@@ -242,8 +246,55 @@ def measured_pixels(q, pixels):
     """Which pixels of the blocks are measured: to the last row of ``pixels``."""
     for n in range(LANES):
         pixels[NEIGHBOURS, n] = 0
-    for y in range(BLOCK):
-        for x in range(BLOCK):
+    for i in range(BLOCK * BLOCK):
+        p = middle(i)
+        for n in range(LANES):
+            pixels[NEIGHBOURS, n] |= np.int32(q[p, n] > 0.0) << np.int32(i)
+
+
+@kernel(inline=True)
+def share_out(
+    contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels
+):
+    """Share out the pixels of LANES blocks among their contenders, of which each has ``contending``.
+
+    Parameters
+    ----------
+    space : (ROOM, LANES) float32
+        q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room to work in.
+    plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
+        α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` each two.
+    limit, close, cut : float32
+        Squares of what `segment_pixels.own_pixels` calls ``reach``, ``close`` and ``cut``.
+    square, sums, winner
+        Room to work in: see `misfits`, `sums_of_nine` and `contend`.
+    owned, pixels : (11·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written
+        See `sum_owned` and `measured_pixels`.
+    """
+    q, u, v, is_measured = (
+        space[:AREA],
+        space[AREA : 2 * AREA],
+        space[2 * AREA : 3 * AREA],
+        space[3 * AREA : 4 * AREA],
+    )
+    down = space[4 * AREA :]
+    if contending > 1:
+        for p in range(AREA):
             for n in range(LANES):
-                measured = q[(y + 1) * SIDE + x + 1, n] > 0.0
-                pixels[NEIGHBOURS, n] |= np.int32(measured) << np.int32(y * BLOCK + x)
+                is_measured[p, n] = 1.0 if q[p, n] > 0.0 else 0.0
+        sums_of_nine(is_measured, 0, sums, 0, down)
+    for k in range(BLOCK * BLOCK):
+        for n in range(LANES):
+            winner[k, n] = -1
+    pair = 0
+    for j in range(contending):
+        misfits(q, u, v, plane, j, limit, square)
+        if contending > 1:
+            sums_of_nine(square, j * AREA, sums, j + 1, down)
+        for i in range(j):
+            contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner)
+            pair += 1
+        take_rest(j, q, square, limit, winner)
+    measured_pixels(q, pixels)
+    for j in range(contending):
+        sum_owned(j, winner, q, u, v, square, cut, owned, pixels)

@@ -13,18 +13,13 @@ from .segment_contest import (
     NEIGHBOURS,
     NOWHERE,
     PAIRS,
-    SIDE,
-    contend,
+    ROOM,
     contenders,
     gather,
     is_undisputed,
     line_between,
-    measured_pixels,
-    misfits,
     repeat_rays,
-    sum_owned,
-    sums_of_nine,
-    take_rest,
+    share_out,
 )
 from .segment_merge import WORD
 from .segment_moments import misfit
@@ -280,15 +275,14 @@ def contest(
     cut = np.float32(rules.cut * rules.cut)
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     # Of sizes that are known beforehand, and few: so the compiler sees which rows are apart.
-    space = np.empty((4 * AREA, LANES), np.float32)
-    q, u, v, is_measured = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA], space[3 * AREA :]
-    plane, penalty = np.empty((4 * NEIGHBOURS, LANES), np.float32), np.zeros((NEIGHBOURS, LANES), np.float32)
-    line = np.empty((3 * PAIRS, LANES), np.float32)
+    space = np.empty((ROOM, LANES), np.float32)
+    q, u, v = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA]
+    plane, penalty = np.zeros((4 * NEIGHBOURS, LANES), np.float32), np.zeros((NEIGHBOURS, LANES), np.float32)
+    line = np.zeros((3 * PAIRS, LANES), np.float32)
     square = np.empty((NEIGHBOURS * AREA, LANES), np.float32)
     sums = np.empty(((NEIGHBOURS + 1) * BLOCK * BLOCK, LANES), np.float32)
-    down = np.empty((BLOCK * SIDE, LANES), np.float32)
     winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
-    owned, pixels = np.empty((NEIGHBOURS * 11, LANES)), np.zeros((NEIGHBOURS + 1, LANES), np.int32)
+    owned, pixels = np.empty((NEIGHBOURS * 11, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
     listed = np.empty(LANES, np.int64)
     for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks that are worked on together
         contending = least
@@ -299,8 +293,8 @@ def contest(
                 row, column = place(here, columns)
                 gather(inverse_depth, tan_x, tan_y, row, column, lanes, q, u, v)
                 contending = max(contending, many[c])
-                for j in range(most):
-                    # Of a contender that there is not no pixel comes near to the plane.
+                for j in range(many[c], most):  # to contenders that there are not no pixel comes near
+                    plane[4 * j, lanes] = plane[4 * j + 1, lanes] = 0.0
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
                 for j in range(many[c]):
                     b = candidate[first[c] + j]
@@ -323,26 +317,21 @@ def contest(
                     q[p, n] = 0.0
             if separable:
                 repeat_rays(u, v)
-            if contending > 1:
-                for p in range(AREA):
-                    for n in range(LANES):
-                        is_measured[p, n] = 1.0 if q[p, n] > 0.0 else 0.0
-                sums_of_nine(is_measured, 0, sums, 0, down)
-            for k in range(BLOCK * BLOCK):
-                for n in range(LANES):
-                    winner[k, n] = -1
-            pair = 0
-            for j in range(contending):
-                misfits(q, u, v, plane, j, limit, square)
-                if contending > 1:
-                    sums_of_nine(square, j * AREA, sums, j + 1, down)
-                for i in range(j):
-                    contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner)
-                    pair += 1
-                take_rest(j, q, square, limit, winner)
-            measured_pixels(q, pixels)
-            for j in range(contending):
-                sum_owned(j, winner, q, u, v, square, cut, owned, pixels)
+            share_out(
+                contending,
+                space,
+                plane,
+                penalty,
+                line,
+                limit,
+                close,
+                cut,
+                square,
+                sums,
+                winner,
+                owned,
+                pixels,
+            )
             for n in range(lanes):
                 c = listed[n]
                 row, column = place(block[c], columns)
