@@ -9,7 +9,15 @@ import json
 import sys
 from pathlib import Path
 
-from bench import batch_throughput, first_call, peers, real_sensors, uncertainty_real, user_tasks
+from bench import (
+    batch_throughput,
+    first_call,
+    peers,
+    real_sensors,
+    segmentation,
+    uncertainty_real,
+    user_tasks,
+)
 from bench.readme import README, with_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "measured.md"
@@ -19,6 +27,7 @@ SECTIONS = {
     "peers": peers,
     "first": first_call,
     "batch": batch_throughput,
+    "segments": segmentation,
     "sensors": real_sensors,
     "uncertainty": uncertainty_real,
 }

@@ -134,6 +134,14 @@ def mean(rows: Sequence[Scores], name: str) -> float:
     return float(np.mean([getattr(row, name) for row in rows]))
 
 
+def summary(name: str, rows: Sequence[Scores]) -> dict[str, Any]:
+    """Means of scores, and shares of all regions that are correct."""
+    regions = sum(row.regions for row in rows)
+    means = {key: mean(rows, key) for key in ("regions", "over", "under", "missed", "noise", "f_75")}
+    correct = {key: sum(getattr(row, key) for row in rows) / regions for key in ("correct_80", "correct_90")}
+    return {"name": name, "frames": len(rows)} | means | correct
+
+
 def report(title: str, rows: Sequence[Scores]) -> None:
     """Print one line of the table."""
     regions = sum(row.regions for row in rows)
@@ -338,8 +346,8 @@ STAGES = {
 }
 
 
-def timing(frame: Frame, vga: Frame, rounds: int = 40) -> None:
-    """Times of one frame, baseline and segmentation in turns: the ratio, and what each stage takes.
+def timing(frame: Frame, vga: Frame, rounds: int = 40) -> dict[str, Any]:
+    """Times of one frame and of the baseline, in turns: milliseconds at best, and ratios.
 
     Also the ratio to the baseline of a frame of 640 x 480, of which the bench of fits is.
     """
@@ -349,11 +357,24 @@ def timing(frame: Frame, vga: Frame, rounds: int = 40) -> None:
     }
     times = in_turns(runs | {"segment": lambda: segment(frame.depth, frame.camera)}, rounds)
     own, base = times["segment"], times[frame.name]
+    return {
+        "frame": frame.name,
+        "size": f"{frame.depth.shape[1]} x {frame.depth.shape[0]}",
+        "segment": 1e3 * own.fastest,
+        "numpy": 1e3 * base.fastest,
+        "ratio": own.fastest / base.fastest,
+        "of_medians": own.median / base.median,
+        "of_vga": own.fastest / times[vga.name].fastest,
+    }
+
+
+def report_time(frame: Frame, vga: Frame, rounds: int = 40) -> None:
+    """Print them, and what each stage takes."""
+    found = timing(frame, vga, rounds)
     print(
-        f"{frame.name}: {frame.depth.shape[1]} x {frame.depth.shape[0]}: segment {1e3 * own.fastest:.2f} ms, "
-        f"NumPy, PCA of 20x20 tiles {1e3 * base.fastest:.2f} ms at best; "
-        f"ratio {own.fastest / base.fastest:.2f}, of the medians {own.median / base.median:.2f}; "
-        f"to NumPy's 640 x 480 {own.fastest / times[vga.name].fastest:.2f}"
+        f"{found['frame']}: {found['size']}: segment {found['segment']:.2f} ms, NumPy, PCA of 20x20 tiles "
+        f"{found['numpy']:.2f} ms at best; ratio {found['ratio']:.2f}, of the medians {found['of_medians']:.2f}; "
+        f"to NumPy's 640 x 480 {found['of_vga']:.2f}"
     )
     spent = stage_times(frame, rounds)
     rest = spent.pop("all") - sum(spent.values())
@@ -417,6 +438,58 @@ def labelled_sets() -> Iterator[tuple[str, list[Frame]]]:
             print(f"{name}: not found in {DATA.parent.name}/{DATA.name}, skipped")
 
 
+def rendered_sets() -> Iterator[tuple[str, list[Frame]]]:
+    """Rooms of planes alone, as sensors measure them."""
+    yield "room, 6 planes, 5 % holes", rendered(empty_room(), "empty room", 0.05, 5)
+    yield "room, 6 planes, no holes", rendered(empty_room(), "empty room, no holes", 0.0, 5)
+    yield "furnished room, 24 planes, 5 % holes", rendered(scenes.room(), "room", 0.05, 5)
+    for pixels in (2.5, 4.0):
+        name = f"furnished room, errors smoothed by {pixels:g}"
+        yield name, smoothed(scenes.room(), name, pixels, 5)
+
+
+def measure() -> dict[str, Any]:
+    """The scores and times of docs/measured.md."""
+    peer = opencv_planes()
+    rows = []
+    labelled = {name: frames for name, frames in labelled_sets() if name in MOVED}
+    for name, frames in (labelled | dict(rendered_sets())).items():
+        own = [score(segment(frame.depth, frame.camera).labels, frame) for frame in frames]
+        rows.append(summary(name, own))
+        if name in MOVED:
+            of_moved = [score(segment(frame.depth, frame.camera).labels, frame) for frame in moved(frames)]
+            rows.append(summary(f"{name}, moved", of_moved))
+        if peer is not None:
+            rows.append(summary("OpenCV `findPlanes`", [score(peer(frame), frame) for frame in frames]))
+    first = {name: frames[0] for name, frames in labelled.items()}
+    name, rooms = next(rendered_sets())
+    times = [timing(frame, rooms[0]) | {"frame": key} for key, frame in (first | {name: rooms[0]}).items()]
+    return {"scores": rows, "times": times}
+
+
+def table(results: dict[str, Any]) -> str:
+    """The scores and times as Markdown."""
+    lines = [
+        "| frames | regions | correct at 80 % | at 90 % | over | under | missed | noise | F at IoU .75 |"
+    ]
+    lines.append("|---|---:|---:|---:|---:|---:|---:|---:|---:|")
+    for row in results["scores"]:
+        counts = " | ".join(f"{row[name]:.2f}" for name in ("over", "under", "missed", "noise"))
+        lines.append(
+            f"| {row['name']} | {row['frames']} x {row['regions']:.4g} | {row['correct_80']:.1%} "
+            f"| {row['correct_90']:.1%} | {counts} | {row['f_75']:.3f} |"
+        )
+    lines += [
+        "",
+        "| one frame, one core, the fastest of 40 | ms | NumPy's PCA of its 20 x 20 tiles = 1 | of 640 x 480 = 1 |",
+    ]
+    lines.append("|---|---:|---:|---:|")
+    for row in results["times"]:
+        figures = f"{row['segment']:.1f} | {row['ratio']:.2f} | {row['of_vga']:.2f}"
+        lines.append(f"| {row['frame']}, {row['size']} | {figures} |")
+    return "\n".join(lines)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run everything."""
     parser = argparse.ArgumentParser(prog="python -m bench.segmentation", description=__doc__)
@@ -426,14 +499,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
 
-    sets = list(labelled_sets())
-    sets.append(("room, 6 planes, 5 % holes", rendered(empty_room(), "empty room", 0.05, 5)))
-    sets.append(("room, 6 planes, no holes", rendered(empty_room(), "empty room, no holes", 0.0, 5)))
-    sets.append(("furnished room, 24 planes, 5 % holes", rendered(scenes.room(), "room", 0.05, 5)))
-    for pixels in (2.5, 4.0):
-        name = f"furnished room, errors smoothed by {pixels:g}"
-        sets.append((name, smoothed(scenes.room(), name, pixels, 5)))
-    sets.append(("curved things, five kinds of sensor", curved()))
+    sets = [*labelled_sets(), *rendered_sets(), ("curved things, five kinds of sensor", curved())]
     peer = opencv_planes()
     print(HEADER)
     for name, frames in sets:
@@ -455,7 +521,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print()
     vga = next(frames[0] for name, frames in sets if name.startswith("room"))
     for frame in {id(frame): frame for frame in (sets[0][1][0], vga)}.values():
-        timing(frame, vga)
+        report_time(frame, vga)
 
 
 def report_planes(name: str, frames: Sequence[Frame]) -> None:
