@@ -5,6 +5,7 @@ Kernels are serial and release the GIL; they work on a range of tiles or rows, a
 not its launch cost, not its behaviour after a fork, not its thread safety.
 """
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -16,6 +17,7 @@ from typing import Any, TypeVar, cast
 import numba
 
 from ._cache import Cache
+from ._compiling import without_haste
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -67,6 +69,8 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
         global has_cache
         dispatcher = numba.njit(**options)(function)
+        with contextlib.suppress(AttributeError):  # a later Numba's inside is another: its own way then
+            dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile)
         try:
             dispatcher._cache = Cache(function)
             has_cache &= dispatcher._cache.saves

@@ -1,0 +1,93 @@
+"""What is arranged for Numba while it compiles."""
+
+import gc
+
+import numba
+import pytest
+from numba.core import event
+
+from rgbd_planes.kernels import _compiling, _jit
+
+
+class Witness(event.Listener):
+    """Sees the collector's first threshold whenever a kernel begins to be compiled."""
+
+    def __init__(self):
+        self.thresholds = []
+
+    def on_start(self, event):
+        self.thresholds.append(gc.get_threshold()[0])
+
+    def on_end(self, event):
+        pass
+
+
+@pytest.fixture
+def witness():
+    before, witness = gc.get_threshold(), Witness()
+    event.register("numba:compile", witness)
+    yield witness
+    event.unregister("numba:compile", witness)
+    gc.set_threshold(*before)
+
+
+def double(x):
+    return 2 * x
+
+
+def test_kernels_compile_without_haste():
+    assert hasattr(numba.njit(double)._compiler, "compile")  # what is replaced is still what Numba calls
+    kernel = _jit.kernel()(lambda x: x + 1)
+    assert kernel._compiler.compile.__wrapped__.__func__ is type(kernel._compiler).compile
+    assert kernel(2) == 3
+    assert kernel.signatures == [(numba.int64,)]
+
+
+@pytest.mark.parametrize(
+    ("given", "during"), [(700, _compiling.PATIENCE), (0, 0), (50_000, 50_000)]
+)  # by default; switched off; somebody's own
+def test_garbage_waits_while_kernels_compile(given, during, witness):
+    inner = numba.njit(double)
+    outer = numba.njit(lambda x: inner(inner(x)))
+    for dispatcher in (inner, outer):
+        dispatcher._compiler.compile = _compiling.without_haste(dispatcher._compiler.compile)
+    gc.set_threshold(given, 11)
+    as_given, seen = gc.get_threshold(), []
+    compile_inner = inner._compiler.compile
+    inner._compiler.compile = lambda *args: (seen.append(gc.get_threshold()[0]), compile_inner(*args))[1]
+    assert outer(3) == 12
+    assert seen == [during]
+    assert witness.thresholds == [given, during]  # the outer one's begins before all is arranged for it
+    assert gc.get_threshold() == as_given
+    assert not _compiling._is_compiling
+
+
+def test_what_somebody_sets_meanwhile_stays(witness):
+    assert _compiling.without_haste(lambda: gc.set_threshold(1234))() is None
+    assert gc.get_threshold()[0] == 1234
+
+
+def test_all_is_as_before_if_compiling_fails(witness):
+    gc.set_threshold(700)
+    with pytest.raises(ZeroDivisionError):
+        _compiling.without_haste(lambda: 1 / 0)()
+    assert gc.get_threshold()[0] == 700
+    assert not _compiling._is_compiling
+
+
+def test_no_call_takes_memory_from_the_system():
+    """Wherever the chunks of frames end that Python would take otherwise, every 16 KB."""
+    resource = pytest.importorskip("resource", reason="the system does not count pages")
+
+    def faults() -> int:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+    def most_faults(depth: int) -> int:
+        """Of 1000 calls, at each of as many depths of calls within calls."""
+        before = faults()
+        for _ in range(1000):
+            double(1)
+        here = faults() - before
+        return max(here, most_faults(depth - 1)) if depth else here
+
+    assert _compiling.without_haste(most_faults)(400) < 500
