@@ -25,7 +25,7 @@ def warmup(
 ) -> None:
     """Compile what fits tiles, or load it from the cache, so that the first frame is as fast as the next.
 
-    A first installation takes some seconds for it, once, and with ``segment`` about a minute; later processes
+    A first installation takes some seconds for it, once, and with ``segment`` half a minute or more; later processes
     a fraction of a second.
 
     Parameters
