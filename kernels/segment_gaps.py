@@ -25,14 +25,32 @@ STOP = (0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4)
 OPEN = 0.1  # share of the rows or columns that may see through
 
 
+@kernel(inline=True)
+def overlap(box, a, b, side):
+    """Rows of blocks, columns for ``side`` 1, that boxes a and b of `label_boxes` share; below 0 they are apart."""
+    return min(box[a, 2 * side + 1], box[b, 2 * side + 1]) - max(box[a, 2 * side], box[b, 2 * side])
+
+
+@kernel(inline=True)
+def may_be_thin(box, a, b, side):
+    """Whether a gap between labels a and b may be longer than wide, along the rows or, ``side`` 1, the columns.
+
+    No gap counts as thin that is wider than there are rows, or columns; none is narrower than between boxes.
+    """
+    widest, narrowest = BLOCK * overlap(box, a, b, side), -BLOCK * (overlap(box, a, b, 1 - side) + 1)
+    return widest >= LEAST and narrowest <= widest
+
+
 @kernel()
-def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
-    """Pairs of planes whose union is one plane as well.
+def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
+    """Pairs of planes whose union is one plane as well, and that are near enough for a thin gap.
 
     Parameters
     ----------
     moments, alpha, deviation : (N, 10), (N, 3), (N,) float64
         Moments and plane of each, and standard deviation of a pixel about it.
+    box : (N + 1, 4) int64
+        Of `label_boxes`.
     floor, spread : float
         Joining two may raise the sum of squared residuals by floor² n + spread variances; n are the smaller
         one's pixels.
@@ -47,6 +65,8 @@ def find_coplanar(moments, alpha, deviation, floor, spread, pairs):
     count = 0
     for a in range(len(moments)):
         for b in range(a - 1, -1, -1):
+            if not (may_be_thin(box, a + 1, b + 1, 0) or may_be_thin(box, a + 1, b + 1, 1)):
+                continue
             m, k = moments[a], moments[b]
             variance = min(deviation[a], deviation[b]) ** 2
             smaller = m if m[0] < k[0] else k
@@ -195,14 +215,8 @@ def is_thin(gaps, opened, closed):
     return False
 
 
-@kernel(inline=True)
-def overlap(one, other, side):
-    """Rows of blocks, columns for ``side`` 1, that two boxes of `label_boxes` share; below 0 they are apart."""
-    return min(one[2 * side + 1], other[2 * side + 1]) - max(one[2 * side], other[2 * side])
-
-
 @kernel()
-def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, parent):
+def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
 
     Parameters
@@ -211,10 +225,8 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, paren
         Row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
     inverse_depth : (H, W) float32
     rays : Rays
-    pairs, count : see `find_coplanar`
+    box, pairs, count : see `find_coplanar`
     """
-    box = np.empty((len(parent) + 1, 4), np.int64)
-    label_boxes(runs, box)
     for k in range(count):
         a, b = pairs[k]
         if root_of(parent, a) == root_of(parent, b):
@@ -222,11 +234,9 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, paren
         reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this one sees through the gap
         thin = False
         for side in range(2):
-            # No gap counts as thin that is wider than there are rows, or columns; none is narrower than between boxes.
-            widest = BLOCK * overlap(box[a + 1], box[b + 1], side)
-            narrowest = -BLOCK * (overlap(box[a + 1], box[b + 1], 1 - side) + 1)
-            if thin or widest < LEAST or narrowest > widest:
+            if thin or not may_be_thin(box, a + 1, b + 1, side):
                 continue
+            widest = BLOCK * overlap(box, a + 1, b + 1, side)
             gaps = np.empty(widest + 1, np.int64)
             for look in (False, True):  # into the gaps only if they are not too wide anyway
                 if side == 0:

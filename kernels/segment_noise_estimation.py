@@ -86,14 +86,17 @@ def nearest_surface(pyramid, nearest):
     times as near as the rest.
     """
     moments, rss, offsets = pyramid.moments, pyramid.rss, pyramid.offsets
-    least = FULL * (BLOCK << SOLID) ** 2
-    largest = 0.0
-    for i in range(offsets[SOLID], offsets[SOLID + 1]):
-        n, sum_q = moments[0, i], moments[3, i]
-        # Of a square with such a pixel in it the mean says nothing.
-        if n >= least and n * rss[i] < (MIXTURE * sum_q) ** 2:
-            largest = max(largest, sum_q / n)
-    return min(2.0 * largest, nearest) if largest > 0.0 else nearest
+    for level in range(SOLID, -1, -1):  # smaller ones where no such square holds a surface
+        least = FULL * (BLOCK << level) ** 2
+        largest = 0.0
+        for i in range(offsets[level], offsets[level + 1]):
+            n, sum_q = moments[0, i], moments[3, i]
+            # Of a square with such a pixel in it the mean says nothing.
+            if n >= least and n * rss[i] < (MIXTURE * sum_q) ** 2:
+                largest = max(largest, sum_q / n)
+        if largest > 0.0:
+            return min(2.0 * largest, nearest)
+    return nearest
 
 
 @kernel(inline=True)

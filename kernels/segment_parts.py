@@ -20,6 +20,17 @@ def add_piece(pixels, row, column, inverse_depth, rays, moments, k):
             add(moments[k], u, v, inverse_depth[y, x])
 
 
+@kernel(inline=True)
+def first_of_run(start, stop, row, inverse_depth):
+    """Row and column of the first measured pixel of whole blocks, which may have holes."""
+    height, width = inverse_depth.shape
+    for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+        for x in range(start * BLOCK, min(stop * BLOCK, width)):
+            if inverse_depth[y, x] > 0.0:
+                return y, x
+    return row * BLOCK, start * BLOCK
+
+
 @kernel()
 def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, parts):
     """Number the parts and share out what the regions own.
@@ -74,6 +85,8 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
                 while not (mask >> np.int32(p)) & 1:
                     p += 1
                 y, x = y + p // BLOCK, x + p % BLOCK
+            elif root == i or y * width + x < first[part[root]]:
+                y, x = first_of_run(run_start[i], run_stop[i], row, inverse_depth)
             if root == i:
                 part[i] = count
                 size[count] = squares[count] = 0.0

@@ -82,6 +82,8 @@ def lens_by_angle(camera: Camera) -> Floats:
         np.bincount(places, of, _ANGLES) for of in (None, across, along - across, square)
     )
     there = np.flatnonzero(number)
+    if not len(there):  # one pixel, and it is on the axis
+        return np.repeat([[1.0], [0.0]], _ANGLES, axis=1)
     means = sums[there] / number[there], differences[there] / squares[there]
     return np.stack([np.interp(np.arange(_ANGLES), there, mean) for mean in means])
 

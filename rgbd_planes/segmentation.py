@@ -67,7 +67,8 @@ def segment(
         taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
         share their errors, that counts. By default ``camera.noise``; without either the frame tells the noise.
     min_size : int
-        Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on changes no other one.
+        Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on changes no other one
+        by more than a stray pixel or two.
 
     Returns
     -------
@@ -93,7 +94,8 @@ def segment(
     are, are merged by what joining adds to the sum of squared residuals in inverse depth, which moments give
     exactly (Papadakis and Willis 2017 split squares in the same space, from above). Then each pixel goes to the
     plane it fits, the planes are fitted anew to the pixels they own, and this is done three times, after which
-    hardly a pixel changes. The same bits come out for the same frame, always.
+    hardly a pixel changes. The same bits come out for the same frame, whatever came before it and in any thread; kernels
+    that were compiled anew, or for another processor, may round the last one otherwise.
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
@@ -266,15 +268,17 @@ def _join_across_gaps(
     rules: Rules,
 ) -> bool:
     """Make one of the planes that something thin in front separates; whether there are any."""
+    box = np.empty((len(moments) + 1, 4), np.int64)
+    segment_gaps.label_boxes(runs, box)
     count = 4 * len(moments)
     pairs = np.empty((0, 2), np.int64)
     while len(pairs) < count:  # again where there are many: a wall behind bars
         pairs = np.empty((count, 2), np.int64)
         count = segment_gaps.find_coplanar(
-            moments, alpha, deviation, 0.5 * rules.region_floor, rules.region_spread, pairs
+            moments, alpha, deviation, box, 0.5 * rules.region_floor, rules.region_spread, pairs
         )
     if count == 0:
         return False
     parent = np.arange(len(moments))
-    segment_gaps.join_across(runs, inverse_depth, rays, alpha, deviation, pairs, count, parent)
+    segment_gaps.join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent)
     return bool(segment_gaps.join_planes(parent, number, moments, alpha, rss, deviation) < len(moments))

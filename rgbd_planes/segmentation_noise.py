@@ -100,9 +100,13 @@ def noise_of(
     elif given.at_large and typical > 0.0:
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
+    sigma = np.maximum(table, flattest)
+    middle = len(q) // 2  # of the nearest surface: the table reaches twice as far
+    # Edges pass for waves where most squares have one, and with waves of any height all things would be planes.
+    np.minimum(growth, max(FORMLESS * q[middle] / sigma[middle], 1.0), out=growth)
     lateral = given.lateral or own_lateral
     noise = Noise(
-        sigma=np.concatenate([step, np.maximum(table, flattest)]),
+        sigma=np.concatenate([step, sigma]),
         lateral_variance=lateral**2,
         lateral_variance_x=(lateral * rays.pitch_x) ** 2,
         lateral_variance_y=(lateral * rays.pitch_y) ** 2,
@@ -110,7 +114,6 @@ def noise_of(
         growth=growth,
         together=max(together, 1.0),
     )
-    middle = len(q) // 2  # of the nearest surface: the table reaches twice as far
     return noise, tolerance(together, float(table[middle]), float(flattest[middle])), is_rougher
 
 

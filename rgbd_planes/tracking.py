@@ -120,13 +120,13 @@ class Tracker:
         self._ids = np.zeros(0, np.int32)
         self._planes = np.zeros((0, 4))
         self._missed = np.zeros(0, np.int64)  # frames since it was seen
-        self._places: list[NDArray[np.intp]] = []  # of every second pixel of every second row
+        self._places: list[NDArray[np.intp]] = []  # of squares of 2x2 pixels
 
     def follow(self, found: Segmentation) -> TrackedSegmentation:
         """Give the planes of the next frame their ids: new ones if it is of another size than the one before."""
         if found.labels.shape != self._shape:
             self._forget(found.camera.shape)
-        labels = found.labels[::2, ::2].ravel()
+        labels = _of_fours(found.labels).ravel()
         ids = self._known(found, labels)
         new = np.flatnonzero(ids == 0)
         ids[new] = self._newest + 1 + np.arange(len(new))
@@ -186,3 +186,13 @@ class Tracker:
             if table[i, j] > 0.0:
                 ids[j] = self._ids[i]
         return ids
+
+
+def _of_fours(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The label of each square of 2x2 pixels: that of its first pixel that has one, since others may be missing."""
+    of_fours = labels[::2, ::2].copy()
+    for row, column in ((0, 1), (1, 0), (1, 1)):
+        other = labels[row::2, column::2]
+        own = of_fours[: other.shape[0], : other.shape[1]]
+        np.copyto(own, other, where=own == 0)
+    return of_fours

@@ -339,6 +339,45 @@ def test_a_wall_behind_many_bars_is_one_plane(between):
     assert len(np.unique(segment(depth, CAMERA).labels[:, ~bars])) == 1
 
 
+def test_what_a_grid_leaves_of_a_wall_is_compared_with_what_is_beside_it():
+    # Of thousands of parts every one with every other would take seconds, and gigabytes.
+    side = 12
+    u, v = np.meshgrid(np.linspace(-0.02, 0.02, 12), np.linspace(-0.02, 0.02, 12))
+    terms = np.stack([np.ones(u.size), u.ravel(), v.ravel(), np.full(u.size, 0.5)])
+    moments = np.tile((terms @ terms.T)[np.triu_indices(4)], (side * side, 1))
+    box = np.zeros((side * side + 1, 4), np.int64)
+    row, column = np.divmod(np.arange(side * side), side)
+    box[1:] = np.stack([4 * row, 4 * row + 3, 4 * column, 4 * column + 3], axis=1)
+    pairs = np.zeros((side**4, 2), np.int64)
+    alpha, deviation = np.tile([0.0, 0.0, 0.5], (side * side, 1)), np.full(side * side, 1e-3)
+    count = segment_gaps.find_coplanar(moments, alpha, deviation, box, 2.0, 30.0, pairs)
+    found = {tuple(sorted(pair)) for pair in pairs[:count].tolist()}
+    place = np.arange(side * side).reshape(side, side)
+    beside = {*zip(place[:, :-1].ravel(), place[:, 1:].ravel(), strict=True)}
+    below = {*zip(place[:-1].ravel(), place[1:].ravel(), strict=True)}
+    assert found == beside | below
+    assert count == len(found)
+
+
+@pytest.mark.parametrize("noise", [None, 1e-4])
+@pytest.mark.parametrize("wide", [8, 9, 11, 12])
+def test_stripes_of_two_depths_are_no_waves_of_one_surface(wide, noise):
+    stripe = np.arange(CAMERA.width) // wide
+    q = np.where(stripe % 2 == 0, 1.0 + 0.1 * CAMERA.tan_x + 0.1 * CAMERA.tan_y, 0.5)
+    found = segment(1.0 / q, CAMERA, noise=noise)
+    assert (found.labels > 0).mean() > 0.99
+    assert (found.rmse * found.mean_depth).max() < 1e-6
+
+
+def test_labels_are_in_the_order_of_their_first_pixels():
+    q = np.where(np.arange(CAMERA.width) < 160, 0.5, 0.7) + np.zeros(CAMERA.shape)
+    depth = 1.0 / q
+    depth[0, :160] = 0.0  # the first blocks on the left begin in the next row
+    labels = segment(depth, CAMERA).labels
+    assert (labels[1:, :160] == 2).all()
+    assert (labels[:, 160:] == 1).all()
+
+
 def test_a_large_thing_leaves_two_planes():
     rng = np.random.default_rng(17)
     q = np.full(CAMERA.shape, 0.5)
@@ -505,6 +544,7 @@ def odd_frames():
     yield "one pixel", np.where(np.arange(320 * 240).reshape(240, 320) == 9000, 2.0, 0.0), 0
     yield "not a number", np.full((240, 320), np.nan), 0
     yield "all noise", rng.integers(500, 6000, (240, 320)).astype(np.uint16), 0
+    yield "all noise, very near, too", rng.integers(1, 65535, (240, 320)).astype(np.uint16), 0
     yield "all noise, metres", np.exp(rng.normal(size=(240, 320))), 0
     yield "single tilted", 1.0 / (0.5 + 0.2 * CAMERA.tan_x + 0.1 * CAMERA.tan_y), 1
 
@@ -533,6 +573,16 @@ def test_any_size(size):
     if height >= 16:
         assert (found.labels == 1).all()
         assert found.planes[0] == pytest.approx([0.0, 0.0, -1.0, 1.25], abs=1e-6)
+
+
+@pytest.mark.parametrize("model", ["brown_conrady", "fisheye"])
+def test_one_pixel_on_the_axis_of_a_lens(model):
+    camera = Camera(1, 1, 5.0, 5.0, 0.0, 0.0, distortion=(0.1, -0.2, 0.001, -0.002, 0.05))
+    if model == "fisheye":
+        camera = Camera(
+            1, 1, 5.0, 5.0, 0.0, 0.0, distortion=(0.1, -0.02, 0.0, 0.0), distortion_model="fisheye"
+        )
+    assert len(segment(np.ones((1, 1)), camera)) == 0
 
 
 @pytest.mark.filterwarnings("ignore:many pixels are 65535")

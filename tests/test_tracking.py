@@ -141,6 +141,16 @@ def test_missing_frames_do_not_lose_the_ids() -> None:
     assert lost == [[1, 2], [], [], [3, 4]]
 
 
+@pytest.mark.parametrize("missing", [(1, 0, 2), (0, 1, 2), (1, 1, 2), (3, 1, 4)])
+def test_ids_stay_whatever_pixels_are_never_measured(missing: tuple[int, int, int]) -> None:
+    depth = wall_and_board(True).copy()
+    row, column = np.indices(depth.shape)
+    of_row, of_column, period = missing
+    depth[(of_row * row + of_column * column) % period == 0] = 0
+    kept = [tracked.ids.tolist() for tracked in segment_sequence([depth] * 3, CAMERA)]
+    assert kept == [[1, 2]] * 3
+
+
 def test_ids_go_on_where_the_size_of_the_frames_changes() -> None:
     tracker = Tracker(memory=30)
     half = replace(CAMERA, width=80, height=60, fx=65.5, fy=65.5, cx=39.5, cy=29.5)
