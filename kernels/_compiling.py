@@ -9,6 +9,7 @@ every call takes a chunk and gives it back. A frame that needs more than that ge
 those above it.
 """
 
+import contextlib
 import functools
 import gc
 from collections.abc import Callable
@@ -27,7 +28,8 @@ def _with_room(compiler: Callable[..., Any], *args: Any) -> Any:
     return compiler(*args)
 
 
-_with_room.__code__ = _with_room.__code__.replace(co_stacksize=ROOM)
+with contextlib.suppress(ValueError, OverflowError):  # a later Python may limit it
+    _with_room.__code__ = _with_room.__code__.replace(co_stacksize=ROOM)
 
 
 def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
