@@ -94,8 +94,8 @@ def segment(
     are, are merged by what joining adds to the sum of squared residuals in inverse depth, which moments give
     exactly (Papadakis and Willis 2017 split squares in the same space, from above). Then each pixel goes to the
     plane it fits, the planes are fitted anew to the pixels they own, and this is done three times, after which
-    hardly a pixel changes. The same bits come out for the same frame, whatever came before it and in any thread; kernels
-    that were compiled anew, or for another processor, may round the last one otherwise.
+    hardly a pixel changes. The same bits come out for the same frame, whatever came before it and in any thread;
+    kernels that were compiled anew, or for another processor, may round the last one otherwise.
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
