@@ -24,7 +24,7 @@ MARGIN = 1.0 / 32.0
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
 # Blocks across a region whose own shape can be told, and of which it can be told that it goes on beyond its edge.
-FEWEST = 5
+FEWEST = 3
 FEWEST_BESIDE = 2
 ENOUGH = 256  # blocks along which a shape shows
 
