@@ -59,7 +59,8 @@ _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: 
 _UNEVEN = 3.0  # of windows that are as they should be: 1.1 to 1.6 with real sensors
 _BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: of the few waves that it has room for
-_PARTS = 6  # of the image along either side, each of which a falloff must do without
+_PARTS = 6, 3  # of the image along either side, each of which a falloff must do without
+_FRAMES = 4  # from which on it must do without each of them, too
 _SURE = 3.0  # standard errors of a falloff, from which on there is one
 _TURNS, _CLOSE = 10, 0.02  # of fitting depth and falloff: most; and a relative change that is none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms, and steps that find their least sum
@@ -168,9 +169,8 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     bins = bins_of(samples.q, 60)
     q, first = np.unique([np.median(samples.q[chosen]) for chosen in bins], return_index=True)
     bins = [bins[i] for i in first]  # where all is at one depth, one bin tells as much as several
-    seen = samples.rss / samples.count
-    seen = np.maximum(seen, 1e-3 * np.median(seen))
-    growth = known._growth(*samples.rays)
+    seen = samples.seen
+    growth = samples.growth(known)
     best: tuple[float, float, Floats] = (np.inf, 0.0, np.zeros(len(q)))
     for lateral in LATERALS.tolist():
         independent = samples.independent(replace(known, lateral=lateral))
@@ -204,24 +204,31 @@ def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
     """How fast noise, of which ``model`` has the depth, grows away from the optical axis: both, fitted in turns.
 
     There is a falloff only if what depth leaves over grows by more than chance may make it grow, by the jackknife over
-    parts of the image: a few noisy surfaces towards the edge, in however many frames, make none.
+    parts of the image, small and large, and over frames: a few noisy surfaces towards the edge, in however many
+    frames, make none.
     """
     # What of the angle goes with the depth, as on a floor, says nothing: depth may explain it as well.
-    away = np.log1p(np.sum(samples.rays**2, axis=0))
+    away = np.log(samples.growth(NoiseModel(falloff=1.0)))
     bins = bins_of(samples.q, 60)
     middles, first = np.unique([np.median(samples.q[some]) for some in bins], return_index=True)
     away = away - np.interp(samples.q, middles, [np.mean(away[bins[i]]) for i in first])
-    row, column = (_PARTS * (i - i.min()) // (np.ptp(i) + 1) for i in samples.place[1:])
-    part = _PARTS * row + column
+    frame, *place = samples.place
+    divided = [frame] if len(np.unique(frame)) >= _FRAMES else []
+    for many in _PARTS:
+        row, column = (many * (i - i.min()) // (np.ptp(i) + 1) for i in place)
+        divided.append(many * row + column)
 
     left = samples.left(model)
     slope = _slope(away, left)
-    without = [_slope(away[part != i], left[part != i]) for i in np.unique(part)]
-    if not slope > _SURE * np.sqrt(len(without) - 1.0) * np.std(without):
-        return model
+    for part in divided:
+        without = [_slope(away[part != i], left[part != i]) for i in np.unique(part)]
+        if not slope > _SURE * np.sqrt(len(without) - 1.0) * np.std(without):
+            return model
     for _ in range(_TURNS):
         model = _fit_depth(samples, replace(model, falloff=max(model.falloff + slope, 0.0)))
-        slope = _slope(away, samples.left(model))
+        # Of what is seen only this share grows: the lateral error and rounding do not.
+        along = samples.along(model)
+        slope = _slope(away * along / (along + samples.independent(model)), samples.left(model))
         if abs(slope) < _CLOSE * model.falloff:
             break
     return model

@@ -125,7 +125,7 @@ def evidence_of(
         sigma_fit=np.sqrt([np.median((expected / chosen.count)[some]) for some in bins]),
         p_values=ndtr(-deviate_of(ratio, freedom, model.spread)),
         noise_map=np.sqrt(np.divide(sums, numbers, out=np.full(sums.shape, np.nan), where=numbers > 0.0)),
-        edge_growth=float(np.sqrt(np.max(model._growth(*chosen.rays)))),
+        edge_growth=float(np.sqrt(np.max(chosen.growth(model)))),
         flatness=bias,
         flatness_count=count,
         flatness_std=deviation,

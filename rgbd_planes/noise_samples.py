@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.ray_pitch import slope_square
+from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES, rays_in, slope_square
 from rgbd_planes.residual_statistics import ratio_at
-from rgbd_planes.tile_grid import central_rays
 from rgbd_planes.tile_planes import TilePlanes
 
 Floats = npt.NDArray[np.float64]
@@ -47,8 +46,10 @@ class Samples:
         Sum of squared residuals, 1/m².
     count : (T,) int32
         Valid pixels.
-    rays : (2, T) float64
-        tanθx and tanθy in the middle of the tile.
+    rays : (2, 9, T) float64
+        tanθx and tanθy at Gauss's places in the tile, over which the means are that of `WEIGHTS_OF_PLACES`.
+    depths : (9, T) float64
+        Inverse depth there.
     place : three (T,) arrays of int
         Frame, row and column of the tile.
     """
@@ -60,6 +61,7 @@ class Samples:
     rss: Floats
     count: npt.NDArray[np.int32]
     rays: Floats
+    depths: Floats
     place: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
@@ -95,6 +97,8 @@ class Samples:
             + 2.0 * (s_uv - s_u * s_v / n) * tilt_x * tilt_y
             + (s_vv - s_v * s_v / n) * tilt_y**2
         )
+        rays = rays_in(planes.camera, planes._footprint[row * columns + column])
+        depths = np.maximum(alpha[:, 0] * rays[0] + alpha[:, 1] * rays[1] + alpha[:, 2], 0.0)
         return cls(
             q[chosen],
             slope_square(of_window, planes.camera, planes._footprint[row * columns + column]),
@@ -102,23 +106,36 @@ class Samples:
             windows.tile[0],
             rss[chosen],
             planes.valid_count[chosen],
-            central_rays(planes.camera, planes.tile)[:, row, column],
+            rays,
+            depths,
             place,
         )
 
+    # Of large tiles means count: what the middle has is up to a fifth less, and would pass for errors that reach far.
     def independent(self, model: NoiseModel) -> Floats:
         """Variance of q from the lateral error and from rounding."""
-        return np.asarray(model.lateral**2 * self.slope_square + model._rounding(self.q))
+        return np.asarray(
+            model.lateral**2 * self.slope_square + WEIGHTS_OF_PLACES @ model._rounding(self.depths)
+        )
+
+    def growth(self, model: NoiseModel) -> Floats:
+        """How many times that on the optical axis the variance of q before rounding is."""
+        return np.asarray(WEIGHTS_OF_PLACES @ model._growth(*self.rays))
 
     def along(self, model: NoiseModel) -> Floats:
         """σq² before rounding."""
-        return np.asarray(model._along(self.q) ** 2 * model._growth(*self.rays))
+        return np.asarray(WEIGHTS_OF_PLACES @ (model._along(self.depths) ** 2 * model._growth(*self.rays)))
+
+    @property
+    def seen(self) -> Floats:
+        """Variance of each tile's errors, if they are independent: as often too large as too small."""
+        freedom = np.maximum(self.count - 3.0, 1.0)
+        seen = self.rss / freedom / ratio_at(0.0, freedom, 0.0)
+        return np.asarray(np.maximum(seen, 1e-3 * np.median(seen)))
 
     def left(self, model: NoiseModel) -> Floats:
-        """Logarithms of mean square residuals over the variances of independent errors."""
-        seen = self.rss / self.count
-        seen = np.maximum(seen, 1e-3 * np.median(seen))
-        return np.asarray(np.log(seen / (self.along(model) + self.independent(model))))
+        """Logarithms of what is seen over the variances of independent errors."""
+        return np.asarray(np.log(self.seen / (self.along(model) + self.independent(model))))
 
     def expected(self, model: NoiseModel) -> tuple[Floats, Floats]:
         """The sum of squared residuals that the model expects, and its degrees of freedom."""
@@ -128,15 +145,17 @@ class Samples:
     def typical(self, model: NoiseModel) -> tuple[float, float]:
         """Mean square residual in units of σq², from the median of the tiles: without independent parts, and all."""
         median_over_mean = ratio_at(0.0, np.maximum(self.expected(model)[1], 1.0), model.spread)
-        return self._middle(model, self.rss / self.count / median_over_mean)
+        return self._middle(model, self.rss / self.count / median_over_mean, 3.0 / self.count)
 
     def typical_tilt(self, model: NoiseModel) -> tuple[float, float]:
         """Variance of slopes, as a multiple of that of independent errors of variance σq², in the same way."""
-        return self._middle(model, self.tilt_square / np.log(2.0))
+        return self._middle(model, self.tilt_square / np.log(2.0), (self.count / self.window**2) ** 2)
 
-    def _middle(self, model: NoiseModel, seen: Floats) -> tuple[float, float]:
+    def _middle(self, model: NoiseModel, seen: Floats, lost: Floats) -> tuple[float, float]:
+        """``lost`` is the share of independent errors that the fit takes up."""
         square = self.along(model)
-        return float(np.median((seen - self.independent(model)) / square)), float(np.median(seen / square))
+        independent = (1.0 - lost) * self.independent(model)
+        return float(np.median((seen - independent) / square)), float(np.median(seen / square))
 
 
 def all_samples(

@@ -12,6 +12,8 @@ Floats = npt.NDArray[np.float64]
 # Gauss's three places along a side, in standard deviations of what lies evenly along it, and their weights.
 GAUSS_PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
 GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+WEIGHTS_OF_PLACES = np.outer(GAUSS_WEIGHTS, GAUSS_WEIGHTS).ravel()
+"""Of the nine places that two sides make."""
 _ANGLES = 129  # off the axis, of a table
 
 
@@ -40,6 +42,16 @@ def means_over(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
 
     ``footprint`` is as in `pitch_square`, and a part counts as a rectangle.
     """
+    return np.asarray(np.einsum("i,kin->kn", WEIGHTS_OF_PLACES, _at_places(tables, footprint)))
+
+
+def rays_in(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
+    """(2, 9, N) float64: tanθx and tanθy at Gauss's places in parts of the image, as in `means_over`."""
+    return _at_places(np.stack([camera.tan_x, camera.tan_y]), footprint)
+
+
+def _at_places(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
+    """(K, 9, N) float64: tables (K, H, W) at Gauss's places in parts of the image."""
     from scipy.ndimage import map_coordinates
 
     n, x, y, xx, yy = footprint.T.astype(np.float64)
@@ -51,7 +63,7 @@ def means_over(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
     )
     places = np.stack(np.broadcast_arrays(rows[:, None], columns))  # (2, 3, 3, N)
     there = [map_coordinates(table, places, order=1, mode="nearest") for table in tables]
-    return np.asarray(np.einsum("i,j,kijn->kn", GAUSS_WEIGHTS, GAUSS_WEIGHTS, there))
+    return np.reshape(there, (len(tables), len(WEIGHTS_OF_PLACES), -1))
 
 
 def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.ndimage import gaussian_filter
 from test_noise_estimation import CAMERA as SEEING
 from test_noise_estimation import VIEWS, rendering, smooth
 
@@ -210,7 +211,7 @@ def test_is_found_again(falloff, length, rng):
     assert model.falloff == pytest.approx(falloff, rel=0.1)
     assert model.sigma(0.5) * np.hypot(1.0, model.floor) == pytest.approx(1.4e-3, rel=0.08)
     assert model.spread < 0.15
-    assert model.floor < 0.3
+    assert model.floor < 0.1
     evidence = model.evidence
     farthest = 1.0 + SEEING.tan_x.max() ** 2 + SEEING.tan_y.max() ** 2  # nearly: there are flat tiles
     assert evidence.edge_growth == pytest.approx(farthest ** (0.5 * model.falloff), rel=0.2)
@@ -271,3 +272,76 @@ def test_what_differs_from_surface_to_surface_is_none(rng):
     model = rp.estimate_noise(seen, replace(SEEING, depth_scale=None))
     assert model.falloff == 0.0
     assert model.spread > 0.15
+
+
+WIDE = rp.Camera(320, 240, 210.0, 210.0, 159.5, 119.5)
+
+
+def corridor(rng):
+    """Inverse depth, slopes and number of the surface of each pixel: far in the middle, near at the edges."""
+    half, eye = np.array([0.9, 1.25, 8.0]), np.append(rng.uniform(-0.2, 0.2, 2), rng.uniform(-7.5, 3.0))
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    alpha = normals / (np.tile(half, 2) - normals @ eye)[:, None]
+    q = alpha @ np.stack([WIDE.tan_x, WIDE.tan_y, np.ones(WIDE.shape)]).reshape(3, -1)
+    surface = q.argmax(axis=0).reshape(WIDE.shape)
+    return q.max(axis=0).reshape(WIDE.shape), *alpha[:, :2].T[:, surface], surface
+
+
+def estimated(make, frames, falloff, rng):
+    """What is found in a corridor; ``make`` (q, slope_x, slope_y, wall) makes errors on the axis, and those beside."""
+    seen = []
+    for _ in range(frames):
+        q, *of_pixels = corridor(rng)
+        growing, other = make(q, *of_pixels)
+        growth = rp.noise.NoiseModel((1.0,), falloff=falloff).sigma(q, WIDE.tan_x, WIDE.tan_y)
+        seen.append(1.0 / (q + growth * growing + other))
+    return rp.estimate_noise(seen, WIDE)
+
+
+@pytest.mark.parametrize("falloff", [0.0, 4.0])
+def test_the_lateral_error_does_not_grow(falloff, rng):
+    """Where it is as large as all else: σq is not what is left of it, nor the falloff that of both together."""
+
+    def errors(q, slope_x, slope_y, wall):
+        across = [slope * rng.standard_normal(q.shape) for slope in (slope_x, slope_y)]
+        return 1.4e-3 * rng.standard_normal(q.shape), 0.5 / WIDE.fx * (across[0] + across[1])
+
+    model = estimated(errors, 8, falloff, rng)
+    assert model.falloff == pytest.approx(falloff, abs=0.3)
+    assert model.lateral == pytest.approx(0.5, abs=0.051)
+    assert np.median(model.sigma(model.evidence.inverse_depth) / 1.4e-3) == pytest.approx(1.0, abs=0.07)
+
+
+def test_a_small_error_beside_a_lateral_one(rng):
+    def errors(q, slope_x, slope_y, wall):
+        across = [slope * rng.standard_normal(q.shape) for slope in (slope_x, slope_y)]
+        return 7e-4 * rng.standard_normal(q.shape), 0.6 / WIDE.fx * (across[0] + across[1])
+
+    model = estimated(errors, 6, 0.0, rng)
+    assert np.median(model.sigma(model.evidence.inverse_depth) / 7e-4) == pytest.approx(1.0, abs=0.08)
+    assert np.mean(model.evidence.p_values < 0.01) < 0.0165
+
+
+@pytest.mark.parametrize("falloff", [0.0, 4.0])
+def test_noise_that_differs_within_a_tile_is_no_error_that_reaches_far(falloff, rng):
+    of_depth = rp.noise.time_of_flight(0.0015, 0.001)
+
+    def errors(q, slope_x, slope_y, wall):
+        near = gaussian_filter(rng.standard_normal(q.shape), 1.5, mode="wrap")
+        both = rng.standard_normal(q.shape) + near / near.std()
+        return of_depth.sigma(q) * np.sqrt(0.5) * both, 0.0
+
+    assert estimated(errors, 6, falloff, rng).floor < 0.1
+
+
+@pytest.mark.filterwarnings("ignore:what is taken for flat differs")
+def test_walls_that_differ_are_none(rng):
+    """Each covers much of the image: it is not as many parts as it has pixels."""
+    of_depth = rp.noise.time_of_flight(0.0015, 0.001)
+
+    def errors(q, slope_x, slope_y, wall):
+        return of_depth.sigma(q) * np.exp(0.4 * rng.standard_normal(6))[wall] * rng.standard_normal(
+            q.shape
+        ), 0.0
+
+    assert [estimated(errors, 4, 0.0, rng).falloff for _ in range(8)] == [0.0] * 8
