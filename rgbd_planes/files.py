@@ -3,6 +3,7 @@
 import os
 import sys
 import threading
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,12 +26,14 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     if target.exists() and not target.is_file():  # a device or a pipe, which nothing may replace
         yield target
         return
-    beside = target.with_name(f".{target.stem}.{os.getpid()}-{threading.get_ident()}{target.suffix}")
+    # Not the whole name, which may be as long as one can be.
+    name = f"{target.stem[:40]}-{zlib.crc32(os.fsencode(target.name)):x}"
+    beside = target.with_name(f".{name}.{os.getpid()}-{threading.get_ident()}{target.suffix}")
     try:
         yield beside
         beside.replace(target)
     except OSError as error:
-        if error.filename is None:  # of a full disk, say
+        if error.filename in (None, os.fspath(beside)):  # of a full disk, say, or a name that is too long
             error.filename = os.fspath(path)
         raise
     finally:

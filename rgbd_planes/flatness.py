@@ -38,7 +38,8 @@ def flatness(
     # Random errors that the pixels of a cell share are one error of the cell; the floor is what is looked for.
     together = max(float(replace(noise, floor=0.0).statistics(CELL * CELL).offset), 1.0)
     for depth, (labels, alpha, *_) in zip(frames, large, strict=True):
-        pixels = labels.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
+        inside = _inside(labels.repeat(TILE // CELL, axis=0).repeat(TILE // CELL, axis=1))
+        pixels = inside.repeat(CELL, axis=0).repeat(CELL, axis=1)[: camera.height, : camera.width]
         a, b, c = np.moveaxis(np.vstack([np.full((1, 3), np.nan), alpha])[pixels], -1, 0)
         fitted = a * camera.tan_x + b * camera.tan_y + c
         residual = as_depth_frame(depth, camera).inverse_depth - fitted
@@ -67,6 +68,12 @@ def flatness(
     known = np.bincount(cell, weight, cells) * (1.0 + noise.floor**2)
     deviation = np.sqrt(np.divide(1.0, known, out=np.full(cells, np.nan), where=known > 0.0))
     return bias.reshape(shape), numbers.reshape(shape), deviation.reshape(shape)
+
+
+def _inside(labels: Indices) -> Indices:
+    """Without the cells at the rims of planes: some pixels there are of another surface, hardly off the plane."""
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(labels, 1, mode="edge"), (3, 3))
+    return np.where((around == labels[..., None, None]).all(axis=(2, 3)), labels, 0)
 
 
 def _bias(

@@ -67,8 +67,8 @@ def segment(
         taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
         share their errors, that counts. By default ``camera.noise``; without either the frame tells the noise.
     min_size : int
-        Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on changes no other one
-        by more than a stray pixel or two.
+        Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on leaves the fits of the
+        others as they are, and takes no more from their labels than some strays: less than a pixel in fifty.
 
     Returns
     -------
@@ -85,8 +85,9 @@ def segment(
     -----
     UserWarning
         As `fit_tiles`. Or the frame is several times as rough as `noise`, and less than half of it is on planes: most
-        likely that is the noise of another sensor. Or its surfaces, without noise, are bent as depth and flat as
-        distances along the ray.
+        likely that is the noise of another sensor. Or `noise`, a number or a function, is more than a fifth of 1/Z:
+        most likely in other units. Or its surfaces, without noise, are bent as depth and flat as distances along the
+        ray.
 
     Notes
     -----

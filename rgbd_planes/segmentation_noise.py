@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_noise
+from rgbd_planes.checks import check_noise, warn_caller
 from rgbd_planes.depth import DepthFrame, step_of
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
@@ -20,6 +20,9 @@ FLATNESS = 4e-4
 
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
+
+TOO_LARGE = 0.2
+"""Share of 1/Z that no sensor's noise is, between what is nearest in a frame and twice as far away."""
 
 INDEPENDENT = 1.0 / 3.0
 """Share of what segments tolerate of a sensor, where the errors of neighbouring pixels are independent."""
@@ -89,6 +92,12 @@ def noise_of(
         table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
         if not np.isfinite(table[0]):
             table[0] = table[1]
+        half = len(q) // 2
+        if not given.at_large and table[half] > TOO_LARGE * q[half]:
+            warn_caller(
+                f"the noise that is given is {table[half]:.2g} 1/m where 1/Z is {q[half]:.2g} 1/m: most likely it is "
+                "not in 1/m. With it nearly all things are one plane, or none"
+            )
         if given.at_large:
             known = np.concatenate([step, table])
     typical, own_lateral, together = estimate_noise(pyramid, known, growth)
@@ -101,7 +110,7 @@ def noise_of(
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
     sigma = np.maximum(table, flattest)
-    middle = len(q) // 2  # of the nearest surface: the table reaches twice as far
+    middle = len(q) // 2  # of the nearest surface, or of one up to twice as far away
     # Edges pass for waves where most squares have one, and with waves of any height all things would be planes.
     np.minimum(growth, max(FORMLESS * q[middle] / sigma[middle], 1.0), out=growth)
     lateral = given.lateral or own_lateral

@@ -325,6 +325,12 @@ def test_no_command_and_an_unknown_one(capsys):
     assert "segmint" in fails(capsys, "segmint")
 
 
+def test_an_unknown_option_names_the_command(folder, capsys):
+    said = fails(capsys, "fit", "depth.png", "--camera", "camera.json", "--significant", "0.01")
+    assert "rgbd-planes fit: unrecognized arguments: --significant 0.01" in said
+    assert "rgbd-planes fit --help" in said
+
+
 @pytest.mark.parametrize("command", [command.__name__ for command in COMMANDS])
 def test_help_shows_an_example(capsys, command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")

@@ -404,6 +404,25 @@ def test_what_cannot_be_written_is_named(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+def test_a_name_as_long_as_a_name_can_be_is_written(tmp_path):
+    for letter in "ab":  # and names that differ only in the end are two files
+        path = tmp_path / ("x" * 240 + f"{letter}.json")
+        with (
+            files.write_beside(path) as beside,
+            files.write_beside(tmp_path / ("x" * 240 + "c.json")) as other,
+        ):
+            assert beside != other
+            beside.write_text(letter)
+            other.write_text("c")
+    assert [path.read_text() for path in sorted(tmp_path.iterdir())] == ["a", "b", "c"]
+
+
+def test_an_error_names_the_file_and_not_the_one_beside(tmp_path):
+    path = tmp_path / "planes.json"
+    with pytest.raises(FileNotFoundError, match=r"'.*/planes\.json'"), files.write_beside(path) as beside:
+        beside.read_text()
+
+
 def test_what_may_not_be_read_is_not_said_to_be_damaged(tmp_path, monkeypatch):
     def locked(self, *arguments, **options):
         raise PermissionError(errno.EACCES, "Permission denied", str(self))

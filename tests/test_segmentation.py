@@ -1,5 +1,6 @@
 """Segmentation: what a frame with known planes gives, and that no frame breaks it."""
 
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -410,6 +411,15 @@ def test_a_larger_least_size_leaves_out_small_planes_and_changes_no_others(room,
     assert np.mean(large.labels != left) < 1e-3  # pixels that stand alone
     dropped = (everything.labels > 0) & (left == 0) & (large.labels == 0)
     assert np.mean(large.reason[dropped] == Reason.SMALL) > 0.99
+
+
+@pytest.mark.parametrize(("noise", "warns"), [(5.0, True), (lambda q: 2.0 * q, True), (0.02, False)])
+def test_noise_in_other_units_is_doubted(room, noise, warns):
+    _, depth = room
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        segment(depth, CAMERA, noise=noise)
+    assert [("most likely it is not in 1/m" in str(one.message)) for one in told] == [True] * warns
 
 
 def test_what_a_plane_owns_is_no_powder():
