@@ -6,7 +6,8 @@ scenes with noise and holes; prints tables, and with ``--out`` writes pictures, 
 The line "cross-validated": the ABW frames are split into folds; for each fold the setting that does best on the
 other folds, out of ``SETTINGS``, is scored on it. The defaults, around which ``SETTINGS`` lie, and the rules
 themselves were found with these frames in view, so the other sets and the rendered rooms say more. What tells
-curved surfaces from planes was tuned on the scenes in ``bench.curved_scenes`` and on nothing else.
+curved surfaces from planes was tuned on the scenes in ``bench.curved_scenes``; how small and how little bent they may
+be, on all sets, moved.
 
 The lines "moved": where blocks of pixels fall decides about a region or two of a set. So each frame is scored twelve
 times more, moved by 0 to 3 pixels, as it is, mirrored, and transposed: there changes of the rules show that are real.
