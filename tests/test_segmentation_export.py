@@ -158,7 +158,8 @@ def test_command_passes_its_options_on(folder, capsys):
     few = int(capsys.readouterr().out.split()[0])
     assert cli.main(arguments) == 0
     assert int(capsys.readouterr().out.split()[0]) > few > 0
-    assert cli.main([*arguments, "--noise", "1.0"]) == 0
+    with pytest.warns(UserWarning, match="most likely it is not in 1/m"):
+        assert cli.main([*arguments, "--noise", "1.0"]) == 0
     assert int(capsys.readouterr().out.split()[0]) <= 2
 
 
