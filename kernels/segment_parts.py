@@ -55,20 +55,9 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
     int
         Number of parts.
     """
-    (
-        row_runs,
-        run_start,
-        run_stop,
-        run_share,
-        run_pixels,
-        run_label,
-        _,
-        _,
-        run_across,
-        run_down,
-        parent,
-        part,
-    ) = runs
+    row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
+    run_pixels, run_label, run_across, run_down = runs.pixels, runs.label, runs.across, runs.down
+    parent, part = runs.parent, runs.part
     region_moments, region_squares = sums
     moments, squares, size, across, down, first, owner = parts
     width = inverse_depth.shape[1]

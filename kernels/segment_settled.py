@@ -84,9 +84,8 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         for c in range(columns):
             b = last[c] if last[c] >= 0 else regions
             d = moved[0, b] * u[c] + moved[1, b] * v[c] + moved[2, b]
-            line[c] = (own[c] != became[b]) | (
-                not abs(d) <= STILL
-            )  # where there was no plane d is not a number
+            # Where there was no plane d is not a number.
+            line[c] = (own[c] != became[b]) | (not abs(d) <= STILL)
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
         above, here, below, line, owners = (

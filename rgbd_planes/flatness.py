@@ -72,8 +72,10 @@ def flatness(
 
 def _inside(labels: Indices) -> Indices:
     """Without the cells at the rims of planes: some pixels there are of another surface, hardly off the plane."""
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(labels, 1, mode="edge"), (3, 3))
-    return np.where((around == labels[..., None, None]).all(axis=(2, 3)), labels, 0)
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    alike = maximum_filter(labels, 3, mode="nearest") == minimum_filter(labels, 3, mode="nearest")
+    return np.where(alike, labels, 0)
 
 
 def _bias(

@@ -1,6 +1,7 @@
 """The flat tiles of frames, by size: what a sensor's noise is estimated from."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -126,7 +127,7 @@ class Samples:
         """σq² before rounding."""
         return np.asarray(WEIGHTS_OF_PLACES @ (model._along(self.depths) ** 2 * model._growth(*self.rays)))
 
-    @property
+    @cached_property
     def seen(self) -> Floats:
         """Variance of each tile's errors, if they are independent: as often too large as too small."""
         freedom = np.maximum(self.count - 3.0, 1.0)

@@ -1,6 +1,7 @@
 """How far the rays of neighbouring pixels are apart: with it an error across the ray is one of the inverse depth."""
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -47,11 +48,11 @@ def means_over(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
 
 def rays_in(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     """(2, 9, N) float64: tanθx and tanθy at Gauss's places in parts of the image, as in `means_over`."""
-    return _at_places(np.stack([camera.tan_x, camera.tan_y]), footprint)
+    return _at_places((camera.tan_x, camera.tan_y), footprint)
 
 
-def _at_places(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(K, 9, N) float64: tables (K, H, W) at Gauss's places in parts of the image."""
+def _at_places(tables: Sequence[Floats] | Floats, footprint: npt.NDArray[np.int64]) -> Floats:
+    """(K, 9, N) float64: K tables (H, W) at Gauss's places in parts of the image."""
     from scipy.ndimage import map_coordinates
 
     n, x, y, xx, yy = footprint.T.astype(np.float64)

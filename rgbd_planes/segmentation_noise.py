@@ -87,16 +87,16 @@ def noise_of(
     growth = np.empty(3)
     q = _SHARES * (nearest_surface(pyramid, nearest) or 1.0)
     step = q[1:2]
+    middle = len(q) // 2  # of the nearest surface, or of one up to twice as far away
     known, flattest = _UNKNOWN, FLATNESS * q
     if given.sigma is not None:
         table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
         if not np.isfinite(table[0]):
             table[0] = table[1]
-        half = len(q) // 2
-        if not given.at_large and table[half] > TOO_LARGE * q[half]:
+        if not given.at_large and table[middle] > TOO_LARGE * q[middle]:
             warn_caller(
-                f"the noise that is given is {table[half]:.2g} 1/m where 1/Z is {q[half]:.2g} 1/m: most likely it is "
-                "not in 1/m. With it nearly all things are one plane, or none"
+                f"the noise that is given is {table[middle]:.2g} 1/m where 1/Z is {q[middle]:.2g} 1/m: most likely it "
+                "is not in 1/m. With it nearly all things are one plane, or none"
             )
         if given.at_large:
             known = np.concatenate([step, table])
@@ -110,7 +110,6 @@ def noise_of(
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
     sigma = np.maximum(table, flattest)
-    middle = len(q) // 2  # of the nearest surface, or of one up to twice as far away
     # Edges pass for waves where most squares have one, and with waves of any height all things would be planes.
     np.minimum(growth, max(FORMLESS * q[middle] / sigma[middle], 1.0), out=growth)
     lateral = given.lateral or own_lateral

@@ -43,10 +43,9 @@ def test_kernels_compile_without_haste():
     assert kernel.signatures == [(numba.int64,)]
 
 
-@pytest.mark.parametrize(
-    ("given", "during"), [(700, _compiling.PATIENCE), (0, 0), (50_000, 50_000)]
-)  # by default; switched off; somebody's own
+@pytest.mark.parametrize(("given", "during"), [(700, _compiling.PATIENCE), (0, 0), (50_000, 50_000)])
 def test_garbage_waits_while_kernels_compile(given, during, witness):
+    """By default; not if nobody looks for it, or somebody is as patient already."""
     inner = numba.njit(double)
     outer = numba.njit(lambda x: inner(inner(x)))
     for dispatcher in (inner, outer):
