@@ -34,8 +34,9 @@ def label_variances(
     noise : see `statistics.assess`
     growth : (H, W) float64, or empty
         How many times those of ``noise`` the variances of q along the ray are.
-    sums : (K, 3) float64, written
-        Of the variances of q along the ray, of those of rounding, and of the squares of both together.
+    sums : (K, 8) float64, written
+        Of the variances of q along the ray, of those of rounding, of the squares of both together, and of both together
+        times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
     """
     height, width = raw.shape
     step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
@@ -52,12 +53,13 @@ def label_variances(
             if i < 0:
                 continue
             a, b, c = alpha[i, 0], alpha[i, 1], alpha[i, 2]
-            along = of_rounding = squares = 0.0
+            along = of_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
             for column in range(start, stop):
                 value = raw[row, column]
                 if not lowest <= value <= highest:
                     continue
-                q = a * tan_x[row * step_y, column] + b * tan_y[row, column * step_x] + c
+                u, v = tan_x[row * step_y, column], tan_y[row, column * step_x]
+                q = a * u + b * v + c
                 if math.isnan(q):
                     q = inverse_depth(value, scale, offset, is_disparity)
                 variance = variance_at(q, noise)
@@ -67,7 +69,18 @@ def label_variances(
                 rounding = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP]
                 along += variance
                 of_rounding += rounding
-                squares += (variance + rounding) * (variance + rounding)
+                total = variance + rounding
+                squares += total * total
+                s_u += total * u
+                s_v += total * v
+                s_uu += total * u * u
+                s_uv += total * u * v
+                s_vv += total * v * v
             sums[i, 0] += along
             sums[i, 1] += of_rounding
             sums[i, 2] += squares
+            sums[i, 3] += s_u
+            sums[i, 4] += s_v
+            sums[i, 5] += s_uu
+            sums[i, 6] += s_uv
+            sums[i, 7] += s_vv

@@ -41,19 +41,29 @@ def fit_planes(moments, alpha, rss):
 
 
 @kernel()
-def covariance_of(m, of_slope_x, of_slope_y, of_mean, covariance):
-    """Write the covariance of α, (3, 3): about the pixels' middle, where (MᵀM)⁻¹ falls into two parts.
+def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
+    """Write the covariance of α, (3, 3): A⁻¹BA⁻¹ with A = MᵀM and B that of rays weighted by their variances.
 
-    ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are variances of a pixel, one for each part.
+    About the pixels' middle, where A falls into two parts. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are variances
+    of a pixel, one for each part. ``weighted`` (5,) is of `segment_unevenness.weigh_rays`.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
     uu, uv, vv = m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v
     scale = 1.0 / (uu * vv - uv * uv)
-    a, c = vv * scale * of_slope_x, uu * scale * of_slope_y
-    b = -uv * scale * math.sqrt(of_slope_x * of_slope_y)
+    g_uu, g_uv, g_vv = vv * scale, -uv * scale, uu * scale
+    b_u, b_v = weighted[0] - u, weighted[1] - v
+    b_uu = n * (weighted[2] - u * (weighted[0] + b_u))
+    b_uv = n * (weighted[3] - u * weighted[1] - v * b_u)
+    b_vv = n * (weighted[4] - v * (weighted[1] + b_v))
+    h_uu, h_uv = g_uu * b_uu + g_uv * b_uv, g_uu * b_uv + g_uv * b_vv
+    h_vu, h_vv = g_uv * b_uu + g_vv * b_uv, g_uv * b_uv + g_vv * b_vv
+    a, c = (h_uu * g_uu + h_uv * g_uv) * of_slope_x, (h_vu * g_uv + h_vv * g_vv) * of_slope_y
+    b = (h_uu * g_uv + h_uv * g_vv) * math.sqrt(of_slope_x * of_slope_y)
+    a_mean = (g_uu * b_u + g_uv * b_v) * math.sqrt(of_slope_x * of_mean)
+    b_mean = (g_uv * b_u + g_vv * b_v) * math.sqrt(of_slope_y * of_mean)
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
-    covariance[0, 2], covariance[1, 2] = -(a * u + b * v), -(b * u + c * v)
-    covariance[2, 2] = of_mean / n + u * (a * u + b * v) + v * (b * u + c * v)
+    covariance[0, 2], covariance[1, 2] = a_mean - (a * u + b * v), b_mean - (b * u + c * v)
+    covariance[2, 2] = of_mean / n + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)
     covariance[1, 0], covariance[2, 0], covariance[2, 1] = (
         covariance[0, 1],
         covariance[0, 2],
@@ -62,12 +72,13 @@ def covariance_of(m, of_slope_x, of_slope_y, of_mean, covariance):
 
 
 @kernel()
-def describe_planes(moments, alpha, rss, deviation, together, least, planes, covariance, rmse):
+def describe_planes(moments, weighted, alpha, rss, deviation, together, least, planes, covariance, rmse):
     """Describe the planes.
 
     Parameters
     ----------
-    moments, alpha, rss, deviation : (N, 10), (N, 3), (N,), (N,) float64
+    moments, weighted, alpha, rss, deviation : (N, 10), (N, 5), (N, 3), (N,), (N,) float64
+        ``weighted`` is of `segment_unevenness.weigh_rays`.
     together : float
         Pixels that have one error between them.
     least : (3, N) float64
@@ -83,8 +94,8 @@ def describe_planes(moments, alpha, rss, deviation, together, least, planes, cov
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
         variance = together * max(rss[i] / max(n - 3.0, 1.0), deviation[i] ** 2)
         covariance_of(
-            moments[i], max(variance, least[0, i]), max(variance, least[1, i]), max(variance, least[2, i]),
-            covariance[i],
+            moments[i], weighted[i], max(variance, least[0, i]), max(variance, least[1, i]),
+            max(variance, least[2, i]), covariance[i],
         )  # fmt: skip
         d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
         for k in range(3):

@@ -26,7 +26,8 @@ RATIO, ROOT = P, P + 1
 POSITION, FOUND = P, P + 1
 LIMIT = P + 2
 LATERAL, ROUNDING, UNEVENNESS = PLANE, PLANE + 3, PLANE + 4
-ROWS = 47
+WEIGHTED = 47
+ROWS = 52
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
 # What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
@@ -40,9 +41,10 @@ STEEPEST = 8.0
 ONE = np.uintp(1)
 # Rows of what may be known of each tile's pixels beyond their moments, means over them. Where a lens makes rays differ
 # over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place of
-# those in ``noise``. And of a part of many depths: variances of q along the ray and of rounding, and how uneven both
-# together are, the root of their mean square over their mean.
-OF_LENS, OF_DEPTHS = 3, 6
+# those in ``noise``. And of a part of many depths: variances of q along the ray and of rounding; how uneven both
+# together are, the root of their mean square over their mean; and means, weighted by both together, of u, v, u², uv
+# and v², with (u, v) = (tanθx, tanθy).
+OF_LENS, OF_DEPTHS = 3, 11
 
 # Rows of the results.
 P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27
@@ -124,7 +126,8 @@ def assess(
                     room[SHARED, i] *= growth[first + i]
         else:
             load(of_pixels[OF_LENS : OF_LENS + 1], first, last, room, SHARED)
-            load(of_pixels[OF_LENS + 1 :], first, last, room, ROUNDING)
+            load(of_pixels[OF_LENS + 1 : OF_LENS + 3], first, last, room, ROUNDING)
+            load(of_pixels[OF_LENS + 3 :], first, last, room, WEIGHTED)
         if of_pixels.shape[0] < OF_LENS:
             lateral_variance(noise, room)
         else:
@@ -155,7 +158,10 @@ def assess(
                 chi_square.deviates(tails, BLOCK)
             normal_distribution.tails(tails, BLOCK)
             ray_scatter(in_range_space, room)
-            covariances(room)
+            if of_pixels.shape[0] < OF_DEPTHS:
+                covariances(room)
+            else:
+                uneven_covariances(room)
             store(room, all_results, first, last)
 
 
@@ -345,53 +351,95 @@ def covariances(room):
     """Covariances of α, σq²A⁻¹ with A = MᵀM, and of (n, d), in rows from ALPHA and from PLANE, and deviations.
 
     In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a variance of
-    its own. Of (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP,
-    cov(n, d) = -d³PΣn, σd² = d⁴nᵀΣn.
+    its own.
     """
     for i in range(BLOCK):
-        mean_u, mean_v = room[1, i], room[2, i]
         c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
-        x, y, z, d = room[N_X, i], room[N_Y, i], room[N_Z, i], room[D, i]
-        nothing = 0.0 * d  # NaN where there is no plane
-        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
+        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + 0.0 * room[D, i]  # NaN where there is no plane
         inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
         aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
         ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
         bb = (shared * room[OF_COUNT + 4, i] + independent) * inverse * c_uu
-        ac = -(aa * mean_u + ab * mean_v)
-        bc = -(ab * mean_u + bb * mean_v)
-        cc = (shared * room[OF_COUNT + 5, i] + independent) * room[SHARE, i] - (ac * mean_u + bc * mean_v)
-        room[ALPHA, i] = aa
-        room[ALPHA + 1, i] = ab
-        room[ALPHA + 2, i] = ac
-        room[ALPHA + 3, i] = bb
-        room[ALPHA + 4, i] = bc
-        room[ALPHA + 5, i] = cc
-        # Σn and s = nᵀΣn; with h = Σn - sn/2, PΣP = Σ - nhᵀ - hnᵀ.
-        s_x = aa * x + ab * y + ac * z
-        s_y = ab * x + bb * y + bc * z
-        s_z = ac * x + bc * y + cc * z
-        s = x * s_x + y * s_y + z * s_z
-        h_x = s_x - 0.5 * s * x
-        h_y = s_y - 0.5 * s * y
-        h_z = s_z - 0.5 * s * z
-        square = d * d
-        cube = -square * d
-        xx = square * (aa - 2.0 * h_x * x)
-        yy = square * (bb - 2.0 * h_y * y)
-        zz = square * (cc - 2.0 * h_z * z)
-        room[PLANE, i] = xx
-        room[PLANE + 1, i] = square * (ab - x * h_y - h_x * y)
-        room[PLANE + 2, i] = square * (ac - x * h_z - h_x * z)
-        room[PLANE + 3, i] = cube * (s_x - s * x)
-        room[PLANE + 4, i] = yy
-        room[PLANE + 5, i] = square * (bc - y * h_z - h_y * z)
-        room[PLANE + 6, i] = cube * (s_y - s * y)
-        room[PLANE + 7, i] = zz
-        room[PLANE + 8, i] = cube * (s_z - s * z)
-        room[PLANE + 9, i] = square * square * s
-        room[ANGLE, i] = math.sqrt(max(xx + yy + zz, 0.0)) * (180.0 / math.pi) + nothing
-        room[OFFSET, i] = square * math.sqrt(max(s, 0.0)) + nothing
+        mean = (shared * room[OF_COUNT + 5, i] + independent) * room[SHARE, i]
+        write_covariances(i, aa, ab, bb, 0.0, 0.0, mean, room)
+
+
+@kernel(reduction=True, inline=True)
+def uneven_covariances(room):
+    """The same where the pixels have variances tᵢ of their own: A⁻¹BA⁻¹ with B = Σtᵢxᵢxᵢᵀ, x = (u, v, 1).
+
+    Errors that neighbours share raise it as they do where all variances are alike.
+    """
+    for i in range(BLOCK):
+        n, mean_u, mean_v = room[0, i], room[1, i], room[2, i]
+        c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
+        w_u, w_v = room[WEIGHTED, i], room[WEIGHTED + 1, i]
+        b_u, b_v = w_u - mean_u, w_v - mean_v
+        b_uu = n * (room[WEIGHTED + 2, i] - mean_u * (w_u + b_u))
+        b_uv = n * (room[WEIGHTED + 3, i] - mean_u * w_v - mean_v * b_u)
+        b_vv = n * (room[WEIGHTED + 4, i] - mean_v * (w_v + b_v))
+        inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
+        g_uu, g_uv, g_vv = inverse * c_vv, -inverse * c_uv, inverse * c_uu
+        h_uu, h_uv = g_uu * b_uu + g_uv * b_uv, g_uu * b_uv + g_uv * b_vv
+        h_vu, h_vv = g_uv * b_uu + g_vv * b_uv, g_uv * b_uv + g_vv * b_vv
+        shared, rounding = room[SHARED, i], room[ROUNDING, i]
+        lateral = room[INDEPENDENT, i] - rounding + 0.0 * room[D, i]  # NaN where there is no plane
+        f_u, f_v, f_1 = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
+        of_u = shared * math.sqrt(f_u * f_1) + rounding
+        of_v = shared * math.sqrt(f_v * f_1) + rounding
+        aa = (shared * f_u + rounding) * (h_uu * g_uu + h_uv * g_uv) + lateral * g_uu
+        ab = (shared * room[OF_COUNT + 3, i] + rounding) * (h_uu * g_uv + h_uv * g_vv) + lateral * g_uv
+        bb = (shared * f_v + rounding) * (h_vu * g_uv + h_vv * g_vv) + lateral * g_vv
+        mean = (shared * f_1 + rounding + lateral) * room[SHARE, i]
+        write_covariances(
+            i, aa, ab, bb, of_u * (g_uu * b_u + g_uv * b_v), of_v * (g_uv * b_u + g_vv * b_v), mean, room
+        )
+
+
+@kernel(reduction=True, inline=True)
+def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room):
+    """Covariances of α = (a, b, c) and of (n, d), and deviations, from those of a, b and the mean inverse depth.
+
+    Of (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
+    σd² = d⁴nᵀΣn.
+    """
+    mean_u, mean_v = room[1, i], room[2, i]
+    x, y, z, d = room[N_X, i], room[N_Y, i], room[N_Z, i], room[D, i]
+    nothing = 0.0 * d
+    ac = a_mean - (aa * mean_u + ab * mean_v)
+    bc = b_mean - (ab * mean_u + bb * mean_v)
+    cc = mean - (a_mean * mean_u + b_mean * mean_v) - (ac * mean_u + bc * mean_v)
+    room[ALPHA, i] = aa
+    room[ALPHA + 1, i] = ab
+    room[ALPHA + 2, i] = ac
+    room[ALPHA + 3, i] = bb
+    room[ALPHA + 4, i] = bc
+    room[ALPHA + 5, i] = cc
+    # Σn and s = nᵀΣn; with h = Σn - sn/2, PΣP = Σ - nhᵀ - hnᵀ.
+    s_x = aa * x + ab * y + ac * z
+    s_y = ab * x + bb * y + bc * z
+    s_z = ac * x + bc * y + cc * z
+    s = x * s_x + y * s_y + z * s_z
+    h_x = s_x - 0.5 * s * x
+    h_y = s_y - 0.5 * s * y
+    h_z = s_z - 0.5 * s * z
+    square = d * d
+    cube = -square * d
+    xx = square * (aa - 2.0 * h_x * x)
+    yy = square * (bb - 2.0 * h_y * y)
+    zz = square * (cc - 2.0 * h_z * z)
+    room[PLANE, i] = xx
+    room[PLANE + 1, i] = square * (ab - x * h_y - h_x * y)
+    room[PLANE + 2, i] = square * (ac - x * h_z - h_x * z)
+    room[PLANE + 3, i] = cube * (s_x - s * x)
+    room[PLANE + 4, i] = yy
+    room[PLANE + 5, i] = square * (bc - y * h_z - h_y * z)
+    room[PLANE + 6, i] = cube * (s_y - s * y)
+    room[PLANE + 7, i] = zz
+    room[PLANE + 8, i] = cube * (s_z - s * z)
+    room[PLANE + 9, i] = square * square * s
+    room[ANGLE, i] = math.sqrt(max(xx + yy + zz, 0.0)) * (180.0 / math.pi) + nothing
+    room[OFFSET, i] = square * math.sqrt(max(s, 0.0)) + nothing
 
 
 @kernel()

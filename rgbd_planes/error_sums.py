@@ -27,7 +27,7 @@ class Pixels(NamedTuple):
     footprint : (N, 5) int64
         How many, missing ones included, Σx, Σy, Σx² and Σy².
     noise : NoiseModel, optional
-    error_sums : (N, 3) float64, optional
+    error_sums : (N, 8) float64, optional
         By that noise, of the valid ones: see `kernels.label_variances`. None where all pixels have one variance.
     """
 
@@ -60,10 +60,10 @@ def _differs(noise: NoiseModel | None) -> bool:
 def sums_of_labels(
     frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats
 ) -> Floats | None:
-    """(K, 3) float64: see `kernels.label_variances`; None where all pixels have one variance."""
+    """(K, 8) float64: see `kernels.label_variances`; None where all pixels have one variance."""
     if not _differs(camera.noise):
         return None
-    sums = np.empty((len(alpha), 3))
+    sums = np.empty((len(alpha), 8))
     label_variances(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
         labels, alpha, settings_of(camera), growth_of_pixels(camera), sums,
@@ -91,4 +91,22 @@ def sums_of_fits(fits: "PlaneFits") -> Floats | None:
     along, rounding = np.interp(scale * q, np.arange(len(variances)), variances), noise._rounding(q)
     if noise.falloff:
         along = along * fits._growth
-    return np.stack([n * (GAUSS_WEIGHTS @ of) for of in (along, rounding, (along + rounding) ** 2)], axis=1)
+    total = along + rounding
+    along, rounding, squares, total = (GAUSS_WEIGHTS @ of for of in (along, rounding, total**2, total))
+    return np.stack([n * along, n * rounding, n * squares, *(total * of for of in _ray_sums(fits))], axis=1)
+
+
+def _ray_sums(fits: "PlaneFits") -> list[Floats]:
+    """Σu, Σv, Σu², Σuv and Σv² of the rays of each part's pixels; of points (X, Y, Z) to first order."""
+    moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
+    n = np.maximum(moments[0], 1.0)
+    first = moments[1:4] / n
+    uu, uv, uw, vv, vw, ww = moments[4:] / n - first[[0, 0, 0, 1, 1, 2]] * first[[0, 1, 2, 1, 2, 2]]
+    u, v, w = reference + first
+    if not fits.method.startswith("range"):  # as `kernels.statistics.ray_scatter`
+        nearness = 1.0 / np.where(w > 0.0, w, np.inf)
+        u, v = u * nearness, v * nearness
+        uu = (uu - 2.0 * u * uw + u * u * ww) * nearness**2
+        uv = (uv - u * vw - v * uw + u * v * ww) * nearness**2
+        vv = (vv - 2.0 * v * vw + v * v * ww) * nearness**2
+    return [moments[0] * of for of in (u, v, uu + u * u, uv + u * v, vv + v * v)]

@@ -263,9 +263,12 @@ class Assessment:
         lateral_x, lateral_y = self._of_noise[[statistics.LATERAL_X, statistics.LATERAL_Y]]
         of_pixels[0], of_pixels[2] = lateral_x, lateral_y
         of_pixels[: len(self._of_lens)] = self._of_lens
-        of_pixels[statistics.OF_LENS :] = along, rounding, squares = error_sums.T / np.maximum(
-            counts.ravel(), 1
-        )
-        total = along + rounding
-        of_pixels[-1] = np.sqrt(squares) / np.where(total > 0.0, total, 1.0)
+        along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
+        total = np.where(along + rounding > 0.0, along + rounding, 1.0)
+        of_pixels[statistics.OF_LENS :] = [
+            along,
+            rounding,
+            np.sqrt(squares) / total,
+            *(of / total for of in weighted),
+        ]
         return of_pixels

@@ -113,8 +113,9 @@ class PlaneFits:
     def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
-        Of ``range_explicit`` it is exact where σq is constant over the tile. For the other methods it is, to
-        first order, that of ``range_explicit`` on the same pixels: the bound that they do not reach.
+        Of ``range_explicit`` it is exact where σq is constant over the tile, or the window; of labels and unions
+        wherever the noise is independent from pixel to pixel. For the other methods it is, to first order, that of
+        ``range_explicit`` on the same pixels: the bound that they do not reach.
         """
         return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
@@ -166,7 +167,7 @@ class PlaneFits:
 
     @property
     def _error_sums(self) -> Floats | None:
-        """(N, 3): of each part, what `error_sums.Pixels` keeps; None where the moments say enough."""
+        """(N, 8): of each part, what `error_sums.Pixels` keeps; None where the moments say enough."""
         return None
 
     @property

@@ -24,6 +24,7 @@ from rgbd_planes.kernels import (
     segment_regions,
     segment_runs,
     segment_shape,
+    segment_unevenness,
 )
 from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Runs, Shares, Sums
 from rgbd_planes.segmentation_noise import Given, is_exact, noise_of
@@ -223,12 +224,14 @@ def _result(
     loose_count = segment_labels.write_labels(
         runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
     )
-    inside = np.empty((found, 10))
+    inside, weighted = np.empty((found, 10)), np.empty((found, 5))
     segment_inside.inside_moments(labels, inverse_depth, rays, moments, inside)
     segment_planes.fit_planes(inside, alpha, rss)
+    segment_unevenness.weigh_rays(labels, work.pyramid, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
-        inside, alpha, rss, deviation, noise.together, given.of_planes(inside, camera), planes, covariance, rmse,
+        inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera), planes, covariance,
+        rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]

@@ -1,0 +1,62 @@
+"""Segmentation: on which of its pixels a plane's errors are larger, as far away or at the edges of the image."""
+
+import numpy as np
+
+from ._jit import kernel
+from .segment_blocks import BLOCK
+from .segment_moments import misfit
+
+SIDE = 2 * BLOCK  # of the squares that are looked at, the pyramid's second level
+# Squares that a plane has at least: of fewer chance says more than the noise.
+ENOUGH = 32
+# Times its plane's mean that a square's variance counts as at most: there may be an edge in it.
+MOST = 25.0
+
+
+@kernel()
+def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
+    """Means of the rays of each plane's pixels, weighted by the variances that the residuals show.
+
+    Parameters
+    ----------
+    label : (H, W) int32
+        0 for none; plane i is of label i + 1.
+    pyramid : Pyramid
+    moments, alpha, rss : (N, 10), (N, 3), (N,) float64
+        Of the planes.
+    weighted : (N, 5) float64, written
+        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SIDE pixels. Where there are fewer than
+        ENOUGH, all pixels count as much.
+    """
+    height, width = label.shape
+    first, columns = pyramid.offsets[1], pyramid.shapes[1, 1]
+    of_squares = pyramid.moments
+    squares, total = np.zeros(len(moments), np.int64), np.zeros(len(moments))
+    weighted[:] = 0.0
+    for row in range(height // SIDE):
+        top, bottom = label[row * SIDE], label[row * SIDE + SIDE - 1]
+        for column in range(width // SIDE):
+            left, right = column * SIDE, column * SIDE + SIDE - 1
+            a = top[left]
+            if (a == 0) | (top[right] != a) | (bottom[left] != a) | (bottom[right] != a):
+                continue
+            k, i = a - 1, first + row * columns + column
+            n = of_squares[0, i]
+            if n == 0.0:
+                continue
+            variance = min(max(misfit(of_squares, i, alpha, k), 0.0) / n, MOST * rss[k] / moments[k, 0])
+            squares[k] += 1
+            total[k] += variance * n
+            weighted[k, 0] += variance * of_squares[1, i]
+            weighted[k, 1] += variance * of_squares[2, i]
+            weighted[k, 2] += variance * of_squares[4, i]
+            weighted[k, 3] += variance * of_squares[5, i]
+            weighted[k, 4] += variance * of_squares[7, i]
+    for k in range(len(moments)):
+        if squares[k] >= ENOUGH and total[k] > 0.0:
+            for j in range(5):
+                weighted[k, j] /= total[k]
+        else:
+            m = moments[k]
+            for j, of in enumerate((1, 2, 4, 5, 7)):
+                weighted[k, j] = m[of] / m[0]
