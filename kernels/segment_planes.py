@@ -3,6 +3,7 @@
 import math
 
 from ._jit import kernel
+from .sandwich import sandwich
 from .segment_moments import fit
 from .segment_noise import about_plane, sensor_variance, slope_variance, stretch_of, waviness
 
@@ -42,25 +43,17 @@ def fit_planes(moments, alpha, rss):
 
 @kernel()
 def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
-    """Write the covariance of α, (3, 3): A⁻¹BA⁻¹ with A = MᵀM and B that of rays weighted by their variances.
+    """Write the covariance of α, (3, 3), about the pixels' middle: see `sandwich.sandwich`.
 
-    About the pixels' middle, where A falls into two parts. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are variances
-    of a pixel, one for each part. ``weighted`` (5,) is of `segment_unevenness.weigh_rays`.
+    ``weighted`` (5,) is of `segment_unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
+    variances of a pixel, one for each part.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
-    uu, uv, vv = m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v
-    scale = 1.0 / (uu * vv - uv * uv)
-    g_uu, g_uv, g_vv = vv * scale, -uv * scale, uu * scale
-    b_u, b_v = weighted[0] - u, weighted[1] - v
-    b_uu = n * (weighted[2] - u * (weighted[0] + b_u))
-    b_uv = n * (weighted[3] - u * weighted[1] - v * b_u)
-    b_vv = n * (weighted[4] - v * (weighted[1] + b_v))
-    h_uu, h_uv = g_uu * b_uu + g_uv * b_uv, g_uu * b_uv + g_uv * b_vv
-    h_vu, h_vv = g_uv * b_uu + g_vv * b_uv, g_uv * b_uv + g_vv * b_vv
-    a, c = (h_uu * g_uu + h_uv * g_uv) * of_slope_x, (h_vu * g_uv + h_vv * g_vv) * of_slope_y
-    b = (h_uu * g_uv + h_uv * g_vv) * math.sqrt(of_slope_x * of_slope_y)
-    a_mean = (g_uu * b_u + g_uv * b_v) * math.sqrt(of_slope_x * of_mean)
-    b_mean = (g_uv * b_u + g_vv * b_v) * math.sqrt(of_slope_y * of_mean)
+    rays = weighted[0], weighted[1], weighted[2], weighted[3], weighted[4]
+    _, slopes, with_mean = sandwich(n, u, v, m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v, rays)
+    a, c = slopes[0] * of_slope_x, slopes[2] * of_slope_y
+    b = slopes[1] * math.sqrt(of_slope_x * of_slope_y)
+    a_mean, b_mean = with_mean[0] * math.sqrt(of_slope_x * of_mean), with_mean[1] * math.sqrt(of_slope_y * of_mean)
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
     covariance[0, 2], covariance[1, 2] = a_mean - (a * u + b * v), b_mean - (b * u + c * v)
     covariance[2, 2] = of_mean / n + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)

@@ -11,6 +11,7 @@ import numpy as np
 
 from . import chi_square, normal_distribution, variance_ratio
 from ._jit import kernel
+from .sandwich import sandwich
 from .solve import ROUGH
 
 # Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
@@ -366,34 +367,26 @@ def covariances(room):
 
 @kernel(reduction=True, inline=True)
 def uneven_covariances(room):
-    """The same where the pixels have variances tᵢ of their own: A⁻¹BA⁻¹ with B = Σtᵢxᵢxᵢᵀ, x = (u, v, 1).
+    """The same where some pixels are noisier than others: see `sandwich.sandwich`.
 
     Errors that neighbours share raise it as they do where all variances are alike.
     """
     for i in range(BLOCK):
-        n, mean_u, mean_v = room[0, i], room[1, i], room[2, i]
-        c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
-        w_u, w_v = room[WEIGHTED, i], room[WEIGHTED + 1, i]
-        b_u, b_v = w_u - mean_u, w_v - mean_v
-        b_uu = n * (room[WEIGHTED + 2, i] - mean_u * (w_u + b_u))
-        b_uv = n * (room[WEIGHTED + 3, i] - mean_u * w_v - mean_v * b_u)
-        b_vv = n * (room[WEIGHTED + 4, i] - mean_v * (w_v + b_v))
-        inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
-        g_uu, g_uv, g_vv = inverse * c_vv, -inverse * c_uv, inverse * c_uu
-        h_uu, h_uv = g_uu * b_uu + g_uv * b_uv, g_uu * b_uv + g_uv * b_vv
-        h_vu, h_vv = g_uv * b_uu + g_vv * b_uv, g_uv * b_uv + g_vv * b_vv
+        w = WEIGHTED
+        weighted = room[w, i], room[w + 1, i], room[w + 2, i], room[w + 3, i], room[w + 4, i]
+        even, slopes, with_mean = sandwich(
+            room[0, i], room[1, i], room[2, i], room[4, i], room[5, i], room[7, i], weighted
+        )
         shared, rounding = room[SHARED, i], room[ROUNDING, i]
         lateral = room[INDEPENDENT, i] - rounding + 0.0 * room[D, i]  # NaN where there is no plane
-        f_u, f_v, f_1 = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
-        of_u = shared * math.sqrt(f_u * f_1) + rounding
-        of_v = shared * math.sqrt(f_v * f_1) + rounding
-        aa = (shared * f_u + rounding) * (h_uu * g_uu + h_uv * g_uv) + lateral * g_uu
-        ab = (shared * room[OF_COUNT + 3, i] + rounding) * (h_uu * g_uv + h_uv * g_vv) + lateral * g_uv
-        bb = (shared * f_v + rounding) * (h_vu * g_uv + h_vv * g_vv) + lateral * g_vv
-        mean = (shared * f_1 + rounding + lateral) * room[SHARE, i]
-        write_covariances(
-            i, aa, ab, bb, of_u * (g_uu * b_u + g_uv * b_v), of_v * (g_uv * b_u + g_vv * b_v), mean, room
-        )
+        f_a, f_b, f_mean = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
+        aa = (shared * f_a + rounding) * slopes[0] + lateral * even[0]
+        ab = (shared * room[OF_COUNT + 3, i] + rounding) * slopes[1] + lateral * even[1]
+        bb = (shared * f_b + rounding) * slopes[2] + lateral * even[2]
+        a_mean = (shared * math.sqrt(f_a * f_mean) + rounding) * with_mean[0]
+        b_mean = (shared * math.sqrt(f_b * f_mean) + rounding) * with_mean[1]
+        mean = (shared * f_mean + rounding + lateral) * room[SHARE, i]
+        write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room)
 
 
 @kernel(reduction=True, inline=True)
