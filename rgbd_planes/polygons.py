@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+_SHARE_OF_BENDS = 0.25  # of the tolerance
+_ON_EDGE = np.linspace(0.0, 1.0, 5)  # where an edge is looked at
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanePolygon:
@@ -43,7 +46,8 @@ class PlanePolygon:
     image : shapely MultiPolygon
         The outline, holes included, in pixels (x, y); pixel centres are at integers, edges half-way between.
     metric : shapely MultiPolygon
-        The same in the plane's coordinates, metres. No corner is more than twice as far away as the farthest pixel.
+        The same in the plane's coordinates, metres; with more corners where a lens bends its edges. None is more than
+        twice as far away as the farthest pixel.
     """
 
     label: int
@@ -135,7 +139,7 @@ def plane_polygons(
     segmentation : Segmentation
     tolerance : float
         How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
-        twice as far. 0 keeps every corner.
+        twice as far; in the plane, behind a lens, by a quarter of it more. 0 keeps every corner.
     min_part : float
         Parts and holes of fewer pixels are left out, unless nothing else is left of the plane. A missing pixel counts
         as the plane's if every square of so many pixels that it lies in holds one of the plane's.
@@ -196,7 +200,7 @@ def _polygon(
     # that pixel is one or more from the horizon, they do at no more than twice its depth.
     q = (alpha[0] * camera.tan_x[box] + alpha[1] * camera.tan_y[box] + alpha[2])[mask]
     farthest = max(0.5 * float(q.min()), 1e-3 * float(np.linalg.norm(alpha)))
-    metric = _in_plane(image, camera, alpha, farthest, origin, axes)
+    metric = _in_plane(_bent_by_lens(image, camera, tolerance), camera, alpha, farthest, origin, axes)
     return PlanePolygon(label, plane, origin, axes, image, metric)
 
 
@@ -264,6 +268,42 @@ def _multi(geometry: Geometry, otherwise: MultiPolygon) -> MultiPolygon:
         if part.geom_type == "Polygon" and not part.is_empty
     ]
     return shapely.MultiPolygon(parts) if parts else otherwise
+
+
+def _bent_by_lens(image: MultiPolygon, camera: Camera, tolerance: float) -> MultiPolygon:
+    """The outline with corners along those of its edges that a lens makes curves of in the plane."""
+    import shapely
+
+    if not camera.is_distorted or tolerance == 0.0:  # then there is a corner at every pixel
+        return image
+
+    def bent(ring: Any) -> Floats:
+        corners = np.asarray(ring.coords)
+        return _with_bends(corners, camera, _SHARE_OF_BENDS * tolerance)
+
+    return shapely.MultiPolygon(
+        [
+            shapely.Polygon(bent(part.exterior), [bent(hole) for hole in part.interiors])
+            for part in image.geoms
+        ]
+    )
+
+
+def _with_bends(ring: Floats, camera: Camera, tolerance: float) -> Floats:
+    """A ring with edges halved until each is straight, seen along its rays, to within so many pixels."""
+    while True:
+        start, edge = ring[:-1], np.diff(ring, axis=0)
+        places = start + _ON_EDGE[:, None, None] * edge
+        rays = rays_through(camera, places.reshape(-1, 2))[:, :2].reshape(*places.shape)
+        first, *between, last = rays
+        along = last - first
+        length, pixels = np.linalg.norm(along, axis=-1), np.linalg.norm(edge, axis=-1)
+        off = np.max([np.abs(along[:, 0] * w[:, 1] - along[:, 1] * w[:, 0]) for w in between - first], axis=0)
+        # Off, over the length, is the distance; one pixel is length / pixels there.
+        bent = np.flatnonzero((pixels > 1.0) & (off * pixels > tolerance * length**2))
+        if not len(bent):
+            return ring
+        ring = np.insert(ring, bent + 1, start[bent] + 0.5 * edge[bent], axis=0)
 
 
 def _in_plane(

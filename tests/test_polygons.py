@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rgbd_planes import Camera, scenes, segment
+from rgbd_planes import Camera, presets, scenes, segment
 
 shapely = pytest.importorskip("shapely")
 
@@ -197,6 +197,41 @@ def test_outline_without_simplification_covers_every_pixel() -> None:
         rows, columns = np.nonzero(found.labels != own.label)
         assert not shapely.contains_xy(own.image, columns, rows).any()
         assert own.image.area == pytest.approx(found.sizes[own.label - 1], rel=0.02)
+
+
+FISHEYE = Camera.from_opencv(
+    [[150.0, 0.0, 179.5], [0.0, 150.0, 179.5], [0.0, 0.0, 1.0]], [0.01, -0.005, 0.0, 0.0], (360, 360),
+    distortion_model="fisheye",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("camera", [presets.azure_kinect_nfov(), presets.kinect_v2(), FISHEYE], ids=str)
+@pytest.mark.parametrize("tolerance", [0.0, 0.5, 2.0])
+def test_a_lens_bends_edges_in_the_plane(camera: Camera, tolerance: float) -> None:
+    """Straight edges of the image are curves there: the outline's area is that of its pixels."""
+    camera = replace(camera, depth_scale=None)
+    mask = np.zeros(camera.shape, bool)
+    mask[60:-60, 60:-60] = True
+    mask[150:-150, 150:-150] = False
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, camera.shape)
+    found = segment(np.where(mask, 2.0 + noise, 0.0), camera)
+    assert np.array_equal(found.labels == 1, mask)
+    (outline,) = plane_polygons(found, tolerance=tolerance)
+
+    # Corners of pixels are where four centres meet.
+    x, y = (0.5 * (t[:-1, :-1] + t[1:, :-1] + t[:-1, 1:] + t[1:, 1:]) for t in (camera.tan_x, camera.tan_y))
+    falling, rising = (
+        (x[1:, 1:] - x[:-1, :-1], y[1:, 1:] - y[:-1, :-1]),
+        (x[1:, :-1] - x[:-1, 1:], y[1:, :-1] - y[:-1, 1:]),
+    )
+    quads = 0.5 * np.abs(falling[0] * rising[1] - falling[1] * rising[0])
+    assert outline.area == pytest.approx(quads[mask[1:-1, 1:-1]].sum(), rel=1e-2)
+    for part in outline.metric.geoms:
+        for ring in (part.exterior, *part.interiors):
+            places = np.linspace(0.0, ring.length, 2000)
+            points = outline.to_space([ring.interpolate(place).coords[0] for place in places])
+            off = shapely.distance(outline.image.boundary, shapely.points(camera.project(points)))
+            assert off.max() < max(0.25 * tolerance, 0.02)
 
 
 def test_tolerance_saves_corners() -> None:
