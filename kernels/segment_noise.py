@@ -21,6 +21,12 @@ def sensor_variance(q, sigma):
     return value * value
 
 
+@kernel(inline=True)
+def expected_variance(q, sigma):
+    """Variance of an inverse depth by `sensor_variance`; 1 where ``sigma`` is empty: not known."""
+    return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
+
+
 @kernel()
 def sensor_variances(pixels, sum_q, sigma, variance):
     """That of the mean of squares of so many ``pixels`` and this sum of inverse depths, (T,) each, to ``variance``."""

@@ -9,13 +9,12 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
+from .quantiles import quantile
 from .segment_blocks import BLOCK
-from .segment_moments import solve
-from .segment_noise import sensor_variance
+from .segment_noise import expected_variance
+from .segment_reach import FEWEST, FLAT, FULL, go_together
 from .segment_records import Pyramid
 
-FULL = 0.5  # share of a square's pixels that must be measured
-FEWEST = 10  # squares that tell something
 # Blocks of 4 pixels where there are not so many: the smallest plane has as many. Of more the frame is not small, but
 # what is measured is sparse.
 FEWEST_BLOCKS, MOST_BLOCKS = 4, 160
@@ -26,7 +25,6 @@ LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
 # usual: of real sensors it is 1.2 to 2.1 times. Lower quantiles tell then, unless they are of no noise at all.
 LEAP, NOTHING, LOWEST = 4.0, 1e6, 0.05
 STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
-FLAT = 4.0  # variances of a square that holds one surface
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
 MOST_GROWTH = 8.0
@@ -44,38 +42,6 @@ CONSTANT = 1e-12
 # Share of the squares that are not constant: where fewer vary in each of their quarters, of which a straight edge
 # crosses three at most, these have corners in them.
 FEWEST_VARIED = 0.1
-# Share of its pixels that a small square may show to go together, to say how many do beyond it.
-MOST_SHOWN = 0.75
-
-
-@kernel()
-def quantile(values, share):
-    """As `numpy.quantile`; ``values`` (N,) is reordered."""
-    position = share * (len(values) - 1)
-    k = int(position)
-    first, last = 0, len(values) - 1
-    while first < last:  # Hoare's selection: what is smaller to the left, what is larger to the right
-        pivot = values[(first + last) // 2]
-        i, j = first, last
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            last = j
-        elif k >= i:
-            first = i
-        else:
-            break
-    following = values[k + 1]
-    for i in range(k + 2, len(values)):
-        following = min(following, values[i])
-    return values[k] + (position - k) * (following - values[k])
 
 
 @kernel()
@@ -97,12 +63,6 @@ def nearest_surface(pyramid, nearest):
         if largest > 0.0:
             return min(2.0 * largest, nearest)
     return nearest
-
-
-@kernel(inline=True)
-def expected_variance(q, sigma):
-    """Variance of an inverse depth by `segment_noise.sensor_variance`; 1 where ``sigma`` is empty: not known."""
-    return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
 
 
 @kernel(inline=True)
@@ -225,54 +185,8 @@ def lateral_of(mean_square, slope_square, typical):
 
 
 @kernel()
-def together_of(pyramid, coarse, fine, sigma, typical):
-    """By how much more the means of small squares scatter about the plane of a large one than independent noise's.
-
-    Where noise is independent the mean of n pixels has an n-th of their variance; where they go together it has
-    more, by as many as go together: the median over the flat squares of level ``coarse``, by their parts of level
-    ``fine``; 0 where they are too few. The parts show no more than their own pixels n of it: 1/shown = 1/n +
-    1/together, for errors of any reach.
-    """
-    moments, rss, _, offsets, shapes = pyramid
-    least, most = FULL * (BLOCK << coarse) ** 2, FLAT * typical
-    side = 1 << (coarse - fine)
-    ratio = np.empty(offsets[coarse + 1] - offsets[coarse])
-    pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]
-    count = 0
-    for row in range(shapes[coarse, 0]):
-        for column in range(shapes[coarse, 1]):
-            i = offsets[coarse] + row * shapes[coarse, 1] + column
-            n = pixels[i]
-            if n < least or rss[i] <= 0.0:
-                continue
-            if rss[i] > most * (n - 3.0) * expected_variance(sum_q[i] / n, sigma):
-                continue
-            error, a_u, a_v, a_1 = solve(
-                n, sum_u[i], sum_v[i], sum_q[i], moments[4, i], moments[5, i], moments[6, i], moments[7, i],
-                moments[8, i], moments[9, i],
-            )  # fmt: skip
-            if error < 0.0:
-                continue
-            total = 0.0
-            parts = -3.0  # the plane takes as many
-            for r in range(row * side, row * side + side):
-                for c in range(column * side, column * side + side):
-                    k = offsets[fine] + r * shapes[fine, 1] + c
-                    e = sum_q[k] - (a_u * sum_u[k] + a_v * sum_v[k] + a_1 * pixels[k])
-                    total += e * e / max(pixels[k], 1.0)
-                    parts += 1.0 if pixels[k] > 0.0 else 0.0
-            if parts > 0.0:
-                ratio[count] = total / parts * (n - 3.0) / rss[i]
-                count += 1
-    if count < FEWEST:
-        return 0.0
-    shown = quantile(ratio[:count], 0.5)
-    return max(shown / (1.0 - min(shown / (BLOCK << fine) ** 2, MOST_SHOWN)), 1.0)
-
-
-@kernel()
-def estimate_noise(pyramid, sigma, growth):
-    """Estimate the noise of a frame from the residuals of its own squares of 8, 16 and 32 pixels.
+def estimate_noise(pyramid, sigma, growth, reach):
+    """Estimate the noise of a frame from the residuals of its own squares of 8 to 64 pixels.
 
     Where a frame has too few squares to say, blocks of 4 pixels say how large the noise is, which is taken to be
     independent, and half a pixel across.
@@ -284,6 +198,7 @@ def estimate_noise(pyramid, sigma, growth):
         What is known of the noise: see `segment_noise.sensor_variance`. Empty where nothing is.
     growth : (3,) float64, written
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
+    reach : see `segment_reach.mixture`
 
     Returns
     -------
@@ -292,8 +207,9 @@ def estimate_noise(pyramid, sigma, growth):
         0 where it is unknown.
     lateral : float
         Standard deviation, in pixels, of where a measurement lies.
-    together : float
-        Pixels that have one error between them; 0 where it is unknown.
+    by_32, together : float
+        Pixels that have one error between them, as far as squares of 32 pixels show it, and on the whole; 0 where it is
+        unknown.
     """
     pyramid = varied_squares(pyramid)
     room = pyramid.offsets[2] - pyramid.offsets[1]
@@ -330,9 +246,5 @@ def estimate_noise(pyramid, sigma, growth):
                 most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
                 grown = min(grown, math.sqrt(1.0 + most * (growth[1] ** 2 - 1.0)))
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
-    # Of squares of 32 pixels; where errors reach far, that is more than within 8.
-    grown = typical * growth[len(growth) - 1] ** 2
-    together = together_of(pyramid, len(growth), 1, sigma, grown)
-    if together == 0.0:
-        together = together_of(pyramid, 2, 0, sigma, typical * growth[1] ** 2)
-    return typical, lateral, together
+    by_32, together = go_together(pyramid, sigma, typical, growth, reach)
+    return typical, lateral, by_32, together

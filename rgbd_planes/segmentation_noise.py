@@ -12,6 +12,7 @@ from rgbd_planes.depth import DepthFrame, step_of
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
 from rgbd_planes.residual_statistics import ResidualStatistics, like_rectangles
+from rgbd_planes.segmentation_reach import reach_table
 
 Floats = NDArray[np.float64]
 
@@ -100,7 +101,7 @@ def noise_of(
             )
         if given.at_large:
             known = np.concatenate([step, table])
-    typical, own_lateral, together = estimate_noise(pyramid, known, growth)
+    typical, own_lateral, by_32, together = estimate_noise(pyramid, known, growth, reach_table())
     expected = 0.0 if given.sigma is None else 1.0 if given.at_large else table.max()
     is_rougher = bool(0.0 < UNLIKE * expected < typical**0.5)
     if given.sigma is None:
@@ -122,7 +123,7 @@ def noise_of(
         growth=growth,
         together=max(together, 1.0),
     )
-    return noise, tolerance(together, float(table[middle]), float(flattest[middle])), is_rougher
+    return noise, tolerance(by_32, float(table[middle]), float(flattest[middle])), is_rougher
 
 
 def tolerance(together: float, sigma: float, flattest: float) -> float:
@@ -135,7 +136,8 @@ def tolerance(together: float, sigma: float, flattest: float) -> float:
     Parameters
     ----------
     together : float
-        Pixels that have one error between them: one, up to two or more. 0 where it is unknown.
+        Pixels that have one error between them, as squares of 32 pixels show it: one, up to two or more. 0 where it is
+        unknown.
     sigma, flattest : float
         Noise of the nearest surface, and the least that is assumed of surfaces, 1/m.
     """

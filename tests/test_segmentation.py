@@ -22,11 +22,14 @@ from rgbd_planes import (
 )
 from rgbd_planes.depth import as_depth_frame, step_of
 from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
-from rgbd_planes.kernels.segment_noise_estimation import quantile, varied_squares
+from rgbd_planes.kernels.quantiles import quantile
+from rgbd_planes.kernels.segment_noise_estimation import varied_squares
+from rgbd_planes.kernels.segment_reach import SIZES, mixture
 from rgbd_planes.kernels.segment_records import Planes, Rays, Runs
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation_noise import tolerance
+from rgbd_planes.segmentation_reach import reach_table
 from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -892,6 +895,56 @@ def test_covariance_of_correlated_noise_is_honest(camera, pixels):
         error = found.alpha[0] - truth
         errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
     assert 0.4 < np.mean(errors) < 1.6
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [((0.5, 4.0),), ((0.3, 8.0),), ((0.1, 8.0),), ((0.57, 2.0), (0.28, 4.0)), ((0.4, 2.0), (0.44, 8.0))],
+)
+def test_covariance_of_partly_correlated_noise_is_honest(parts):
+    # As before; by what squares of 32 pixels show, as if all errors had one reach, it is 2 to 12.
+    rng = np.random.default_rng(20)
+    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    truth = np.array([0.1, 0.05, 0.6])
+    errors = []
+    for _ in range(15):
+        noise = np.sqrt(1.0 - sum(share for share, _ in parts)) * rng.normal(size=camera.shape)
+        for share, length in parts:
+            smooth = gaussian_filter(rng.normal(size=camera.shape), length / 2.0**0.5, mode="wrap")
+            noise += share**0.5 * smooth / smooth.std()
+        q = truth[0] * camera.tan_x + truth[1] * camera.tan_y + truth[2] + 1e-3 * noise
+        found = segment(1.0 / q, camera)
+        error = found.alpha[0] - truth
+        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
+    assert 0.35 < np.mean(errors) < 1.6
+
+
+def test_reach_table_is_that_of_whole_covariances():
+    side = 16
+    y, x = np.indices((side, side)).reshape(2, -1)
+    square = (y[:, None] - y) ** 2 + (x[:, None] - x) ** 2
+    design = np.stack([np.ones(side * side), x, y], axis=1)
+    residual = np.eye(side * side) - design @ np.linalg.pinv(design)
+    part = y // 4 * 4 + x // 4
+    parts = (part == np.arange(16)[:, None]) / 4.0
+    table = reach_table()
+    for k in (0, 5, 20):
+        together = table[-1, k]
+        covariance = np.exp(-np.pi * square / together)
+        scatter = np.trace(parts @ residual @ covariance @ residual @ parts.T) / 13.0
+        left = np.trace(residual @ covariance) / (side * side - 3)
+        np.testing.assert_allclose(table[:2, k], [scatter, left])
+
+
+@pytest.mark.parametrize("shares", [(0.0, 0.0), (0.4, 0.0), (0.0, 0.3), (0.5, 0.2), (1.0, 0.0)])
+def test_mixture_of_errors_is_found(shares):
+    table = reach_table()
+    counts = np.full(SIZES, 10_000)
+    for k in (8, 15, 22):
+        a, b = shares
+        made = (1.0 - a - b) + a * table[:, k] + b * table[:, 0]
+        together = mixture(made[0:-1:2] / made[1:-1:2], counts, table)
+        assert together == pytest.approx(made[-1], rel=0.05)
 
 
 def test_a_models_slow_waves_are_in_the_covariance():

@@ -1,0 +1,155 @@
+"""Segmentation: how many pixels have one error between them, by what squares of several sizes show.
+
+Where pixels err independently, the mean of n of them has an n-th of their variance; where they go together it has more,
+by as many as go together. The means of a square's 4 x 4 parts scatter about the square's plane, and so show it.
+"""
+
+import math
+
+import numpy as np
+
+from ._jit import kernel
+from .quantiles import quantile
+from .segment_blocks import BLOCK
+from .segment_moments import solve
+from .segment_noise import expected_variance
+
+FULL = 0.5  # share of a square's pixels that must be measured
+FEWEST = 10  # squares that tell something
+FLAT = 4.0  # variances of a square that holds one surface
+# Of one of 64 pixels: a little of another surface looks like errors of a long reach there.
+FLAT_LARGE = 2.0
+PARTS = 16  # of a square
+# Levels of the squares: of 16, 32 and 64 pixels. The last is that of four of the pyramid's largest.
+SIZES = 3
+SMALLEST = 2
+# Share of its pixels that a small square may show to go together, to say how many do beyond it.
+MOST_SHOWN = 0.75
+# Variance of the logarithm of one square's ratio, by which the median of many is the more certain.
+OF_ONE = 0.24
+
+
+@kernel()
+def shown(pyramid, level, sigma, most):
+    """By how much more the means of squares' parts scatter than those of independent pixels.
+
+    The median, and of how many: of the flat squares of a ``level``, those of a residual of at most ``most`` variances.
+    0 of 0 where they are too few.
+    """
+    moments, _, _, offsets, shapes = pyramid
+    pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]
+    fine, quarter = level - 2, level - 1  # levels of a square's parts and quarters
+    rows, columns = shapes[quarter, 0] // 2, shapes[quarter, 1] // 2
+    step = 2 if level == SMALLEST else 1  # a quarter of the smallest are enough
+    least = FULL * (BLOCK << level) ** 2
+    ratio = np.empty((rows // step + 1) * (columns // step + 1))
+    m = np.empty(10)
+    count = 0
+    for row in range(0, rows, step):
+        for column in range(0, columns, step):
+            i = offsets[quarter] + 2 * (row * shapes[quarter, 1] + column)
+            below = i + shapes[quarter, 1]
+            n = pixels[i] + pixels[i + 1] + pixels[below] + pixels[below + 1]
+            if n < least:
+                continue
+            for k in range(10):
+                m[k] = moments[k, i] + moments[k, i + 1] + moments[k, below] + moments[k, below + 1]
+            rss, a_u, a_v, a_1 = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
+            if rss <= 0.0 or rss > most * (n - 3.0) * expected_variance(m[3] / n, sigma):
+                continue
+            total = 0.0
+            parts = -3.0  # the plane takes as many
+            for r in range(4 * row, 4 * row + 4):
+                for c in range(4 * column, 4 * column + 4):
+                    k = offsets[fine] + r * shapes[fine, 1] + c
+                    e = sum_q[k] - (a_u * sum_u[k] + a_v * sum_v[k] + a_1 * pixels[k])
+                    total += e * e / max(pixels[k], 1.0)
+                    parts += 1.0 if pixels[k] > 0.0 else 0.0
+            if parts > 0.0:
+                ratio[count] = total / parts * (n - 3.0) / rss
+                count += 1
+    return (quantile(ratio[:count], 0.5), count) if count >= FEWEST else (0.0, 0)
+
+
+@kernel()
+def beyond(ratio, level):
+    """How many pixels go together, if the parts of a level's squares show so many: no more than their own n.
+
+    1/shown = 1/n + 1/together, for errors of any reach.
+    """
+    n = (BLOCK << (level - 2)) ** 2
+    return max(ratio / (1.0 - min(ratio / n, MOST_SHOWN)), 1.0)
+
+
+@kernel()
+def mixture(ratios, counts, reach):
+    """How many pixels go together, of errors that are in part independent, in part of a short reach and of another.
+
+    Of what fits about as well the least is taken: its logarithm counts like a squared error of one deviation.
+
+    Parameters
+    ----------
+    ratios, counts : (SIZES,) float64 and int64
+        Of `shown`.
+    reach : (2·SIZES + 1, K) float64
+        Of K errors of different reach: for each size the scatter of the parts and the residual, those of independent
+        pixels being 1; then how many pixels go together. The first is the short one.
+    """
+    most = np.inf
+    together = 1.0
+    for k in range(1, reach.shape[1]):
+        # In the shares a of this reach and b of the short one each ratio is an equation, a·x + b·y = z.
+        xx = xy = yy = xz = yz = zz = 0.0
+        for size in range(SIZES):
+            if counts[size] > 0:
+                r, weight = ratios[size], counts[size] / OF_ONE
+                x = (reach[2 * size, k] - 1.0) / r - (reach[2 * size + 1, k] - 1.0)
+                y = (reach[2 * size, 0] - 1.0) / r - (reach[2 * size + 1, 0] - 1.0)
+                z = (r - 1.0) / r
+                xx += weight * x * x
+                xy += weight * x * y
+                yy += weight * y * y
+                xz += weight * x * z
+                yz += weight * y * z
+                zz += weight * z * z
+        for case in range(4):  # both; one alone; both and nothing independent
+            a = b = 0.0
+            if case == 0:
+                determinant = xx * yy - xy * xy
+                if determinant <= 1e-12 * xx * yy:
+                    continue
+                a, b = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
+            elif case == 1:
+                a = min(max(xz / xx, 0.0), 1.0)
+            elif case == 2:
+                b = min(max(yz / yy, 0.0), 1.0)
+            else:
+                a = min(max((xz - yz - xy + yy) / max(xx - 2.0 * xy + yy, 1e-300), 0.0), 1.0)
+                b = 1.0 - a
+            if a < 0.0 or b < 0.0 or a + b > 1.0:
+                continue
+            error = a * a * xx + 2.0 * a * b * xy + b * b * yy - 2.0 * (a * xz + b * yz) + zz
+            found = max(1.0 + a * (reach[2 * SIZES, k] - 1.0) + b * (reach[2 * SIZES, 0] - 1.0), 1.0)
+            error += math.log(found)
+            if error < most:
+                most, together = error, found
+    return together
+
+
+@kernel()
+def go_together(pyramid, sigma, typical, growth, reach):
+    """How many pixels of a frame have one error between them, as squares of 32 pixels show it, and on the whole.
+
+    Both 0 where it is unknown. ``sigma`` and ``growth`` are those of `segment_noise_estimation.estimate_noise`, and so
+    is ``typical``; ``reach`` is of `mixture`.
+    """
+    ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
+    for size in range(SIZES):  # where errors reach far, residuals are larger than within squares of 8
+        level = SMALLEST + size
+        grown = growth[min(level, len(growth)) - 1]
+        flat = FLAT if size < SIZES - 1 else FLAT_LARGE
+        ratios[size], counts[size] = shown(pyramid, level, sigma, flat * typical * grown**2)
+    if counts[1] > 0:
+        return beyond(ratios[1], SMALLEST + 1), mixture(ratios, counts, reach)
+    by_16 = beyond(ratios[0], SMALLEST) if counts[0] > 0 else 0.0
+    return by_16, by_16
