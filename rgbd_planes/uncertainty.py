@@ -59,7 +59,8 @@ def same_plane(
     opposite = np.zeros(shape, bool)
     if entries == 4:
         opposite |= np.sum(first[..., :3] * second[..., :3], axis=-1) < 0.0
-        axes = _axes_across(first[..., :3] + second[..., :3])
+        # About a point of the plane: far from it, what an error of second order makes of d is more than d's own error.
+        axes = _axes_across(first[..., :3] + second[..., :3]) @ _about(_surest(first, first_covariance))
         turned = np.swapaxes(axes, -1, -2)
         first, second = (np.sum(axes * plane[..., None, :], axis=-1) for plane in (first, second))
         first_covariance, second_covariance = (
@@ -185,7 +186,8 @@ def transform_planes(
         Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it.
     transform_covariance : (..., 6, 6) array_like, optional
         Of (ω, τ), radians and metres, where the true motion is exp([ω]×)·R and t + τ: rotation vector and
-        translation in the new frame's axes.
+        translation in the new frame's axes. Planes that are moved by one motion have its errors in common: compare
+        them, by `same_plane` or `angle_between`, without it.
 
     Returns
     -------
@@ -249,6 +251,27 @@ def _axes_across(normal: Floats) -> Floats:
     axes = np.zeros((*normal.shape[:-1], 3, 4))
     axes[..., 0, :3], axes[..., 1, :3], axes[..., 2, 3] = across, np.cross(unit, across), 1.0
     return axes
+
+
+def _surest(plane: Floats, covariance: Floats) -> Floats:
+    """(..., 3): the point of a plane that is surest: there the error of d is not one of the normal."""
+    axes = _axes_across(plane[..., :3])
+    along = axes @ covariance @ np.swapaxes(axes, -1, -2)
+    aa, ab, bb, ad, bd = (along[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2)))
+    determinant = aa * bb - ab * ab
+    inverse = np.divide(-1.0, determinant, out=np.zeros_like(determinant), where=determinant != 0.0)
+    a, b = (bb * ad - ab * bd) * inverse, (aa * bd - ab * ad) * inverse
+    return np.asarray(
+        a[..., None] * axes[..., 0, :3] + b[..., None] * axes[..., 1, :3] - plane[..., 3:] * plane[..., :3]
+    )
+
+
+def _about(point: Floats) -> Floats:
+    """(..., 4, 4): what makes of (n, d) the same plane's in axes whose origin is a point."""
+    matrix = np.zeros((*point.shape[:-1], 4, 4))
+    matrix[...] = np.eye(4)
+    matrix[..., 3, :3] = point
+    return matrix
 
 
 def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Floats:

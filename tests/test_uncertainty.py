@@ -752,6 +752,31 @@ def test_leading_shapes_that_do_not_broadcast():
             call()
 
 
+@pytest.mark.parametrize("metres", [0.0, 100.0, 1e5])
+def test_same_plane_of_planes_far_from_the_origin(metres, rng):
+    """In a map's frame as in the camera's: it took planes 3 cm apart for one, 100 m away."""
+    camera = rp.Camera(320, 240, 262.0, 262.0, 159.5, 119.5, noise=rp.noise.kinect_v1())
+    near, far = (
+        rp.fit_tiles(
+            rp.scenes.plane((0.2, -0.3, -1.0), z).render(camera).measure(seed=3, quantise=False), camera, 8
+        )
+        for z in (2.0, 2.03)
+    )
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+    pose[:3, 3] = metres * np.array([0.8, 0.5, -0.3])
+    moved, other = (
+        rp.uncertainty.transform_planes(fits.planes, fits.plane_covariance, pose) for fits in (near, far)
+    )
+    left, right = np.s_[:, :-1], np.s_[:, 1:]
+    one = rp.uncertainty.same_plane(moved[0][left], moved[1][left], moved[0][right], moved[1][right])
+    planes, covariance = near.planes, near.plane_covariance
+    at_home = rp.uncertainty.same_plane(planes[left], covariance[left], planes[right], covariance[right])
+    np.testing.assert_allclose(one, at_home, atol=1e-3)
+    two = rp.uncertainty.same_plane(moved[0][left], moved[1][left], other[0][right], other[1][right])
+    assert two.max() < 1e-3
+
+
 def test_same_plane_takes_every_correlation(rng):
     """Of whole tiles the two slopes have next to none."""
     factors = rng.standard_normal((2, 200, 3, 3))
