@@ -134,7 +134,14 @@ def segment_frame(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules
 ) -> Segmentation:
     """`segment` by other rules, which is for experiments."""
-    rays, work = rays_of(camera), workspaces.of(camera)
+    with workspaces.lent(camera) as work:
+        return _segment(frame, camera, given, min_size, rules, rays_of(camera), work)
+
+
+def _segment(
+    frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
+) -> Segmentation:
+    """Find the regions, and describe what of them is a plane."""
     pyramid, owners, inverse_depth = work.pyramid, work.owners, work.inverse_depth
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,

@@ -1,7 +1,9 @@
 """What segmentations of one camera's frames share: where its pixels look, and arrays to work in."""
 
+import contextlib
 import functools
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -95,15 +97,24 @@ class Workspace:
 
 
 class Workspaces(threading.local):
-    """One for each thread."""
+    """Each thread's own, kept from frame to frame."""
 
-    work: Workspace | None = None
+    def __init__(self) -> None:
+        self._kept: list[Workspace] = []
 
-    def of(self, camera: Camera) -> Workspace:
-        """This thread's, which the next segmentation of the thread writes into again."""
-        if self.work is None or self.work.shape != camera.shape:
-            self.work = Workspace(camera)
-        return self.work
+    @contextlib.contextmanager
+    def lent(self, camera: Camera) -> Iterator[Workspace]:
+        """Nobody else's meanwhile: a noise function, or what handles a signal, may segment a frame, too."""
+        try:
+            work = self._kept.pop()  # in one step, whatever signal comes
+        except IndexError:
+            work = Workspace(camera)
+        if work.shape != camera.shape:
+            work = Workspace(camera)
+        try:
+            yield work
+        finally:
+            self._kept[:] = [work]
 
 
 workspaces = Workspaces()

@@ -919,6 +919,21 @@ def test_covariance_of_partly_correlated_noise_is_honest(parts):
     assert 0.35 < np.mean(errors) < 1.6
 
 
+def test_segmenting_while_segmenting(room):
+    """As what handles a signal may do; a noise function, here."""
+
+    def sigma(q):
+        return np.full_like(q, 1.4e-3)
+
+    def sigma_of_another(q):
+        segment(np.full(CAMERA.shape, 2000, np.uint16), replace(CAMERA, depth_scale=1000.0))
+        return sigma(q)
+
+    one, other = (segment(room[1], CAMERA, noise=noise) for noise in (sigma, sigma_of_another))
+    np.testing.assert_array_equal(one.labels, other.labels)
+    np.testing.assert_array_equal(one.planes, other.planes)
+
+
 def test_reach_table_is_that_of_whole_covariances():
     side = 16
     y, x = np.indices((side, side)).reshape(2, -1)
