@@ -51,7 +51,8 @@ class Camera:
     disparity : (scale, offset), optional
         For disparity images: 1/Z = scale * raw + offset, in 1/m. Either this or `depth_scale`, not both.
     depth_range : (nearest, farthest), optional
-        Depths in metres that are measurements, both included; infinity for no farthest.
+        Depths in metres that are measurements, both included, as a frame of floats rounds them; infinity for no
+        farthest.
     invalid_values : sequence of float
         Raw values that mean "no measurement", besides 0, negative, NaN and infinite depths.
     noise : NoiseModel, optional

@@ -143,13 +143,15 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         _warn_of_units(sample, array.dtype, depth_scale, camera.depth_range)
     lowest, highest, holes, missing = _validity(
         dtype.char,
+        array.dtype.char if kind == "f" and array.dtype.itemsize < dtype.itemsize else dtype.char,
         depth_scale if disparity is None else None,
         disparity,
         camera.depth_range,
         camera.invalid_values,
     )
-    if disparity is None and highest == _LARGEST and raw.dtype == np.uint16:
-        _warn_of_the_largest(sample)
+    largest = raw.dtype.type(_LARGEST if kind in "ui" else 1e-3 * _LARGEST)
+    if disparity is None and lowest <= largest <= highest and largest not in holes:
+        _warn_of_the_largest(sample, largest)
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:
         invalid.append(camera._without_ray)
@@ -253,12 +255,13 @@ def _warn_of_the_nearest(
     )
 
 
-def _warn_of_the_largest(sample: NDArray[Any]) -> None:
-    """Warn of a number that most likely means missing, and would count as a far plane."""
-    if np.count_nonzero(sample == _LARGEST) > 10:  # a hundredth
+def _warn_of_the_largest(sample: NDArray[Any], largest: Any) -> None:
+    """Warn of a number that most likely means missing, and would count as a far plane; of metres, in millimetres."""
+    if np.count_nonzero(sample == largest) > 10:  # a hundredth
+        millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
         warn_caller(
-            f"many pixels are {_LARGEST}, the largest number of 16 bits: are they missing? A camera with "
-            f"invalid_values=({_LARGEST},) says so, or with a depth_range that ends before"
+            f"many pixels are {largest:g}{millimetres}, the largest number of 16 bits: are they missing? A camera with "
+            f"invalid_values=({largest:g},) says so, or with a depth_range that ends before"
         )
 
 
@@ -310,13 +313,21 @@ def _without(
 @functools.lru_cache(maxsize=256)
 def _validity(
     dtype: str,
+    stored: str,
     depth_scale: float | None,
     disparity: tuple[float, float] | None,
     depth_range: tuple[float, float] | None,
     invalid_values: tuple[float, ...],
 ) -> tuple[Any, Any, tuple[Any, ...], Any]:
-    """The interval of raw values that are measurements; the invalid values inside it; a value outside it."""
+    """The interval of raw values that are measurements; the invalid values inside it; a value outside it.
+
+    Of values of type ``dtype``, which were of type ``stored`` and may have its digits only: so have limits of metres.
+    """
     nearest, farthest = depth_range or (0.0, math.inf)
+    scalar, as_stored = np.dtype(dtype).type, np.dtype(stored).type
+    if scalar is not np.uint16 and depth_scale == 1.0:
+        with np.errstate(over="ignore"):
+            nearest, farthest = float(as_stored(nearest)), float(as_stored(farthest))
     nearest, farthest = max(nearest, _NEAREST), min(farthest, _FARTHEST)
 
     def depth_of(raw: Any) -> Any:
@@ -332,7 +343,6 @@ def _validity(
     def not_too_far(raw: Any) -> Any:
         return depth_of(raw) <= farthest
 
-    scalar = np.dtype(dtype).type
     if scalar is np.uint16:
         codes = np.arange(65536.0)
         measured = not_too_near(codes) & not_too_far(codes)
@@ -349,7 +359,7 @@ def _validity(
     lowest = _first_float(above, scalar)
     highest = -_first_float(lambda raw: below(-raw), scalar)
     with np.errstate(over="ignore"):  # what float32 does not hold is infinite there: no measurement anyway
-        values = {scalar(v) for v in invalid_values}
+        values = {scalar(as_stored(v)) for v in invalid_values}
     return scalar(lowest), scalar(highest), tuple(v for v in values if lowest <= v <= highest), np.nan
 
 

@@ -50,13 +50,15 @@ class LargePlanes(NamedTuple):
     bend: Floats
 
 
-def large_planes(frames: Sequence[Any], camera: Camera) -> list[LargePlanes]:
+def large_planes(
+    frames: Sequence[Any], camera: Camera, num_threads: int | None = None
+) -> list[LargePlanes]:
     """Find those of each frame, and how far they are bent, by the camera's noise."""
     noise = camera.noise
     assert noise is not None
     # Without a bias what is bent most would be no plane, and nothing seen there.
     wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
-    fitter = TileFitter(replace(camera, noise=wavy), TILE, significance=1e-3)
+    fitter = TileFitter(replace(camera, noise=wavy), TILE, significance=1e-3, num_threads=num_threads)
     return [_of_frame(fitter.fit(depth), noise) for depth in frames]
 
 

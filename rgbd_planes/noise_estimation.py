@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, warn_caller
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.checks import check_camera, check_num_threads, warn_caller
+from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.large_planes import TILE, LargePlanes, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel, quantised, table
@@ -67,7 +67,9 @@ _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms, and steps that find their
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
-def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: Camera) -> NoiseModel:
+def estimate_noise(
+    frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: Camera, *, num_threads: int | None = None
+) -> NoiseModel:
     """Estimate a sensor's noise from frames of ordinary scenes: no target, no still camera.
 
     Parameters
@@ -77,12 +79,14 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         planes, with such planes. The more frames and the more places, the better; one can be enough.
     camera : Camera
         Its ``noise`` is not looked at.
+    num_threads : int, optional
+        Threads at most, as in `fit_tiles`. The result does not depend on it.
 
     Returns
     -------
     NoiseModel
-        What the frames show, rounding to integers included, with `NoiseEvidence` as ``evidence``, whose
-        ``plot()`` draws the fit.
+        What the frames show, rounding to integers included, also where these were made metres, with `NoiseEvidence`
+        as ``evidence``, whose ``plot()`` draws the fit.
 
     Raises
     ------
@@ -100,6 +104,7 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
     Surfaces that are not flat but everywhere as smooth as a plane (a curtain, a lawn) count as noise.
     """
     check_camera(camera)
+    num_threads = check_num_threads(num_threads)
     if not hasattr(frames, "__len__"):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
     opened: list[Any] = [frames] if len(frames) and np.ndim(frames[0]) == 1 else list(frames)
@@ -107,12 +112,15 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         raise ValueError("expected at least one frame, got none")
     bare = replace(camera, noise=None)
     tiles = {
-        size: TileFitter(bare, size, max_missing=MOST_MISSING).fit_batch(opened)
+        size: TileFitter(bare, size, max_missing=MOST_MISSING, num_threads=num_threads).fit_batch(opened)
         for size in SIZES
         if size <= min(camera.shape)
     }
+    steps = []
     for depth in opened:
-        warn_of_distances(as_depth_frame(depth, bare), bare)
+        frame = as_depth_frame(depth, bare)
+        warn_of_distances(frame, bare)
+        steps.append(step_of(frame))
     if WINDOW not in tiles:
         raise ValueError(
             f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
@@ -141,14 +149,13 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
         large = flat_windows(tiles[2 * WINDOW], tiles[8], flat)
         if np.count_nonzero(large) >= _ENOUGH_LARGE:
             reaching = all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
-    exact = np.asarray(opened[0]).dtype.kind == "f"
-    model = _fit_depth(samples[REFERENCE], NoiseModel() if exact else quantised(NoiseModel(), camera))
+    model = _fit_depth(samples[REFERENCE], _rounding(steps, frame))
     model = _fit_falloff(samples[REFERENCE], model)
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
     # Biases over hundreds of pixels are nearly planar on any tile, and make little residual.
-    model = _fit_reach(reaching, model, large_planes(opened, replace(camera, noise=model)))
+    model = _fit_reach(reaching, model, large_planes(opened, replace(camera, noise=model), num_threads))
     model = _fit_scale(samples[REFERENCE], model)
     if model.spread >= SPREADS[-1] or unevenness(tiles[WINDOW], tiles[8], flat) > _UNEVEN:
         warn_caller(
@@ -156,6 +163,16 @@ def estimate_noise(frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: C
             "are surfaces in the frames flat over 50 pixels or more?"
         )
     return replace(model, evidence=evidence_of(opened, camera, model, samples, count))
+
+
+def _rounding(steps: Sequence[float], frame: DepthFrame) -> NoiseModel:
+    """A model with the rounding of frames like this one, whose raw values have these steps: 0 where none is seen."""
+    seen = [step for step in steps if step > 0.0]
+    if len(seen) <= 0.5 * len(steps):
+        return NoiseModel()
+    if frame.is_disparity:
+        return NoiseModel(disparity_step=abs(min(seen) * frame.scale))
+    return quantised(NoiseModel(), min(seen) / frame.scale)
 
 
 def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:

@@ -282,6 +282,11 @@ class TileFitter:
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
         arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
+        for name, array in arrays.items():
+            if not (array.flags.c_contiguous and array.flags.writeable):
+                raise ValueError(
+                    f"expected an out whose arrays are contiguous and may be written, {name} is not"
+                )
         statistics = out._asked_for
         if statistics is not None:
             arrays["_statistics"] = statistics.rows

@@ -285,6 +285,18 @@ def test_one_frame_and_a_stack_are_taken(rng):
     assert rp.Camera.from_dict(camera.to_dict()) == camera
 
 
+def test_integers_that_were_made_metres_are_as_rounded(rng):
+    seen = [np.rint(depth / 10.0) for depth in frames(rp.noise.time_of_flight(5e-4), rng, VIEWS[:2])]
+    millimetres = replace(CAMERA, depth_scale=1000.0)
+    as_integers = rp.estimate_noise([depth.astype(np.uint16) for depth in seen], millimetres)
+    as_metres = rp.estimate_noise(
+        [(depth / 1000.0).astype(np.float32) for depth in seen], CAMERA, num_threads=1
+    )
+    assert as_integers.step == pytest.approx(1e-3)
+    q = np.array([0.3, 0.6, 1.2])
+    np.testing.assert_allclose(as_metres.sigma(q), as_integers.sigma(q), rtol=1e-3)
+
+
 def test_real_kinect_frames():
     """Estimated from every second frame, tested on the others: a few tiles in a thousand to a few in a hundred."""
     import real_data
