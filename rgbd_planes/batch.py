@@ -166,7 +166,9 @@ def fit_sequence(
     if len(sequence) == 0:
         raise ValueError("expected a sequence with frames, got none")
     num_threads = check_num_threads(num_threads)
-    settings = settings or FitSettings()
+    settings = FitSettings() if settings is None else settings
+    if not isinstance(settings, FitSettings):
+        raise TypeError(f"expected settings as FitSettings(...), got {settings!r}")
     settings.check(sequence.camera)
     if len({camera.noise is None for camera in sequence.cameras}) > 1:
         raise ValueError("expected a noise model in all cameras or in none, got some with and some without")

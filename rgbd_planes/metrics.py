@@ -299,7 +299,8 @@ def _consecutive(given: NDArray[np.generic], name: str) -> tuple[NDArray[np.intp
         raise TypeError(f"{name} must hold integer labels, got {given.dtype}")
     labels: NDArray[np.intp] = given.astype(np.intp)
     if labels.size and labels.min() < 0:
-        raise ValueError(f"{name} must not hold negative labels, got {labels.min()}")
+        which = "labels of 2**63 or more" if given.dtype.kind == "u" else "negative labels"
+        raise ValueError(f"{name} must not hold {which}, got {given[labels < 0][0]}")
     if labels.size and labels.max() >= LARGEST_TABLE:
         values, inverse = np.unique(labels, return_inverse=True)
         return inverse.reshape(labels.shape) + (values[0] != 0), values[values > 0].astype(np.int64)

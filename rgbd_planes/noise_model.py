@@ -256,14 +256,17 @@ class NoiseModel:
         Raises
         ------
         TypeError, ValueError
-            There are other keys, or values that cannot be.
+            There are other keys, neither ``coefficients`` nor ``samples``, or values that cannot be.
         """
         known = {f.name for f in fields(cls)} - {"formula", "evidence"}
         if not isinstance(values, Mapping) or not set(values) <= known:
             raise ValueError(
                 f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}"
             )
-        return cls(**values)
+        model = cls(**values)
+        if not {"coefficients", "samples"} & set(values):
+            raise ValueError(f"expected a noise model with coefficients or samples, got {dict(values)!r}")
+        return model
 
 
 def _pairs(name: str, values: Any, of: str) -> Floats:

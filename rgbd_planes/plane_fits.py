@@ -98,7 +98,8 @@ class PlaneFits:
         Of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
         spread, of its ratio to a variance that differs from place to place. On surfaces that are flat
         it is uniform between 0 and 1; below the significance level a tile is ROUGH. That of the ``standard_`` methods,
-        whose residual is in metres, is so only where a part spans a small range of depths. This, the covariances
+        whose residual is in metres, is so only where a part spans a small range of depths, and is much larger than
+        the noise. This, the covariances
         and the standard deviations are computed together, when one of them is first asked for, and from then
         on by each fit that writes into this result.
 

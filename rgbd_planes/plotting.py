@@ -80,7 +80,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
     figure, panels, legends = panels_with_legends(3, fits.camera, figure)
     if depth_metres is None:
-        _draw_fitted_depth(panels[0], legends[0], fits)
+        draw_fitted_depth(panels[0], legends[0], fits)
     else:
         draw_measured_depth(panels[0], legends[0], depth_metres)
     panels[1].imshow(
@@ -129,8 +129,8 @@ def draw_measured_depth(panel: Axes, legend: Axes, metres: Floats) -> None:
     panel.set_title("Measured depth")
 
 
-def _draw_fitted_depth(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
-    _draw_depth(panel, legend, _fitted_depth(fits), "metres")
+def draw_fitted_depth(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
+    _draw_depth(panel, legend, fitted_depth(fits), "metres")
     panel.set_title("Depth of the fitted planes")
 
 
@@ -223,7 +223,7 @@ def _to_pixels(values: Floats, fits: PlacedFits, nothing: tuple[float, ...]) -> 
     return np.asarray(np.vstack([values.reshape(-1, 3), nothing])[cells])  # -1, no window, is the last
 
 
-def _fitted_depth(fits: PlacedFits) -> Floats:
+def fitted_depth(fits: PlacedFits) -> Floats:
     """(H, W) depth in metres where each pixel's ray meets its tile's or window's plane; NaN where it does not."""
     alpha = _to_pixels(np.where(fits.fitted[..., None], fits.alpha, np.nan), fits, (np.nan,) * 3)
     camera = fits.camera

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.plotting import (
     depth_limits,
+    draw_fitted_depth,
     draw_legend_of_statuses,
     draw_measured_depth,
+    fitted_depth,
     panels_with_legends,
 )
 
@@ -31,15 +33,17 @@ _SHADE = 0.55
 
 
 def plot_quadtree(
-    segmentation: "QuadtreeSegmentation", depth_metres: NDArray[np.float64], figure: Figure | None = None
+    segmentation: "QuadtreeSegmentation",
+    depth_metres: NDArray[np.float64] | None = None,
+    figure: Figure | None = None,
 ) -> Figure:
     """Draw a segmented frame: its depth in colours, and the elements over its depth in grey.
 
     Parameters
     ----------
     segmentation : QuadtreeSegmentation
-    depth_metres : (H, W) float64
-        The measured depth in metres, NaN where missing.
+    depth_metres : (H, W) float64, optional
+        The measured depth in metres, NaN where missing. Without it, the depth of the fitted planes.
     figure : matplotlib Figure, optional
         Drawn into; a new one by default.
 
@@ -49,7 +53,11 @@ def plot_quadtree(
     """
     elements = segmentation.elements
     figure, panels, legends = panels_with_legends(2, elements.camera, figure)
-    draw_measured_depth(panels[0], legends[0], depth_metres)
+    if depth_metres is None:
+        depth_metres = fitted_depth(elements)
+        draw_fitted_depth(panels[0], legends[0], elements)
+    else:
+        draw_measured_depth(panels[0], legends[0], depth_metres)
 
     nearest, farthest = depth_limits(depth_metres)
     grey = colormaps["gray_r"].with_extremes(bad="black")

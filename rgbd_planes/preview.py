@@ -77,18 +77,24 @@ def fits_html(fits: PlacedFits) -> str:
     )
 
 
-def segments_html(segments: "Segmentation") -> str:
-    """Return a few lines of HTML: what was found, a picture of the planes, and the largest of them."""
+def segments_html(
+    segments: "Segmentation", title: str | None = None, ids: NDArray[np.int32] | None = None
+) -> str:
+    """Return a few lines of HTML: what was found, a picture of the planes, and the largest of them.
+
+    With ``ids`` planes have the numbers and colours of these.
+    """
     rows, columns = _sampled(segments.camera.shape)
-    picture = np.rint(255.0 * label_image(segments)[rows[:, None], columns]).astype(np.uint8)
-    colours = label_colours(len(segments))
+    picture = np.rint(255.0 * label_image(segments, ids=ids)[rows[:, None], columns]).astype(np.uint8)
+    numbers = np.arange(1, len(segments) + 1) if ids is None else ids
+    colours = label_colours(int(numbers.max(initial=0)))
     largest = " ".join(
-        f"{_square(colours[i])}&nbsp;{i + 1}:&nbsp;"
+        f"{_square(colours[numbers[i] - 1])}&nbsp;{numbers[i]}:&nbsp;"
         f"{segments.sizes[i]}&nbsp;pixels,&nbsp;d&nbsp;=&nbsp;{segments.planes[i, 3]:.3f}&nbsp;m;"
         for i in np.argsort(-segments.sizes, kind="stable")[:_LISTED]
     )
     return (
-        f"<div><div>{html.escape(repr(segments).strip('<>'))}</div>"
+        f"<div><div>{html.escape((title or repr(segments)).strip('<>'))}</div>"
         f'<img alt="the planes in colours" src="data:image/png;base64,{_png(picture)}">'
         f"<div><small>The largest: {largest} "
         f"{_square(NO_PLANE)}&nbsp;on no plane, white not measured.</small></div></div>"

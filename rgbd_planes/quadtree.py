@@ -85,19 +85,20 @@ class QuadtreeSegmentation:
 
         return quadtree_html(self)
 
-    def plot(self, depth: npt.ArrayLike, figure: Figure | None = None) -> Figure:
+    def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the depth, and the elements as the paper does; see `plotting_quadtree.plot_quadtree`.
 
         Parameters
         ----------
-        depth : (H, W) array_like
-            The frame that was segmented.
+        depth : (H, W) array_like, optional
+            The frame that was segmented; without it the fitted planes' own depth is drawn.
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
         from rgbd_planes.plotting_quadtree import plot_quadtree
 
-        return plot_quadtree(self, as_depth_frame(depth, self.elements.camera).metres, figure)
+        metres = None if depth is None else as_depth_frame(depth, self.elements.camera).metres
+        return plot_quadtree(self, metres, figure)
 
 
 class QuadtreeFitter:

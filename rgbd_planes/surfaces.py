@@ -41,8 +41,9 @@ def normals(
     window : int
         Side of the square window in pixels: odd, 3 to 31.
     avoid_edges : bool
-        Where an edge runs through a pixel's window, use the one of eight windows beside it, which still hold the pixel,
-        that has the smallest residual: normals do not bleed over steps and creases. See Notes.
+        Where an edge runs through a pixel's window, or too much of it is missing, use the one of eight windows beside
+        it, which still hold the pixel, that has the smallest residual: normals do not bleed over steps and creases.
+        See Notes.
     max_missing : float
         Share of the window's pixels inside the frame above which there is no normal; at 1 whatever determines
         a plane will do.
@@ -53,8 +54,9 @@ def normals(
     -------
     (H, W, 3) ndarray of float32
         Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, too
-        much of its window is, the window's valid pixels lie on one line, or the plane fitted is not one that the
-        pixel's ray meets. Sums and solution are float64; float32 only rounds the result, by less than 1e-7 rad.
+        much of its window is, and with ``avoid_edges`` of each of the eight, the window's valid pixels lie on one
+        line, or the plane fitted is not one that the pixel's ray meets. Sums and solution are float64; float32 only
+        rounds the result, by less than 1e-7 rad.
 
     Raises
     ------
@@ -69,12 +71,12 @@ def normals(
     Notes
     -----
     A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
-    beside it by more than noise explains: by the factor that the ratio of two such variances exceeds once
-    in a thousand times for independent normal noise. It does not where rounding to the frame's raw values
-    makes as large a variance. There is no threshold to set. It takes about four times as long. A surface that
-    bends by more than its noise within a window is taken for an edge as well: its normals are then those of
-    half a window beside: with a window of 15, on a ball of 0.2 m radius at 1 m, off by 8° where it is seen at 60°
-    to 70° from its normal, and by 15° to 20° at its very rim.
+    beside it by more than noise explains: by the factor that the ratio of two such variances exceeds about once
+    in a thousand times for independent normal noise; with a window of 3, and eight others, that happens to one pixel
+    in a hundred. It does not count where rounding to the frame's raw values makes as large a variance. There is no
+    threshold to set. It takes about four times as long. A surface that bends by more than its noise within a window is
+    taken for an edge as well: its normals are then those of half a window beside: with a window of 15, on a ball of
+    0.2 m radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 15° to 20° at its very rim.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 

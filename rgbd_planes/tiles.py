@@ -186,7 +186,7 @@ class TileFitter:
         UserWarning
             As `fit_tiles`, for each frame.
         """
-        if not hasattr(frames, "__len__"):
+        if not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
             raise TypeError(
                 f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any"
             )

@@ -47,6 +47,12 @@ class TrackedSegmentation:
             f"<TrackedSegmentation: {counted(len(self.ids), 'plane')}, newest id {self.ids.max(initial=0)}>"
         )
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture, in the colours of the ids."""
+        from rgbd_planes.preview import segments_html
+
+        return segments_html(self.segmentation, repr(self), self.ids)
+
     @property
     def labels(self) -> NDArray[np.int32]:
         """(H, W) int32: the id of each pixel's plane, 0 for none."""

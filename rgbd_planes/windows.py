@@ -79,9 +79,10 @@ def fit_windows(
 
     Summed-area tables, built once for the frame, make the cost of a window independent of its size (the
     paper's section on integral images). They differ from the fits of `fit_tiles` only by float64's rounding, which is
-    that of differences of sums over the whole frame. In those of the standard methods a depth of thousands of
-    kilometres, as simulators give for none, leaves nothing of the others, and in range space one of micrometres:
-    windows get DEGENERATE, until the camera's ``depth_range`` or ``invalid_values`` leave it out.
+    that of differences of sums over the whole frame. In those of the standard methods a depth of hundreds of
+    kilometres, as simulators give for none, makes all windows inexact, one of 1000 km by tenths of a degree, and beyond
+    that leaves nothing of the others: they get DEGENERATE; so they do in range space by a depth of micrometres. The
+    camera's ``depth_range`` or ``invalid_values`` leave such depths out.
 
     Parameters
     ----------

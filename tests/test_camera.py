@@ -667,6 +667,8 @@ def test_a_file_is_named_with_what_is_wrong_in_it(tmp_path):
         ({"samples": ((1.0, 2.0), (3.0,))}, "expected samples as pairs .inverse depth, sigma."),
         ({"samples": ()}, "expected samples of growing"),
         ({"floor_length": "a"}, "expected floor_length as a number, got 'a'"),
+        ({}, "expected a noise model with coefficients or samples, got {}"),
+        ({"step": 0.001}, "expected a noise model with coefficients or samples"),
     ],
 )
 def test_noise_that_cannot_be_is_refused(changed, message):

@@ -13,6 +13,7 @@ from rgbd_planes import export, images, metrics, noise, scenes, sequences
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
+LARGE = np.full((2, 2), 2**63, np.uint64)
 FRAMES = sequences.FrameSequence([sequences.FrameEntry("0", 0.0, CAMERA, None)], lambda location: DEPTH)
 
 
@@ -91,6 +92,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.normals(DEPTH, CAMERA, num_threads=1.5), TypeError, "whole number, or None, got 1.5"),
         (lambda: rp.TileFitter(CAMERA).fit(DEPTH, DEPTH), ValueError, "out must be a result of this fitter"),
         (lambda: rp.TileFitter(CAMERA).fit_batch(iter([DEPTH])), TypeError, "got list_iterator: fit_stream"),
+        (lambda: rp.TileFitter(CAMERA).fit_batch({1, 2}), TypeError, "a sequence of frames, got set"),
         (lambda: rp.estimate_noise(iter([DEPTH]), CAMERA), TypeError, "sequence of frames, got list_iterator"),
         (lambda: rp.merge(rp.fit_tiles(DEPTH, CAMERA), DEPTH), ValueError, "tile_labels has those of tiles"),
         (lambda: rp.segment(DEPTH, CAMERA, min_size=np.nan), TypeError, "whole number of pixels, got nan"),
@@ -113,6 +115,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.measurement_noise(DEPTH, CAMERA, "a"), TypeError, "sigma_inverse_depth as a number"),
         (lambda: noise.NoiseModel((-1e-3,)), ValueError, "got -0.001 at 0.0012207 1/m"),
         (lambda: rp.Camera.from_opencv(np.eye(3), None, 64), ValueError, "size as .width, height., got 64"),
+        (lambda: metrics.compare_labels(LARGE, LARGE), ValueError, r"labels of 2\*\*63 or more, got 92233"),
         (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must hold integer labels, got object"),
         (lambda: metrics.compare_labels(DEPTH, DEPTH).hoover("0.8"), TypeError, "tolerance as a number, got '0.8'"),
         (lambda: metrics.compare_labels(DEPTH, DEPTH).detection(None), TypeError, "iou as a number, got None"),

@@ -11,7 +11,7 @@ from PIL import Image
 import rgbd_planes as rp
 from rgbd_planes import scenes
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
-from rgbd_planes.plotting_segments import label_image
+from rgbd_planes.plotting_segments import label_colours, label_image
 from rgbd_planes.preview import fits_picture
 
 
@@ -89,6 +89,18 @@ def test_segments_show_themselves_as_large_as_tiles(tiles):
     assert picture.shape == (240, 320, 3)  # of 300 x 400
     rows, columns = np.arange(240) * 5 // 4, np.arange(320) * 5 // 4
     assert np.array_equal(picture, np.rint(255 * label_image(found)[rows[:, None], columns]))
+
+
+def test_tracked_segments_show_themselves_by_their_ids(tiles):
+    depth = scenes.room().render(tiles.camera).measure(seed=2)
+    first, second = rp.segment_sequence([depth[:, ::-1], depth], tiles.camera, memory=0)
+    text = second._repr_html_()
+    assert f"newest id {second.ids.max()}" in text
+    assert f"&nbsp;{second.ids[np.argmax(second.segmentation.sizes)]}:&nbsp;" in text
+    colours = np.rint(255 * label_colours(int(second.ids.max())))[second.ids - 1]
+    shown = np.unique(picture_of(text).reshape(-1, 3), axis=0)
+    assert {tuple(colour) for colour in colours} <= {tuple(colour) for colour in shown.astype(float)}
+    assert first.ids.max() < second.ids.max()
 
 
 def test_windows_show_themselves(tiles):

@@ -185,3 +185,12 @@ def test_real_frame_equals_oracle(real_frame):
         if plane.well_posed:
             assert elements.status[i] == plane.status
             np.testing.assert_allclose(elements.planes[i], oracle.orient(plane.plane), rtol=0, atol=1e-7)
+
+
+def test_plots_without_a_frame():
+    """As the other results: it draws the fitted planes' own depth."""
+    camera = rp.presets.kinect_v1()
+    depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
+    figure = rp.segment_quadtree(depth, camera).plot()
+    figure.canvas.draw()
+    assert figure.axes[0].get_title() == "Depth of the fitted planes"

@@ -287,6 +287,13 @@ def test_out_is_written_into(rng):
     np.testing.assert_array_equal(stack[0].planes, planes)
     with pytest.raises(ValueError, match="out must be a result of this fitter"):
         rp.TileFitter(camera, 8).fit(first, out=out)
+    for name in ("planes", "_moments"):
+        array = getattr(out, name).copy(order="F")
+        read_only = getattr(out, name).copy()
+        read_only.flags.writeable = False
+        for wrong in (array, read_only):
+            with pytest.raises(ValueError, match=f"contiguous and may be written, {name} is not"):
+                fitter.fit(first, out=replace(out, **{name: wrong}))
 
 
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)

@@ -82,11 +82,12 @@ def open_sequence(
 
 def _recognise(path: Path, has_camera: bool) -> str:
     if path.is_file():
-        if path.suffix == ".sens":
+        suffix = path.suffix.lower()
+        if suffix == ".sens":
             return "scannet_sens"
-        if path.suffix in (".bag", ".mcap", ".db3"):
+        if suffix in (".bag", ".mcap", ".db3"):
             return "rosbag"
-        if path.suffix == ".mkv":
+        if suffix == ".mkv":
             return "mkv"
         raise ValueError(f"{path}: expected a folder, or a .sens, .bag, .mcap, .db3 or .mkv file")
     for sign, format in _SIGNS.items():
