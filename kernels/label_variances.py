@@ -2,7 +2,10 @@
 
 import math
 
+import numpy as np
+
 from ._jit import kernel
+from .copying import copy
 from .depth import inverse_depth
 from .statistics import DEPTH_STEP, DISPARITY_STEP, SCALE, VARIANCES
 
@@ -16,6 +19,51 @@ def variance_at(q, noise):
     position = max(q * noise[SCALE], 0.0)
     k = int(min(position, len(table) - 2.0))
     return table[k] + (position - k) * (table[k + 1] - table[k])
+
+
+@kernel(inline=True)
+def variances_of_run(
+    values, lowest, highest, scale, offset, is_disparity, us, vs, plane, noise, growth, start, stop, along, rounding
+):  # fmt: skip
+    """Write the variances of pixels ``start`` to ``stop`` of a row: 0 where nothing is measured."""
+    a, b, c = plane[0], plane[1], plane[2]
+    fitted = not math.isnan(a)
+    for column in range(start, stop):
+        value = values[column]
+        q = a * us[column] + b * vs[column] + c if fitted else inverse_depth(value, scale, offset, is_disparity)
+        there = (lowest <= value) & (value <= highest)
+        variance = variance_at(q if there else 0.0, noise)
+        square = q * q
+        along[column] = variance if there else 0.0
+        rounding[column] = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP] if there else 0.0
+    if len(growth) > 0:
+        for column in range(start, stop):
+            along[column] *= growth[column]
+
+
+@kernel(reduction=True)
+def add_variances(us, vs, along, rounding, start, stop, sums, i):
+    """Add those of a run to row ``i`` of ``sums``."""
+    s_along = s_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
+    # Without a sign: so the compiler knows that they do not count from the end.
+    for k in range(np.uint64(start), np.uint64(stop)):
+        u, v, total = us[k], vs[k], along[k] + rounding[k]
+        s_along += along[k]
+        s_rounding += rounding[k]
+        squares += total * total
+        s_u += total * u
+        s_v += total * v
+        s_uu += total * u * u
+        s_uv += total * u * v
+        s_vv += total * v * v
+    sums[i, 0] += s_along
+    sums[i, 1] += s_rounding
+    sums[i, 2] += squares
+    sums[i, 3] += s_u
+    sums[i, 4] += s_v
+    sums[i, 5] += s_uu
+    sums[i, 6] += s_uv
+    sums[i, 7] += s_vv
 
 
 @kernel()
@@ -39,10 +87,17 @@ def label_variances(
         times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
     """
     height, width = raw.shape
-    step_y, step_x = int(tan_x.shape[0] > 1), int(tan_y.shape[1] > 1)
-    grows = growth.shape[0] > 0
+    vs, along, rounding = np.empty(width), np.empty(width), np.empty(width)
+    grown = np.empty(0)
     sums[:] = 0.0
     for row in range(height):
+        us = tan_x[row if tan_x.shape[0] > 1 else 0]
+        if tan_y.shape[1] > 1:
+            copy(tan_y[row], vs)
+        else:
+            vs[:] = tan_y[row, 0]
+        if growth.shape[0] > 0:
+            grown = growth[row]
         line = labels[row]
         stop = 0
         while stop < width:
@@ -52,35 +107,8 @@ def label_variances(
             i = label - 1
             if i < 0:
                 continue
-            a, b, c = alpha[i, 0], alpha[i, 1], alpha[i, 2]
-            along = of_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
-            for column in range(start, stop):
-                value = raw[row, column]
-                if not lowest <= value <= highest:
-                    continue
-                u, v = tan_x[row * step_y, column], tan_y[row, column * step_x]
-                q = a * u + b * v + c
-                if math.isnan(q):
-                    q = inverse_depth(value, scale, offset, is_disparity)
-                variance = variance_at(q, noise)
-                if grows:
-                    variance *= growth[row, column]
-                square = q * q
-                rounding = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP]
-                along += variance
-                of_rounding += rounding
-                total = variance + rounding
-                squares += total * total
-                s_u += total * u
-                s_v += total * v
-                s_uu += total * u * u
-                s_uv += total * u * v
-                s_vv += total * v * v
-            sums[i, 0] += along
-            sums[i, 1] += of_rounding
-            sums[i, 2] += squares
-            sums[i, 3] += s_u
-            sums[i, 4] += s_v
-            sums[i, 5] += s_uu
-            sums[i, 6] += s_uv
-            sums[i, 7] += s_vv
+            variances_of_run(
+                raw[row], lowest, highest, scale, offset, is_disparity, us, vs, alpha[i], noise, grown, start, stop,
+                along, rounding,
+            )  # fmt: skip
+            add_variances(us, vs, along, rounding, start, stop, sums, i)
