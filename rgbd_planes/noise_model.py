@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 # Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
+_LARGEST_FALLOFF = 50.0  # that of sensors is up to 4
 _AT_30_DEGREES = 3.0**-0.5  # tangent
 
 KINECT_V1 = 1.425e-3
@@ -104,6 +105,8 @@ class NoiseModel:
             if value < 0.0:
                 raise ValueError(f"expected {name} of 0 or more, got {value!r}")
             object.__setattr__(self, name, value)
+        if self.falloff > _LARGEST_FALLOFF:
+            raise ValueError(f"expected a falloff of at most {_LARGEST_FALLOFF:g}, got {self.falloff!r}")
         correlation = _pairs("correlation", self.correlation, "share, length")
         shares, lengths = correlation.T.tolist()
         if min(shares, default=0.0) < 0.0 or sum(shares) > 1.0 + 1e-9:

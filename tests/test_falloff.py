@@ -169,6 +169,8 @@ def test_sigma_on_the_axis_and_off_it(tmp_path, rng):
     np.testing.assert_allclose(noise.sigma_depth(2.0, *tan), 4.0 * wanted)
     assert "; 1.78 times as much 30 degrees off the axis" in repr(noise)
     assert "off the axis" not in repr(replace(noise, falloff=0.0))
+    with pytest.raises(ValueError, match=r"falloff of at most 50, got 1000000000\.0"):
+        rp.noise.NoiseModel(falloff=1e9)
     with pytest.raises(ValueError, match=r"falloff of 0 or more, got -1\.0"):
         rp.noise.NoiseModel(falloff=-1)
     with pytest.raises(TypeError, match="falloff as a number, got 'a'"):
