@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.ray_pitch import means_over
-from rgbd_planes.tile_grid import tile_footprints
 
 Floats = npt.NDArray[np.float64]
 
@@ -23,12 +22,15 @@ def growth_of_pixels(camera: Camera) -> Floats:
 
 
 def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(N,) float64: means of that over parts of the image, as `ray_pitch.pitch_square` takes them; (0,) likewise."""
+    """(N,) float64: means of that over parts of the image, as `ray_pitch.pitch_square` takes them; (0,) likewise.
+
+    Of those pixels that the lens has a ray for; 1 where there are none.
+    """
     return _of_parts(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
 
 
 def growth_of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
-    """The same of all tiles of a grid."""
+    """The same of all tiles of a grid, over each of their pixels."""
     return _of_tiles(camera, tile) if _grows(camera) else EVEN
 
 
@@ -46,13 +48,26 @@ def _of_pixels(camera: Camera) -> Floats:
 
 @functools.lru_cache(maxsize=8)
 def _of_parts(camera: Camera, footprint: bytes) -> Floats:
-    made = means_over(growth_of_pixels(camera)[None], np.frombuffer(footprint, np.int64).reshape(-1, 5))
-    made.flags.writeable = False
-    one: Floats = made[0]
-    return one
+    parts = np.frombuffer(footprint, np.int64).reshape(-1, 5)
+    return _mean(*means_over(_of_seen(camera), parts))
 
 
 @functools.lru_cache(maxsize=8)
 def _of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
-    # Kept by itself: a fit of a frame takes less time than to tell the footprints of many tiles from others.
-    return growth_of_parts(camera, tile_footprints(camera.shape, tile))
+    sums = _of_seen(camera)
+    for axis, (size, side) in enumerate(zip(camera.shape, tile, strict=True), start=1):
+        sums = np.add.reduceat(sums, np.arange(0, size, side), axis=axis)
+    return _mean(*sums.reshape(2, -1))
+
+
+def _of_seen(camera: Camera) -> Floats:
+    """(2, H, W): growth, and 1; 0 where a fisheye lens has no ray."""
+    growth, without_ray = growth_of_pixels(camera), camera._without_ray
+    seen = np.ones(growth.shape) if without_ray is None else (~without_ray).astype(np.float64)
+    return np.stack([growth * seen, seen])
+
+
+def _mean(sums: Floats, count: Floats) -> Floats:
+    made: Floats = np.divide(sums, count, out=np.ones_like(sums), where=count > 0.0)
+    made.flags.writeable = False
+    return made
