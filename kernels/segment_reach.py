@@ -30,17 +30,16 @@ OF_ONE = 0.24
 
 
 @kernel()
-def shown(pyramid, level, sigma, most):
+def shown(pyramid, level, sigma, most, step):
     """By how much more the means of squares' parts scatter than those of independent pixels.
 
-    The median, and of how many: of the flat squares of a ``level``, those of a residual of at most ``most`` variances.
-    0 of 0 where they are too few.
+    The median, and of how many: of the flat squares of a ``level``, those of a residual of at most ``most`` variances,
+    in every row and column of them that is a multiple of ``step``. 0 of 0 where they are too few.
     """
     moments, _, _, offsets, shapes = pyramid
     pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]
     fine, quarter = level - 2, level - 1  # levels of a square's parts and quarters
     rows, columns = shapes[quarter, 0] // 2, shapes[quarter, 1] // 2
-    step = 2 if level == SMALLEST else 1  # a quarter of the smallest are enough
     least = FULL * (BLOCK << level) ** 2
     ratio = np.empty((rows // step + 1) * (columns // step + 1))
     m = np.empty(10)
@@ -148,8 +147,10 @@ def go_together(pyramid, sigma, typical, growth, reach):
         level = SMALLEST + size
         grown = growth[min(level, len(growth)) - 1]
         flat = FLAT if size < SIZES - 1 else FLAT_LARGE
-        ratios[size], counts[size] = shown(pyramid, level, sigma, flat * typical * grown**2)
+        step = 2 if size == 0 else 1  # a quarter of the smallest is enough, if there are larger ones
+        ratios[size], counts[size] = shown(pyramid, level, sigma, flat * typical * grown**2, step)
     if counts[1] > 0:
         return beyond(ratios[1], SMALLEST + 1), mixture(ratios, counts, reach)
-    by_16 = beyond(ratios[0], SMALLEST) if counts[0] > 0 else 0.0
+    ratio, count = shown(pyramid, SMALLEST, sigma, FLAT * typical * growth[1] ** 2, 1)
+    by_16 = beyond(ratio, SMALLEST) if count > 0 else 0.0
     return by_16, by_16
