@@ -4,7 +4,7 @@ import numpy as np
 
 from ._jit import kernel
 from .segment_blocks import BLOCK
-from .segment_runs import WHOLE, in_squares
+from .segment_runs import WHOLE, first_of, in_squares
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
 COMPANY = 3
@@ -71,15 +71,15 @@ def write_labels(
             left = run_start[i] * BLOCK
             if run_share[i] != WHOLE:
                 a, b, pixels = run_label[i], why[part[i]], run_pixels[i]
-                p = 0
-                while pixels >> np.int32(p) != 0:
-                    if (pixels >> np.int32(p)) & 1:
-                        here = (top + p // BLOCK) * width + left + p % BLOCK
-                        labels[here] = a
-                        reasons[here] = b
-                        loose[loose_count] = here
-                        loose_count += stray[part[i]]
-                    p += 1
+                corner = top * width + left
+                while pixels != 0:
+                    p = first_of(pixels)
+                    pixels &= pixels - np.int32(1)
+                    here = corner + p // BLOCK * width + p % BLOCK
+                    labels[here] = a
+                    reasons[here] = b
+                    loose[loose_count] = here
+                    loose_count += stray[part[i]]
             elif stray[part[i]]:
                 for y in range(top, bottom):
                     for here in range(y * width + left, y * width + min(run_stop[i] * BLOCK, width)):
@@ -153,22 +153,21 @@ def settle_strays(
             pixels = run_pixels[i]
             few = pixels & ~in_squares(pixels)
             corner = row * BLOCK * width + run_start[i] * BLOCK
-            p = 0
-            while few >> np.int32(p) != 0:
+            while few != 0:
+                p = first_of(few)
+                few &= few - np.int32(1)
                 here = corner + p // BLOCK * width + p % BLOCK
                 same = 0
-                if (few >> np.int32(p)) & 1 and width < here < len(labels) - width - 1:
+                if width < here < len(labels) - width - 1:
                     # Beyond the left or the right end of the image is the other one: so much the less alone.
                     for k in range(3):
                         line = here + (k - 1) * width
                         for x in range(line - 1, line + 2):
                             same += labels[x] == a
-                may_be_lone = (few >> np.int32(p)) & 1 and same <= COMPANY and sizes[a] > least
-                if may_be_lone and is_lone(labels, inverse_depth, here, a):
+                if same <= COMPANY and sizes[a] > least and is_lone(labels, inverse_depth, here, a):
                     loose[loose_count] = here
                     loose_count += 1
                     sizes[a] -= 1
-                p += 1
     for i in range(labelled, loose_count):
         labels[loose[i]] = 0
         reasons[loose[i]] = unclaimed

@@ -7,17 +7,18 @@ from .copying import copy
 from .disjoint_sets import root_of
 from .segment_blocks import BLOCK
 from .segment_moments import add, ray_of
-from .segment_runs import WHOLE, how_many
+from .segment_runs import WHOLE, first_of, how_many
 
 
 @kernel()
 def add_piece(pixels, row, column, inverse_depth, rays, moments, k):
     """Add pixels of a block to row ``k`` of moments."""
-    for p in range(BLOCK * BLOCK):
-        if (pixels >> np.int32(p)) & 1:
-            y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
-            u, v = ray_of(rays, y, x)
-            add(moments[k], u, v, inverse_depth[y, x])
+    while pixels != 0:
+        p = first_of(pixels)
+        pixels &= pixels - np.int32(1)
+        y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
+        u, v = ray_of(rays, y, x)
+        add(moments[k], u, v, inverse_depth[y, x])
 
 
 @kernel(inline=True)
@@ -70,9 +71,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
             if run_share[i] != WHOLE:
                 mask = run_pixels[i]
                 pixels = how_many(mask)
-                p = 0
-                while not (mask >> np.int32(p)) & 1:
-                    p += 1
+                p = first_of(mask)
                 y, x = y + p // BLOCK, x + p % BLOCK
             elif root == i or y * width + x < first[part[root]]:
                 y, x = first_of_run(run_start[i], run_stop[i], row, inverse_depth)

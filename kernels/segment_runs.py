@@ -36,6 +36,12 @@ def how_many(pixels):
 
 
 @kernel(inline=True)
+def first_of(pixels):
+    """Which pixel of a block is the first one, BLOCK·y + x: of any, so that one can go from one to the next."""
+    return how_many((pixels & -pixels) - np.int32(1))
+
+
+@kernel(inline=True)
 def in_squares(pixels):
     """Those pixels of a share that are one of four in a square of 2x2: they are not alone."""
     corner = pixels & (pixels & ~LEFT) >> RIGHT_BY
