@@ -23,10 +23,10 @@ def main(arguments: list[str] | None = None) -> int:
 
     options.out.mkdir(parents=True, exist_ok=True)
     result = measure(options.quick, lambda step: print(f"{step} ...", flush=True))
-    (options.out / "paper.json").write_text(json.dumps(result, indent=1) + "\n")
+    (options.out / "paper.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     for name, (_, draw) in FIGURES.items():
         draw(result).savefig(options.out / f"{name}.png", dpi=110)
-    (options.out / "report.md").write_text(to_markdown(result))
+    (options.out / "report.md").write_text(to_markdown(result), encoding="utf-8")
     print(f"wrote {options.out / 'report.md'}")
     return 0
 

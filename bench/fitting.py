@@ -52,26 +52,31 @@ def floor_of(frame: Case, tile: int, sharing: bool) -> Callable[[], Any]:
 def numpy_fit(frame: Case, tile: int, form: str) -> Callable[[], Any]:
     """Vectorised NumPy, large arrays allocated beforehand: einsum for the moments, one batched solve.
 
-    ``form`` is "pca" (orthogonal regression in X, Y, Z), "z" (Z = aX + bY + c) or "1/z" (1/Z on the ray). The
-    frame must be a multiple of the tile. Returns planes (R * C, 4), n towards the camera.
+    Of the whole tiles of ``frame``, which has a depth image of integers and a camera. ``form`` is "pca" (orthogonal
+    regression in X, Y, Z), "z" (Z = aX + bY + c) or "1/z" (1/Z on the ray). Returns planes (R * C, 4), n towards the
+    camera.
     """
-    height, width = frame.depth.shape
-    rows, columns, size = height // tile, width // tile, tile * tile
+    rows, columns = (length // tile for length in frame.depth.shape)
+    size, unit = tile * tile, 1.0 / frame.camera.depth_scale
+
+    def by_tile(image: Any) -> Any:
+        whole = image[: rows * tile, : columns * tile]
+        return whole.reshape(rows, tile, columns, tile).swapaxes(1, 2)
+
     tan_x, tan_y = (
-        np.ascontiguousarray(t.reshape(rows, tile, columns, tile).swapaxes(1, 2)).reshape(-1, size)
-        for t in (frame.camera.tan_x, frame.camera.tan_y)
+        np.ascontiguousarray(by_tile(t)).reshape(-1, size) for t in (frame.camera.tan_x, frame.camera.tan_y)
     )
     depth = np.empty((rows, columns, tile, tile))
     z = depth.reshape(-1, size)
     valid = np.empty(z.shape)
     points = np.empty((3, *z.shape))
-    ordered = frame.depth.reshape(rows, tile, columns, tile).swapaxes(1, 2)
+    ordered = by_tile(frame.depth)
 
     second = np.empty((rows * columns, 3, 3))
 
     def scatter() -> Any:
         """Mean of the three rows of ``points``; ``second`` becomes their centred scatter matrices."""
-        n = valid.sum(axis=1)
+        n = np.maximum(valid.sum(axis=1), 1.0)
         totals = points.sum(axis=2)
         mean = totals / n
         for i in range(3):
@@ -81,7 +86,7 @@ def numpy_fit(frame: Case, tile: int, form: str) -> Callable[[], Any]:
         return mean
 
     def solve() -> Any:
-        np.multiply(ordered, 0.001, out=depth)
+        np.multiply(ordered, unit, out=depth)
         np.not_equal(z, 0.0, out=valid, casting="unsafe")
         if form == "1/z":
             np.divide(valid, z, out=points[2], where=z > 0)

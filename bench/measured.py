@@ -54,18 +54,18 @@ def main(arguments: list[str] | None = None) -> int:
     unknown = set(options.sections) - set(SECTIONS)
     if unknown:
         parser.error(f"expected of {', '.join(SECTIONS)}, got {', '.join(sorted(unknown))}")
-    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    results = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     for name in () if options.page else options.sections or SECTIONS:
         print(f"{name} ...", flush=True)
         results[name] = SECTIONS[name].measure()
-        RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+        RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     if missing := set(SECTIONS) - set(results):
         print(
             f"nothing measured yet of {', '.join(sorted(missing))}: the page stays as it is", file=sys.stderr
         )
         return 1
-    PAGE.write_text(page_of(PAGE.read_text(), results))
-    README.write_text(readme_of(README.read_text(), results))
+    PAGE.write_text(page_of(PAGE.read_text(encoding="utf-8"), results))
+    README.write_text(readme_of(README.read_text(encoding="utf-8"), results))
     return 0
 
 

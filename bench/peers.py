@@ -356,7 +356,7 @@ def measure() -> dict[str, Any]:
         subprocess.run(
             [sys.executable, "-m", "bench.peers", "--out", folder], check=True, stdout=subprocess.DEVNULL
         )
-        return dict(json.loads((Path(folder) / "peers.json").read_text()))
+        return dict(json.loads((Path(folder) / "peers.json").read_text(encoding="utf-8")))
 
 
 def main() -> None:
@@ -375,8 +375,8 @@ def main() -> None:
     report = f"{table(measured)}\n\n{text_of_threads(threaded)}"
     print(report)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "peers.json").write_text(json.dumps(measured, indent=1))
-    (arguments.out / "peers.md").write_text(f"{report}\n")
+    (arguments.out / "peers.json").write_text(json.dumps(measured, indent=1), encoding="utf-8")
+    (arguments.out / "peers.md").write_text(f"{report}\n", encoding="utf-8")
     figure(points, arguments.out / "scaling.png")
 
 

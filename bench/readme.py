@@ -39,8 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("json", type=Path, help="paper.json of a run of python -m bench")
     parser.add_argument("--readme", type=Path, default=README, help="the file to change (README.md)")
     options = parser.parse_args(arguments)
-    table = readme_table(json.loads(options.json.read_text()))
-    options.readme.write_text(with_table(options.readme.read_text(), table))
+    table = readme_table(json.loads(options.json.read_text(encoding="utf-8")))
+    options.readme.write_text(with_table(options.readme.read_text(encoding="utf-8"), table))
     return 0
 
 

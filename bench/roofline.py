@@ -162,7 +162,7 @@ def main() -> None:
     table = text(cost, rows)
     print(table)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "roofline.md").write_text(table + "\n")
+    (arguments.out / "roofline.md").write_text(table + "\n", encoding="utf-8")
     figure(rows, arguments.out / "roofline.png")
 
 

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench import curved_scenes
+from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes, segmentation
 from rgbd_planes.depth import as_depth_frame
@@ -300,39 +301,6 @@ def _by_rules(frame: Frame, rules: Rules) -> Segmentation:
     return segment_frame(as_depth_frame(frame.depth, frame.camera), frame.camera, Given(), 60, rules)
 
 
-class Baseline:
-    """The vectorised NumPy fit that times are put beside: PCA of the points of every tile, from raw depth.
-
-    Moments by einsum, one batched eigh, and no array made twice: as good as NumPy does it.
-    """
-
-    def __init__(self, camera: Camera, tile: int = 20) -> None:
-        self._rows, self._columns, self._tile = camera.height // tile, camera.width // tile, tile
-        shape = self._rows * tile, self._columns * tile
-        self._rays = [np.ascontiguousarray(t[: shape[0], : shape[1]]) for t in (camera.tan_x, camera.tan_y)]
-        self._points = np.empty((3, *shape))
-        self._scale = 1.0 / (camera.depth_scale or 1.0)
-        self._scatter = np.empty((self._rows, self._columns, 3, 3))
-
-    def fit(self, depth: NDArray[Any]) -> NDArray[np.float64]:
-        """(R, C, 4): nx, ny, nz, d of every tile."""
-        x, y, z = self._points
-        np.multiply(depth[: z.shape[0], : z.shape[1]], self._scale, out=z)
-        np.multiply(z, self._rays[0], out=x)
-        np.multiply(z, self._rays[1], out=y)
-        split = (self._rows, self._tile, self._columns, self._tile)
-        tiles = [coordinate.reshape(split) for coordinate in self._points]
-        # A missing pixel is a point at the origin: it adds nothing to any sum but the count.
-        count = np.maximum(np.count_nonzero(tiles[2], axis=(1, 3)), 1)
-        mean = np.stack([np.einsum("itjs->ij", tile) for tile in tiles], axis=-1) / count[..., None]
-        for i, j in itertools.combinations_with_replacement(range(3), 2):
-            product = np.einsum("itjs,itjs->ij", tiles[i], tiles[j])
-            product -= count * mean[..., i] * mean[..., j]
-            self._scatter[..., i, j] = self._scatter[..., j, i] = product
-        normals = np.linalg.eigh(self._scatter)[1][..., 0]
-        return np.concatenate([normals, -np.einsum("ijk,ijk->ij", normals, mean)[..., None]], axis=-1)
-
-
 STAGES = {
     "read, blocks": (segment_blocks, ("block_moments", "sum_by_fours")),
     "noise": (segmentation, ("noise_of",)),
@@ -348,14 +316,11 @@ STAGES = {
 
 
 def timing(frame: Frame, vga: Frame, rounds: int = 40) -> dict[str, Any]:
-    """Times of one frame and of the baseline, in turns: milliseconds at best, and ratios.
+    """Times of one frame and of NumPy's fits of the bench of tiles, in turns: milliseconds at best, and ratios.
 
-    Also the ratio to the baseline of a frame of 640 x 480, of which the bench of fits is.
+    Also the ratio to those of a frame of 640 x 480, of which that bench is.
     """
-    fits = {of.name: (Baseline(of.camera), of.depth) for of in (frame, vga)}
-    runs: dict[str, Callable[[], Any]] = {
-        name: lambda fit=fit, depth=depth: fit.fit(depth) for name, (fit, depth) in fits.items()
-    }
+    runs: dict[str, Callable[[], Any]] = {of.name: numpy_fit(of, 20, "pca") for of in (frame, vga)}
     times = in_turns(runs | {"segment": lambda: segment(frame.depth, frame.camera)}, rounds)
     own, base = times["segment"], times[frame.name]
     return {

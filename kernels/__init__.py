@@ -13,6 +13,8 @@ What calls what:
   and `segment_contest`; then `segment_shape` with `segment_facets`, `segment_runs`, `segment_parts`, `segment_gaps`,
   `segment_labels`, `segment_inside`, `segment_unevenness` and `segment_planes`, in this order; `segment_records` has
   what they hand on
+- what many of them use: `depth`, `copying`, `disjoint_sets`, `quantiles`; of segments `segment_moments` and
+  `segment_noise`
 - tables on disk: `rows`
 
 What the same name means everywhere:

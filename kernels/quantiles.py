@@ -5,7 +5,7 @@ from ._jit import kernel
 
 @kernel()
 def quantile(values, share):
-    """As `numpy.quantile`; ``values`` (N,) is reordered."""
+    """As `numpy.quantile`, of two values or more and a ``share`` below 1; ``values`` (N,) is reordered."""
     position = share * (len(values) - 1)
     k = int(position)
     first, last = 0, len(values) - 1

@@ -19,7 +19,6 @@ FEWEST = 10  # squares that tell something
 FLAT = 4.0  # variances of a square that holds one surface
 # Of one of 64 pixels: a little of another surface looks like errors of a long reach there.
 FLAT_LARGE = 2.0
-PARTS = 16  # of a square
 # Levels of the squares: of 16, 32 and 64 pixels. The last is that of four of the pyramid's largest.
 SIZES = 3
 SMALLEST = 2

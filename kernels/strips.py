@@ -87,7 +87,7 @@ def find_references(
             references[i] = scale / value if in_range else value / scale
         else:
             inverse = scale * value + offset
-            references[i] = inverse if in_range else 1.0 / inverse
+            references[i] = inverse if in_range else (1.0 / inverse if inverse > 0.0 else 0.0)
 
 
 @kernel(inline=True)

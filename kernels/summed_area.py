@@ -261,7 +261,7 @@ def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
         before[row, raw.shape[1]] = missing
 
 
-@kernel()
+@kernel(inline=True)
 def window_sum(tables, window, channel):
     """Sum of a channel over a window (row, column, height, width)."""
     top, left = window[0], window[1]

@@ -245,7 +245,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
                 f"{others[0]}: no part of the table that was begun here; who reads the folder would take it for one"
             )
         return size
-    if any(folder.iterdir()):
+    if any(not path.name.startswith(".") for path in folder.iterdir()):
         raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
     size = _frames_of_part(len(sequence), settings, sequence.camera, slots)
     with write_beside(file) as beside:

@@ -16,7 +16,7 @@ from rgbd_planes import camera_formats, distortion
 from rgbd_planes.checks import check_whole, number, numbers, plain_array, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
-from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise_model import NoiseModel
 
 Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]

@@ -178,7 +178,7 @@ def _first_level_outside() -> int:
     """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
     level = 1
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(_INSIDE):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
         frame = frame.f_back
         level += 1
     return level

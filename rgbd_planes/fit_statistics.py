@@ -14,7 +14,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.falloff import EVEN
 from rgbd_planes.kernels import statistics
-from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise_model import NoiseModel
 from rgbd_planes.ray_pitch import pitch_square
 from rgbd_planes.residual_statistics import inverse_freedom
 from rgbd_planes.threads import Work

@@ -198,7 +198,8 @@ def _read_pgm(path: Path) -> Frame:
         try:
             values = np.array(content[header.end() :].split(), dtype=dtype)
         except (ValueError, OverflowError):
-            raise ValueError(f"{path}: expected numbers from 0 to {largest} in the PGM image") from None
+            most = 255 if largest < 256 else 65535
+            raise ValueError(f"{path}: expected numbers from 0 to {most} in the PGM image") from None
     return _rows(path, "PGM", values, height, width).astype(dtype)
 
 

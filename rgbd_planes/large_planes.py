@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.merging import merge
-from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise_model import NoiseModel
 from rgbd_planes.noise_samples import bins_of, mean_depth
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.ray_pitch import slope_square

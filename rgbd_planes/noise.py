@@ -14,18 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.noise_model import KINECT_V1 as KINECT_V1
 from rgbd_planes.noise_model import Floats
 from rgbd_planes.noise_model import NoiseModel as NoiseModel
-
-if TYPE_CHECKING:
-    from rgbd_planes.camera import Camera
 
 
 def kinect_v1() -> NoiseModel:
@@ -174,8 +171,6 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the noise is much smaller
     than the step, the rounding errors of a surface that faces the camera are all alike, not independent.
     """
-    from rgbd_planes.camera import Camera
-
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")
     if not isinstance(step, Camera):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.flatness import flatness
 from rgbd_planes.large_planes import TILE, bends_by_side, large_planes
-from rgbd_planes.noise import NoiseModel
+from rgbd_planes.noise_model import NoiseModel
 from rgbd_planes.noise_samples import REFERENCE, WINDOW, Samples, bins_of
 from rgbd_planes.residual_statistics import deviate_of
 from rgbd_planes.wording import percent

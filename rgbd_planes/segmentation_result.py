@@ -109,7 +109,7 @@ class Segmentation:
     @property
     def mean_depth(self) -> Floats:
         """(N,) float64: Z in metres where the mean inverse depth of the plane's pixels is."""
-        sums = np.bincount(self.labels.ravel(), weights=self.fitted_inverse_depth().ravel())[1:]
+        sums = np.bincount(self.labels.ravel(), self.fitted_inverse_depth().ravel(), len(self) + 1)[1:]
         return np.asarray(self.sizes / sums)
 
     @property

@@ -51,7 +51,7 @@ class WindowMoments:
         Nothing is written for a method or an implementation that has no use for it.
         """
         if len(self._camera_tables):
-            summed_area.camera_window_moments(self._camera_tables, windows, start, stop, full)
+            summed_area.camera_window_moments(self._camera_tables, _as_one_type(windows), start, stop, full)
 
     def prepare(self, frame: DepthFrame) -> "Source":
         """Build the tables of a frame, if any, once for all its windows.
@@ -92,6 +92,13 @@ class WindowMoments:
         return array
 
 
+def _as_one_type(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Contiguous and read-only: for other arrays the kernels would be compiled once more."""
+    made = np.ascontiguousarray(array).view()
+    made.flags.writeable = False
+    return made
+
+
 def _total(tables: npt.NDArray[np.float64], *channels: int) -> float:
     """What all pixels of the frame come to in some channels."""
     return float(tables[-1, -1, list(channels)].sum())
@@ -121,4 +128,4 @@ class Source:
 
         ``full`` is what `WindowMoments.camera_moments` wrote for these windows.
         """
-        self._kernel(*self._arguments, windows, full, start, stop, moments)
+        self._kernel(*self._arguments, _as_one_type(windows), _as_one_type(full), start, stop, moments)

@@ -157,3 +157,18 @@ def test_it_shows_itself(rng):
     figure = fits.plot(depth)
     figure.canvas.draw()
     assert figure.axes[2].get_title() == "2 labels, range_explicit"
+
+
+def test_a_disparity_of_nothing_adds_nothing_to_a_union():
+    """Where disparity + 1 is stored, 1/Z is 0 for the raw value 1, which an empty tile is given."""
+    camera = rp.Camera(
+        64, 48, 50.0, 50.0, 31.5, 23.5, disparity=(0.01, -0.01), noise=rp.noise.time_of_flight(0.01)
+    )
+    raw = np.full(camera.shape, 51, np.uint16) + np.arange(64, dtype=np.uint16) % 3
+    raw[:16, :16] = 0
+    for method in ("standard_explicit", "range_explicit"):
+        tiles = rp.fit_tiles(raw, camera, 16, method)
+        assert tiles.valid_count[0, 0] == 0
+        union = rp.merge(tiles, np.ones(tiles.shape, int))
+        assert np.isfinite(union.offset_std).all()
+        assert np.isfinite(tiles._reference).all()
