@@ -26,6 +26,8 @@ TILE = 16
 """Side in pixels of the tiles of which large planes consist."""
 _LARGE = 60  # tiles that make a large plane
 _ENOUGH = 8  # planes, of which the median is taken
+_MEDIAN = 0.455  # of χ²(1)
+_APART = 4.0  # times that the mean of squares may be what their median says: of waves up to 3
 _BIAS, _BIAS_LENGTH = 1.0, 48.0  # that is expected, in standard deviations of a pixel, and in pixels
 
 
@@ -91,6 +93,8 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     many = np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:]
     large = (many >= _LARGE) & (merged.status == TileStatus.OK)
 
+    large &= ~_in_two(tiles, labels, merged.alpha, noise)
+
     on_plane, number = labels > 0, labels[labels > 0] - 1
     count = tiles.valid_count[on_plane]
     q = 1.0 / mean_depth(tiles)[on_plane]
@@ -107,6 +111,28 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     numbers = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
     side = np.sqrt(like_rectangles(merged._footprint).prod(axis=1))
     return LargePlanes(numbers[labels], merged.alpha[large], side[large], bend)
+
+
+def _in_two(tiles: TilePlanes, labels: Indices, alpha: Floats, noise: NoiseModel) -> npt.NDArray[np.bool_]:
+    """(K,): whether a part of the plane of a label lies apart from the rest, as a board that leans on a wall does.
+
+    A wave of the sensor moves most tiles, a board those on it: then the mean square is far above the median.
+    """
+    on_plane = labels > 0
+    number, count = labels[on_plane] - 1, np.maximum(tiles._moments[0][on_plane], 1.0)
+    u, v, q = (
+        mean[on_plane] + first[on_plane] / count
+        for mean, first in zip(tiles._reference, tiles._moments[1:4], strict=True)
+    )
+    off = q - (alpha[number, 0] * u + alpha[number, 1] * v + alpha[number, 2])
+    square = off**2 / (noise._along(q) ** 2 * noise._growth(u, v))
+    order = np.lexsort([square, number])
+    number, square = number[order], square[order]
+    many = np.bincount(number, minlength=len(alpha))
+    middle = np.cumsum(many) - many + many // 2
+    median = np.where(many > 0, square[np.minimum(middle, len(square) - 1)], np.inf) if len(square) else np.inf
+    mean = np.bincount(number, square, len(alpha)) / np.maximum(many, 1)
+    return np.asarray(mean > _APART / _MEDIAN * median)
 
 
 def _connected(tiles: TilePlanes) -> Indices:
