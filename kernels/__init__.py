@@ -6,8 +6,8 @@ What calls what:
   `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` has those of any pixels
 - windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
-- uncertainty: `statistics`, with `chi_square` or `variance_ratio`, and `normal_distribution`; `label_variances` and
-  `sandwich` for parts of many depths
+- uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
+  `label_variances` and `sandwich` for parts of many depths
 - segments: `segment_blocks`, `segment_noise_estimation` with `segment_reach`, `segment_joining`, `segment_regions`,
   which does most of the work with `segment_growth`, `segment_merge` and `segment_pixels`, which has `segment_settled`
   and `segment_contest`; then `segment_shape` with `segment_facets`, `segment_runs`, `segment_parts`, `segment_gaps`,

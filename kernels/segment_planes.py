@@ -3,6 +3,7 @@
 import math
 
 from ._jit import kernel
+from .rounding import in_common
 from .sandwich import sandwich
 from .segment_moments import fit
 from .segment_noise import about_plane, sensor_variance, slope_variance, stretch_of, waviness
@@ -65,7 +66,7 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
 
 
 @kernel()
-def describe_planes(moments, weighted, alpha, rss, deviation, together, least, planes, covariance, rmse):
+def describe_planes(moments, weighted, alpha, rss, deviation, together, least, step, planes, covariance, rmse):
     """Describe the planes.
 
     Parameters
@@ -76,19 +77,30 @@ def describe_planes(moments, weighted, alpha, rss, deviation, together, least, p
         Pixels that have one error between them.
     least : (3, N) float64
         Variances of a pixel that those of the slopes, along x and y, and of the mean are not to be below.
+    step : (N,) float64
+        Between neighbouring raw values, 1/m; 0 where there is none.
     planes : (N, 4) float64, written
         nx, ny, nz, d.
     covariance : (N, 3, 3) float64, written
-        Of α: from the residual or the noise, whichever is larger.
+        Of α: from the residual or the noise, whichever is larger, and from what rounding does to all pixels alike.
     rmse : (N,) float64, written
     """
     for i in range(len(moments)):
         n = moments[i, 0]
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
-        variance = together * max(rss[i] / max(n - 3.0, 1.0), deviation[i] ** 2)
+        seen = rss[i] / max(n - 3.0, 1.0)
+        variance = together * max(seen, deviation[i] ** 2)
+        of_x = of_y = of_mean = 0.0
+        if step[i] > 0.0:
+            u, v = moments[i, 1] / n, moments[i, 2] / n
+            u_side = math.sqrt(12.0 * max(moments[i, 4] / n - u * u, 0.0))
+            v_side = math.sqrt(12.0 * max(moments[i, 7] / n - v * v, 0.0))
+            others = max(min(seen, deviation[i] ** 2) - step[i] ** 2 / 12.0, 0.0)
+            u_steps, v_steps = abs(alpha[i, 0]) * u_side / step[i], abs(alpha[i, 1]) * v_side / step[i]
+            of_x, of_y, of_mean = in_common(step[i], others, n, u_steps, v_steps)
         covariance_of(
-            moments[i], weighted[i], max(variance, least[0, i]), max(variance, least[1, i]),
-            max(variance, least[2, i]), covariance[i],
+            moments[i], weighted[i], max(variance, least[0, i]) + of_x, max(variance, least[1, i]) + of_y,
+            max(variance, least[2, i]) + of_mean, covariance[i],
         )  # fmt: skip
         d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
         for k in range(3):

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from . import chi_square, normal_distribution, variance_ratio
+from . import rounding as rounding_in_common
 from ._jit import kernel
 from .sandwich import sandwich
 from .solve import ROUGH
@@ -159,6 +160,8 @@ def assess(
                 chi_square.deviates(tails, BLOCK)
             normal_distribution.tails(tails, BLOCK)
             ray_scatter(in_range_space, room)
+            if noise[DEPTH_STEP] + noise[DISPARITY_STEP] > 0.0:
+                rounded_alike(noise, last - first, room)
             if of_pixels.shape[0] < OF_DEPTHS:
                 covariances(room)
             else:
@@ -345,6 +348,28 @@ def ray_scatter(in_range_space, room):
             room[4, i] = (room[4, i] - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
             room[5, i] = (room[5, i] - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
             room[7, i] = (room[7, i] - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
+
+
+@kernel(inline=True)
+def rounded_alike(noise, count, room):
+    """Add what rounding does to all pixels of a tile alike to the factors on the variance that neighbours share."""
+    for i in range(count):
+        n, d = room[0, i], room[D, i]
+        rounding = noise[DEPTH_STEP] * room[MEAN_Q, i] ** 4 + noise[DISPARITY_STEP]
+        lateral = room[INDEPENDENT, i] - room[ROUNDING, i]
+        shared = max(room[SHARED, i], 1e-60)
+        # Δ² is twelve times the variance, and a rectangle's side squared twelve times that of its pixels.
+        if not 4.0 * math.pi**2 * (shared + lateral) < rounding_in_common.NOTHING * 12.0 * rounding:
+            continue
+        step = math.sqrt(12.0 * rounding)
+        scale = math.sqrt(12.0 / n) / (step * d)
+        u_steps = abs(room[N_X, i]) * scale * math.sqrt(max(room[4, i], 0.0))
+        v_steps = abs(room[N_Y, i]) * scale * math.sqrt(max(room[7, i], 0.0))
+        of_u, of_v, of_mean = rounding_in_common.in_common(step, shared + lateral, n, u_steps, v_steps)
+        room[SHARED, i] = shared
+        room[OF_COUNT + 2, i] += of_u / shared
+        room[OF_COUNT + 4, i] += of_v / shared
+        room[OF_COUNT + 5, i] += of_mean / shared
 
 
 @kernel(reduction=True, inline=True)

@@ -168,8 +168,9 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
 
     Notes
     -----
-    Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the noise is much smaller
-    than the step, the rounding errors of a surface that faces the camera are all alike, not independent.
+    Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the other noise is less than half a
+    step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances say so,
+    p-values are then too large.
     """
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")

@@ -27,7 +27,7 @@ from rgbd_planes.kernels import (
     segment_unevenness,
 )
 from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Runs, Shares, Sums
-from rgbd_planes.segmentation_noise import Given, is_exact, noise_of
+from rgbd_planes.segmentation_noise import Given, is_exact, noise_of, steps_at
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
@@ -168,7 +168,9 @@ def _segment(
     segment_shape.find_curved(
         region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
     )
-    found = _result(camera, rays, work, shares, number, planes, sums, curved, noise, given, min_size, rules)
+    found = _result(
+        frame, camera, rays, work, shares, number, planes, sums, curved, noise, given, min_size, rules
+    )
     if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
         warn_caller(
             "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
@@ -181,6 +183,7 @@ def _segment(
 
 
 def _result(
+    frame: DepthFrame,
     camera: Camera,
     rays: Rays,
     work: Workspace,
@@ -237,8 +240,8 @@ def _result(
     segment_unevenness.weigh_rays(labels, work.pyramid, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
-        inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera), planes, covariance,
-        rmse,
+        inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera),
+        steps_at(frame, inside[:, 3] / inside[:, 0]), planes, covariance, rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]

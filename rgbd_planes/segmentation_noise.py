@@ -152,7 +152,12 @@ def is_exact(noise: Noise) -> bool:
     return bool(largest <= FLATNESS * step * (len(_SHARES) - 1))
 
 
+def steps_at(frame: DepthFrame, q: Floats) -> Floats:
+    """Between neighbouring raw values, as differences of inverse depth; 0 where there are no steps."""
+    step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
+    return np.asarray(step_of(frame) * step)
+
+
 def _rounding(frame: DepthFrame, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
-    step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(step_of(frame) * step / 12.0**0.5)
+    return np.asarray(steps_at(frame, q) / 12.0**0.5)
