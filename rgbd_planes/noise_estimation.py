@@ -111,32 +111,35 @@ def estimate_noise(
     if not opened:
         raise ValueError("expected at least one frame, got none")
     bare = replace(camera, noise=None)
-    tiles = {
-        size: TileFitter(bare, size, max_missing=MOST_MISSING, num_threads=num_threads).fit_batch(opened)
-        for size in SIZES
-        if size <= min(camera.shape)
-    }
+    if min(camera.shape) < WINDOW:
+        raise ValueError(
+            f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
+        )
+    for most_missing in MOST_MISSING:
+        tiles = {
+            size: TileFitter(bare, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
+            for size in SIZES
+            if size <= min(camera.shape)
+        }
+        flat = flat_windows(tiles[WINDOW], tiles[8], most_missing)
+        count = int(np.count_nonzero(flat))
+        if count >= FEWEST_WINDOWS:
+            break
     steps = []
     for depth in opened:
         frame = as_depth_frame(depth, bare)
         warn_of_distances(frame, bare)
         steps.append(step_of(frame))
-    if WINDOW not in tiles:
-        raise ValueError(
-            f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
-        )
-    flat = flat_windows(tiles[WINDOW], tiles[8])
-    count = int(np.count_nonzero(flat))
     if count < FEWEST_WINDOWS:
         whole = tiles[WINDOW].valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
-        missing = np.mean(whole < (1.0 - MOST_MISSING) * WINDOW * WINDOW)
-        most = two_digits(100.0 * MOST_MISSING)
+        missing = np.mean(whole < (1.0 - most_missing) * WINDOW * WINDOW)
+        most = two_digits(100.0 * most_missing)
         reason = f": of most windows more than {most} % of the pixels are missing"
         raise ValueError(
             f"expected frames with at least {FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
             f"found {count} in {len(opened)} frames{reason if missing > 0.5 else ''}"
         )
-    samples = all_samples(tiles, flat)
+    samples = all_samples(tiles, flat, most_missing)
     for some in samples.values():
         if np.median(some.rss / (some.count * some.q**2)) < EXACT**2:
             raise ValueError(
@@ -146,9 +149,10 @@ def estimate_noise(
     # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
     reaching = samples
     if 2 * WINDOW in tiles:
-        large = flat_windows(tiles[2 * WINDOW], tiles[8], flat)
+        large = flat_windows(tiles[2 * WINDOW], tiles[8], most_missing, flat)
         if np.count_nonzero(large) >= _ENOUGH_LARGE:
-            reaching = all_samples(tiles, large.repeat(2, axis=1).repeat(2, axis=2), 2 * WINDOW)
+            parts = large.repeat(2, axis=1).repeat(2, axis=2)
+            reaching = all_samples(tiles, parts, most_missing, 2 * WINDOW)
     model = _fit_depth(samples[REFERENCE], _rounding(steps, frame))
     model = _fit_falloff(samples[REFERENCE], model)
     for _ in range(3):

@@ -17,8 +17,8 @@ WINDOW = 24
 """Side in pixels of the windows that are judged flat or not."""
 REFERENCE = 12
 """Side of the tiles that σq and the lateral error are taken from."""
-MOST_MISSING = 0.1
-"""Share of the pixels of a tile."""
+MOST_MISSING = (0.1, 0.3, 0.5)
+"""Shares of the pixels of a tile: of frames in which hardly a window has more, the next one counts."""
 FEWEST_WINDOWS = 16
 EXACT = 1e-9
 """Residuals below this share of 1/Z are rounding errors of float64."""
@@ -66,7 +66,9 @@ class Samples:
     place: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes) -> "Samples":
+    def of(
+        cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes, most_missing: float
+    ) -> "Samples":
         """The tiles of ``planes`` that lie in flat windows, and the slopes of ``windows``."""
         _, rows, columns = planes.shape
         size = planes.tile[0]
@@ -77,7 +79,7 @@ class Samples:
         else:
             # All its windows flat; together they must be as well.
             chosen = _all_flat(flat, size // WINDOW, rows, columns)
-        chosen &= planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * size * size)
+        chosen &= planes.fitted & (planes.valid_count >= (1.0 - most_missing) * size * size)
         if size > WINDOW and chosen.any():
             residual = planes.rmse[chosen]
             chosen[chosen] = residual < _CLUTTERED * np.median(residual)
@@ -160,10 +162,15 @@ class Samples:
 
 
 def all_samples(
-    tiles: dict[int, TilePlanes], flat: npt.NDArray[np.bool_], window: int = WINDOW
+    tiles: dict[int, TilePlanes],
+    flat: npt.NDArray[np.bool_],
+    most_missing: float,
+    window: int = WINDOW,
 ) -> dict[int, Samples]:
     """The tiles in flat windows, by size, of which there are some."""
-    samples = {size: Samples.of(planes, flat, tiles[window]) for size, planes in tiles.items()}
+    samples = {
+        size: Samples.of(planes, flat, tiles[window], most_missing) for size, planes in tiles.items()
+    }
     return {size: some for size, some in samples.items() if len(some.count) >= FEWEST_WINDOWS // 3}
 
 
@@ -175,7 +182,10 @@ def mean_depth(planes: TilePlanes) -> Floats:
 
 
 def flat_windows(
-    planes: TilePlanes, small: TilePlanes, flat_parts: npt.NDArray[np.bool_] | None = None
+    planes: TilePlanes,
+    small: TilePlanes,
+    most_missing: float,
+    flat_parts: npt.NDArray[np.bool_] | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Windows that are rough as a whole only as far as they are in their parts.
 
@@ -189,7 +199,7 @@ def flat_windows(
     _, rows, columns = planes.shape
     window = planes.tile[0]
     inside = _of_parts(planes, small)
-    good = planes.fitted & (planes.valid_count >= (1.0 - MOST_MISSING) * window * window)
+    good = planes.fitted & (planes.valid_count >= (1.0 - most_missing) * window * window)
     good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
     good &= _varied(planes)
     if flat_parts is not None:

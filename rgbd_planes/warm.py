@@ -26,7 +26,9 @@ def warmup(
     """Compile what fits tiles, or load it from the cache, so that the first frame is as fast as the next.
 
     A first installation takes some seconds for it, once, and with ``segment`` half a minute or more; later processes
-    a fraction of a second.
+    a fraction of a second. `normals`, `fit_labels`, `fit_windows`, `estimate_noise` and others compile what they need
+    when they are first called, which takes some seconds: where nothing can be written later, call them, too, on any
+    frame of the camera.
 
     Parameters
     ----------

@@ -206,7 +206,7 @@ def test_tilts_are_those_of_the_pixels_that_are_there(rng):
     corner = np.add.outer(np.arange(8), np.arange(8)) < 3
     depth = np.where(np.tile(corner, (6, 9)), 0.0, 1.0 / q)
     small, windows = (rp.TileFitter(camera, size).fit_batch([depth]) for size in (8, WINDOW))
-    found = Samples.of(small, np.ones(windows.shape, bool), windows)
+    found = Samples.of(small, np.ones(windows.shape, bool), windows, 0.1)
     assert len(found.tilt_square) == 54
     u, v = np.broadcast_arrays(camera.tan_x, camera.tan_y)
     for _, row, column, tilt_square in zip(*found.place, found.tilt_square, strict=True):
@@ -247,11 +247,23 @@ def test_what_may_be_outliers_is_doubted(rng, share):
 
 
 def test_missing_pixels_are_named():
-    depth = rendering(*VIEWS[0]).measure(holes=0.3)
+    depth = rendering(*VIEWS[0]).measure(holes=0.6)
     with pytest.raises(
-        ValueError, match="found 0 in 1 frames: of most windows more than 10 % of the pixels are missing"
+        ValueError, match="found 0 in 1 frames: of most windows more than 50 % of the pixels are missing"
     ):
         rp.estimate_noise(depth, CAMERA)
+
+
+@pytest.mark.parametrize("holes", [0.1, 0.25, 0.4])
+def test_frames_with_many_holes_show_the_same_noise(holes):
+    whole, sparse = (
+        rp.estimate_noise([rendering(*view).measure(holes=share, seed=1) for view in VIEWS[:2]], CAMERA)
+        for share in (0.0, holes)
+    )
+    q = np.array([0.3, 0.5, 0.8])
+    np.testing.assert_allclose(sparse.sigma(q), whole.sigma(q), rtol=0.05)
+    assert sparse.floor < 0.1
+    assert sparse.spread < 0.1
 
 
 def test_frames_without_noise():
