@@ -36,7 +36,7 @@ def on_slope(steps):
     return math.sqrt(3.0) * max(abs(math.sin(x) / x - math.cos(x)), math.sqrt(0.5)) / x
 
 
-@kernel()
+@kernel(inline=True)
 def in_common(step, sigma_square, n, u_steps, v_steps):
     """Variances by rounding that all of a part's n pixels have in common.
 
@@ -56,9 +56,7 @@ def in_common(step, sigma_square, n, u_steps, v_steps):
         What they add to the variance of a pixel, for those of the two slopes and of the mean.
     """
     exponent = 4.0 * math.pi**2 * sigma_square / (step * step)
-    if exponent > NOTHING:
-        return 0.0, 0.0, 0.0
-    first = math.exp(-exponent)
+    first = math.exp(-exponent) if exponent < NOTHING else 0.0
     variance = n * step * step * (FIRST * first + OTHERS * first**4)
     u_mean, v_mean = on_mean(u_steps), on_mean(v_steps)
     u, v, mean = on_slope(u_steps) * v_mean, on_slope(v_steps) * u_mean, u_mean * v_mean
