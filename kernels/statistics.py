@@ -381,7 +381,10 @@ def covariances(room):
     """
     for i in range(BLOCK):
         c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
-        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + 0.0 * room[D, i]  # NaN where there is no plane
+        shared, independent = (
+            room[SHARED, i],
+            room[INDEPENDENT, i] + 0.0 * room[D, i],
+        )  # NaN where there is no plane
         inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
         aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
         ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv

@@ -52,9 +52,7 @@ class LargePlanes(NamedTuple):
     bend: Floats
 
 
-def large_planes(
-    frames: Sequence[Any], camera: Camera, num_threads: int | None = None
-) -> list[LargePlanes]:
+def large_planes(frames: Sequence[Any], camera: Camera, num_threads: int | None = None) -> list[LargePlanes]:
     """Find those of each frame, and how far they are bent, by the camera's noise."""
     noise = camera.noise
     assert noise is not None
@@ -130,7 +128,9 @@ def _in_two(tiles: TilePlanes, labels: Indices, alpha: Floats, noise: NoiseModel
     number, square = number[order], square[order]
     many = np.bincount(number, minlength=len(alpha))
     middle = np.cumsum(many) - many + many // 2
-    median = np.where(many > 0, square[np.minimum(middle, len(square) - 1)], np.inf) if len(square) else np.inf
+    median = (
+        np.where(many > 0, square[np.minimum(middle, len(square) - 1)], np.inf) if len(square) else np.inf
+    )
     mean = np.bincount(number, square, len(alpha)) / np.maximum(many, 1)
     return np.asarray(mean > _APART / _MEDIAN * median)
 

@@ -168,9 +168,7 @@ def all_samples(
     window: int = WINDOW,
 ) -> dict[int, Samples]:
     """The tiles in flat windows, by size, of which there are some."""
-    samples = {
-        size: Samples.of(planes, flat, tiles[window], most_missing) for size, planes in tiles.items()
-    }
+    samples = {size: Samples.of(planes, flat, tiles[window], most_missing) for size, planes in tiles.items()}
     return {size: some for size, some in samples.items() if len(some.count) >= FEWEST_WINDOWS // 3}
 
 

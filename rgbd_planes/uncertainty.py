@@ -241,6 +241,75 @@ def transform_planes(
     return moved, moved_covariance
 
 
+def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """Combine several measurements of one plane, each by how sure it is.
+
+    Parameters
+    ----------
+    planes : (..., K, 4) array_like
+        In one frame, as of `transform_planes`, their errors independent; NaN for those that are missing.
+    plane_covariance : (..., K, 4, 4) array_like
+
+    Returns
+    -------
+    plane : (..., 4) float64
+        NaN where all K are missing.
+    plane_covariance : (..., 4, 4) float64
+
+    Raises
+    ------
+    ValueError
+        There are none, their normals point to opposite sides, or a covariance is not of rank 3.
+
+    Notes
+    -----
+    Inverse covariances add: of tiles' planes with independent noise this is, to first order, the plane of all their
+    pixels. Whether they are one plane `same_plane` says.
+    """
+    plane, covariance = _array("planes", planes, (4,)), _array("plane_covariance", plane_covariance, (4, 4))
+    shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])
+    if not shape or shape[-1] == 0:
+        raise ValueError(f"expected planes of shape (..., K, 4), K at least 1, got {plane.shape}")
+    plane, covariance = np.broadcast_to(plane, (*shape, 4)), np.broadcast_to(covariance, (*shape, 4, 4))
+    there = np.asarray(np.isfinite(plane).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1)))
+    first = np.argmax(there, axis=-1)[..., None]
+    fused = np.take_along_axis(plane, first[..., None], axis=-2)[..., 0, :]
+    of_fused = np.take_along_axis(covariance, first[..., None, None], axis=-3)[..., 0, :, :]
+    if (np.sum(plane[..., :3] * fused[..., None, :3], axis=-1) < 0.0).any():
+        raise ValueError("expected planes whose normals point to one side")
+    for _ in range(2):  # from the first plane, and then from what came out
+        origin = _about(_surest(fused, of_fused))
+        axes = _axes_across(fused[..., :3]) @ origin
+        errors = np.sum(axes[..., None, :, :] * plane[..., None, :], axis=-1)
+        of_errors = axes[..., None, :, :] @ covariance @ np.swapaxes(axes, -1, -2)[..., None, :, :]
+        of_errors = np.where(there[..., None, None], of_errors, np.eye(3))
+        try:
+            information = np.where(there[..., None, None], np.linalg.inv(of_errors), 0.0)
+            of_sum = np.linalg.inv(
+                np.where(there.any(axis=-1)[..., None, None], information.sum(axis=-3), np.eye(3))
+            )
+        except np.linalg.LinAlgError:
+            raise ValueError("expected covariances of rank 3, as those of planes that were fitted") from None
+        weighted = np.sum(information * np.where(there[..., None], errors, 0.0)[..., None, :], axis=(-3, -1))
+        found = np.sum(of_sum * weighted[..., None, :], axis=-1)
+        across = axes[..., :2, :3]
+        along = np.sqrt(1.0 - np.sum(found[..., :2] ** 2, axis=-1, keepdims=True))
+        normal = along * fused[..., :3] + np.sum(found[..., :2, None] * across, axis=-2)
+        # Of (n, d) about the point: dn lies across the fused plane's own normal.
+        slope = np.zeros((*normal.shape[:-1], 4, 3))
+        slope[..., :3, :2] = np.swapaxes(across, -1, -2) - (
+            fused[..., :3, None] * (found[..., :2] / along)[..., None, :]
+        )
+        slope[..., 3, 2] = 1.0
+        back = np.linalg.inv(origin)
+        fused = np.sum(back * np.concatenate([normal, found[..., 2:]], axis=-1)[..., None, :], axis=-1)
+        slope = back @ slope
+        of_fused = slope @ of_sum @ np.swapaxes(slope, -1, -2)
+    missing = ~there.any(axis=-1)
+    fused[missing], of_fused[missing] = np.nan, np.nan
+    return fused, of_fused
+
+
 def _axes_across(normal: Floats) -> Floats:
     """(..., 3, 4): what of (n, d) lies along two directions across a normal, and d."""
     with np.errstate(invalid="ignore"):  # of opposite normals

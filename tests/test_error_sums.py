@@ -68,7 +68,9 @@ def sandwich(camera, chosen, alpha):
     rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[chosen]
     noise = camera.noise
     variance = noise.sigma(rays @ alpha, *rays.T[:2]) ** 2
-    variance = variance + (noise.lateral * alpha[0] / camera.fx) ** 2 + (noise.lateral * alpha[1] / camera.fy) ** 2
+    variance = (
+        variance + (noise.lateral * alpha[0] / camera.fx) ** 2 + (noise.lateral * alpha[1] / camera.fy) ** 2
+    )
     inverse = np.linalg.inv(rays.T @ rays)
     return inverse @ (rays.T * variance @ rays) @ inverse
 

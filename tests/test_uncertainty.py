@@ -777,6 +777,71 @@ def test_same_plane_of_planes_far_from_the_origin(metres, rng):
     assert two.max() < 1e-3
 
 
+def test_fused_tiles_are_the_plane_of_all_their_pixels(rng):
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, noise=rp.noise.kinect_v1())
+    depth = rp.scenes.plane((0.3, 0.2, -1.0), 1.5).render(camera).measure(quantise=False, seed=rng)
+    tiles = rp.fit_tiles(depth, camera, 16)
+    whole = rp.merge(tiles, np.ones(tiles.shape, int))
+    planes, covariance = tiles.planes.reshape(-1, 4), tiles.plane_covariance.reshape(-1, 4, 4)
+    for metres in (0.0, 50.0):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+        pose[:3, 3] = metres
+        plane, of_plane = rp.uncertainty.fuse_planes(
+            *rp.uncertainty.transform_planes(planes, covariance, pose)
+        )
+        wanted, of_wanted = rp.uncertainty.transform_planes(whole.planes[0], whole.plane_covariance[0], pose)
+        assert np.linalg.norm(plane[:3]) == pytest.approx(1.0)
+        scale = np.sqrt(np.diag(of_wanted))
+        assert (np.abs(plane - wanted) < 0.3 * scale).all()
+        np.testing.assert_allclose(
+            of_plane / np.outer(scale, scale), of_wanted / np.outer(scale, scale), atol=0.03
+        )
+
+
+def test_fused_planes_err_as_they_say(rng):
+    """Of one wall, seen from several places; stacked, with one that is missing."""
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, noise=rp.noise.kinect_v1())
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.1, 0.4, -0.2]).as_matrix()
+    pose[:3, 3] = [20.0, -5.0, 3.0]
+    views = [rp.scenes.plane((0.3 * i, 0.2, -1.0), 1.5 + 0.2 * i).render(camera) for i in range(3)]
+    turns = [np.eye(4) for _ in views]
+    first = views[0].planes[0]
+    for turn, view in zip(turns, views, strict=True):  # to where the first camera sees the same wall
+        n, d = view.planes[0, :3], view.planes[0, 3]
+        axis = np.cross(n, first[:3])
+        angle = np.arctan2(np.linalg.norm(axis), n @ first[:3])
+        turn[:3, :3] = Rotation.from_rotvec(axis / max(np.linalg.norm(axis), 1e-12) * angle).as_matrix()
+        turn[:3, 3] = first[:3] * (d - first[3])
+    truth = rp.uncertainty.transform_planes(first, np.zeros((4, 4)), pose)[0]
+    squares = []
+    for _ in range(100):
+        seen = []
+        for view, turn in zip(views, turns, strict=True):
+            fits = rp.fit_labels(view.measure(quantise=False, seed=rng), camera, np.ones(camera.shape, int))
+            seen.append(
+                rp.uncertainty.transform_planes(fits.planes[0], fits.plane_covariance[0], pose @ turn)
+            )
+        planes, covariance = (np.stack(values) for values in zip(*seen, strict=True))
+        planes = np.stack([np.concatenate([planes, np.full((1, 4), np.nan)]), np.full((4, 4), np.nan)])
+        covariance = np.stack([np.concatenate([covariance, covariance[:1]])] * 2)
+        (plane, nothing), (of_plane, _) = rp.uncertainty.fuse_planes(planes, covariance)
+        assert np.isnan(nothing).all()
+        squares.append((plane - truth) @ np.linalg.pinv(of_plane, rcond=1e-9) @ (plane - truth))
+    assert np.mean(squares) == pytest.approx(3.0, abs=1.0)
+
+
+def test_what_cannot_be_fused_is_refused():
+    plane, covariance = np.array([[0.0, 0.0, -1.0, 2.0]]), np.zeros((1, 4, 4))
+    with pytest.raises(ValueError, match="covariances of rank 3"):
+        rp.uncertainty.fuse_planes(plane, covariance)
+    with pytest.raises(ValueError, match="point to one side"):
+        rp.uncertainty.fuse_planes(np.concatenate([plane, -plane]), covariance)
+    with pytest.raises(ValueError, match=r"\(..., K, 4\), K at least 1, got \(4,\)"):
+        rp.uncertainty.fuse_planes(plane[0], covariance[0])
+
+
 def test_same_plane_takes_every_correlation(rng):
     """Of whole tiles the two slopes have next to none."""
     factors = rng.standard_normal((2, 200, 3, 3))
