@@ -272,6 +272,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         raise ValueError(f"expected planes of shape (..., K, 4), K at least 1, got {plane.shape}")
     plane, covariance = np.broadcast_to(plane, (*shape, 4)), np.broadcast_to(covariance, (*shape, 4, 4))
     there = np.asarray(np.isfinite(plane).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1)))
+    some = np.asarray(there.any(axis=-1))
     first = np.argmax(there, axis=-1)[..., None]
     fused = np.take_along_axis(plane, first[..., None], axis=-2)[..., 0, :]
     of_fused = np.take_along_axis(covariance, first[..., None, None], axis=-3)[..., 0, :, :]
@@ -285,9 +286,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         of_errors = np.where(there[..., None, None], of_errors, np.eye(3))
         try:
             information = np.where(there[..., None, None], np.linalg.inv(of_errors), 0.0)
-            of_sum = np.linalg.inv(
-                np.where(there.any(axis=-1)[..., None, None], information.sum(axis=-3), np.eye(3))
-            )
+            of_sum = np.linalg.inv(np.where(some[..., None, None], information.sum(axis=-3), np.eye(3)))
         except np.linalg.LinAlgError:
             raise ValueError("expected covariances of rank 3, as those of planes that were fitted") from None
         weighted = np.sum(information * np.where(there[..., None], errors, 0.0)[..., None, :], axis=(-3, -1))
@@ -305,8 +304,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         fused = np.sum(back * np.concatenate([normal, found[..., 2:]], axis=-1)[..., None, :], axis=-1)
         slope = back @ slope
         of_fused = slope @ of_sum @ np.swapaxes(slope, -1, -2)
-    missing = ~there.any(axis=-1)
-    fused[missing], of_fused[missing] = np.nan, np.nan
+    fused[~some], of_fused[~some] = np.nan, np.nan
     return fused, of_fused
 
 
