@@ -20,6 +20,12 @@ UNSEEN = 0.5
 
 
 @kernel(inline=True)
+def is_left(step_square, sigma_square):
+    """Whether there is anything of it beside other errors; not if they are NaN."""
+    return 4.0 * math.pi**2 * sigma_square < NOTHING * step_square
+
+
+@kernel(inline=True)
 def on_mean(steps):
     """Amplitude that is left of a wave in the mean over so many of its lengths.
 
@@ -37,27 +43,30 @@ def on_slope(steps):
 
 
 @kernel(inline=True)
-def in_common(step, sigma_square, n, u_steps, v_steps):
+def in_common(step_square, sigma_square, n, u_spread, v_spread):
     """Variances by rounding that all of a part's n pixels have in common.
 
     Parameters
     ----------
-    step : float
-        Δ.
+    step_square : float
+        Δ².
     sigma_square : float
         σ², that of the other errors of a pixel.
     n : float
-    u_steps, v_steps : float
-        Steps that the part spans along its two sides.
+    u_spread, v_spread : float
+        Standard deviation of the surface's own values over the part, along its two sides.
 
     Returns
     -------
     tuple of 3 floats
         What they add to the variance of a pixel, for those of the two slopes and of the mean.
     """
-    exponent = 4.0 * math.pi**2 * sigma_square / (step * step)
-    first = math.exp(-exponent) if exponent < NOTHING else 0.0
-    variance = n * step * step * (FIRST * first + OTHERS * first**4)
+    exponent = 4.0 * math.pi**2 * sigma_square / step_square
+    first = math.exp(-exponent) if is_left(step_square, sigma_square) else 0.0
+    variance = n * step_square * (FIRST * first + OTHERS * first**4)
+    # What lies evenly along a side spans √12 of its standard deviations.
+    scale = math.sqrt(12.0 / step_square)
+    u_steps, v_steps = scale * u_spread, scale * v_spread
     u_mean, v_mean = on_mean(u_steps), on_mean(v_steps)
     u, v, mean = on_slope(u_steps) * v_mean, on_slope(v_steps) * u_mean, u_mean * v_mean
     return variance * u * u, variance * v * v, variance * mean * mean

@@ -100,11 +100,10 @@ def describe_planes(
         of_x = of_y = of_mean = 0.0
         if step[i] > 0.0:
             u, v = moments[i, 1] / n, moments[i, 2] / n
-            u_side = math.sqrt(12.0 * max(moments[i, 4] / n - u * u, 0.0))
-            v_side = math.sqrt(12.0 * max(moments[i, 7] / n - v * v, 0.0))
+            u_spread = abs(alpha[i, 0]) * math.sqrt(max(moments[i, 4] / n - u * u, 0.0))
+            v_spread = abs(alpha[i, 1]) * math.sqrt(max(moments[i, 7] / n - v * v, 0.0))
             others = max(min(seen, deviation[i] ** 2) - step[i] ** 2 / 12.0, 0.0)
-            u_steps, v_steps = abs(alpha[i, 0]) * u_side / step[i], abs(alpha[i, 1]) * v_side / step[i]
-            of_x, of_y, of_mean = in_common(step[i], others, n, u_steps, v_steps)
+            of_x, of_y, of_mean = in_common(step[i] ** 2, others, n, u_spread, v_spread)
         covariance_of(
             moments[i], weighted[i], max(variance, least[0, i]) + of_x, max(variance, least[1, i]) + of_y,
             max(variance, least[2, i]) + of_mean, covariance[i],

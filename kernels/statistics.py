@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from . import chi_square, normal_distribution, variance_ratio
-from . import rounding as rounding_in_common
 from ._jit import kernel
+from .rounding import in_common, is_left
 from .sandwich import sandwich
 from .solve import ROUGH
 
@@ -358,14 +358,12 @@ def rounded_alike(noise, count, room):
         rounding = noise[DEPTH_STEP] * room[MEAN_Q, i] ** 4 + noise[DISPARITY_STEP]
         lateral = room[INDEPENDENT, i] - room[ROUNDING, i]
         shared = max(room[SHARED, i], 1e-60)
-        # Δ² is twelve times the variance, and a rectangle's side squared twelve times that of its pixels.
-        if not 4.0 * math.pi**2 * (shared + lateral) < rounding_in_common.NOTHING * 12.0 * rounding:
+        step_square = 12.0 * rounding
+        if not is_left(step_square, shared + lateral):
             continue
-        step = math.sqrt(12.0 * rounding)
-        scale = math.sqrt(12.0 / n) / (step * d)
-        u_steps = abs(room[N_X, i]) * scale * math.sqrt(max(room[4, i], 0.0))
-        v_steps = abs(room[N_Y, i]) * scale * math.sqrt(max(room[7, i], 0.0))
-        of_u, of_v, of_mean = rounding_in_common.in_common(step, shared + lateral, n, u_steps, v_steps)
+        u_spread = abs(room[N_X, i]) / d * math.sqrt(max(room[4, i] / n, 0.0))
+        v_spread = abs(room[N_Y, i]) / d * math.sqrt(max(room[7, i] / n, 0.0))
+        of_u, of_v, of_mean = in_common(step_square, shared + lateral, n, u_spread, v_spread)
         room[SHARED, i] = shared
         room[OF_COUNT + 2, i] += of_u / shared
         room[OF_COUNT + 4, i] += of_v / shared
@@ -381,10 +379,8 @@ def covariances(room):
     """
     for i in range(BLOCK):
         c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
-        shared, independent = (
-            room[SHARED, i],
-            room[INDEPENDENT, i] + 0.0 * room[D, i],
-        )  # NaN where there is no plane
+        nothing = 0.0 * room[D, i]  # NaN where there is no plane
+        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
         inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
         aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
         ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
@@ -406,7 +402,8 @@ def uneven_covariances(room):
             room[0, i], room[1, i], room[2, i], room[4, i], room[5, i], room[7, i], weighted
         )
         shared, rounding = room[SHARED, i], room[ROUNDING, i]
-        lateral = room[INDEPENDENT, i] - rounding + 0.0 * room[D, i]  # NaN where there is no plane
+        nothing = 0.0 * room[D, i]  # NaN where there is no plane
+        lateral = room[INDEPENDENT, i] - rounding + nothing
         f_a, f_b, f_mean = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
         aa = (shared * f_a + rounding) * slopes[0] + lateral * even[0]
         ab = (shared * room[OF_COUNT + 3, i] + rounding) * slopes[1] + lateral * even[1]

@@ -143,7 +143,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         _warn_of_units(sample, array.dtype, depth_scale, camera.depth_range)
     lowest, highest, holes, missing = _validity(
         dtype.char,
-        array.dtype.char if kind == "f" and array.dtype.itemsize < dtype.itemsize else dtype.char,
+        array.dtype.char if kind == "f" else dtype.char,
         depth_scale if disparity is None else None,
         disparity,
         camera.depth_range,

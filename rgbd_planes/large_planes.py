@@ -91,13 +91,17 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     many = np.bincount(labels.ravel(), minlength=len(merged.status) + 1)[1:]
     large = (many >= _LARGE) & (merged.status == TileStatus.OK)
 
-    large &= ~_in_two(tiles, labels, merged.alpha, noise)
-
     on_plane, number = labels > 0, labels[labels > 0] - 1
     count = tiles.valid_count[on_plane]
     q = 1.0 / mean_depth(tiles)[on_plane]
+    variance = noise._along(q) ** 2 * noise._growth(*central_rays(tiles.camera, tiles.tile)[:, on_plane])
+    u, v = tiles._reference[:2, on_plane] + tiles._moments[1:3, on_plane] / count
+    a, b, c = merged.alpha[number].T
+    off = (q - (a * u + b * v + c)) / np.sqrt(variance)
+    for k in np.flatnonzero(large):
+        large[k] = not _is_in_two(off[number == k])
     squares = (
-        count * noise._along(q) ** 2 * noise._growth(*central_rays(tiles.camera, tiles.tile)[:, on_plane]),
+        count * variance,
         count * tiles.rmse[on_plane] ** 2,
         noise._rounding(q),
     )
@@ -111,28 +115,13 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     return LargePlanes(numbers[labels], merged.alpha[large], side[large], bend)
 
 
-def _in_two(tiles: TilePlanes, labels: Indices, alpha: Floats, noise: NoiseModel) -> npt.NDArray[np.bool_]:
-    """(K,): whether a part of the plane of a label lies apart from the rest, as a board that leans on a wall does.
+def _is_in_two(off: Floats) -> bool:
+    """Whether a part of a plane lies apart from the rest, as a board that leans on a wall does.
 
-    A wave of the sensor moves most tiles, a board those on it: then the mean square is far above the median.
+    By how far each of its tiles lies off it, in standard deviations of a pixel. A wave of the sensor moves most of
+    them, a board those on it: then the mean square is far above what the median says.
     """
-    on_plane = labels > 0
-    number, count = labels[on_plane] - 1, np.maximum(tiles._moments[0][on_plane], 1.0)
-    u, v, q = (
-        mean[on_plane] + first[on_plane] / count
-        for mean, first in zip(tiles._reference, tiles._moments[1:4], strict=True)
-    )
-    off = q - (alpha[number, 0] * u + alpha[number, 1] * v + alpha[number, 2])
-    square = off**2 / (noise._along(q) ** 2 * noise._growth(u, v))
-    order = np.lexsort([square, number])
-    number, square = number[order], square[order]
-    many = np.bincount(number, minlength=len(alpha))
-    middle = np.cumsum(many) - many + many // 2
-    median = (
-        np.where(many > 0, square[np.minimum(middle, len(square) - 1)], np.inf) if len(square) else np.inf
-    )
-    mean = np.bincount(number, square, len(alpha)) / np.maximum(many, 1)
-    return np.asarray(mean > _APART / _MEDIAN * median)
+    return bool(np.mean(off**2) > _APART / _MEDIAN * np.median(off**2))
 
 
 def _connected(tiles: TilePlanes) -> Indices:

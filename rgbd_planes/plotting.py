@@ -80,7 +80,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
         raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
     figure, panels, legends = panels_with_legends(3, fits.camera, figure)
     if depth_metres is None:
-        draw_fitted_depth(panels[0], legends[0], fits)
+        draw_fitted_depth(panels[0], legends[0], fitted_depth(fits))
     else:
         draw_measured_depth(panels[0], legends[0], depth_metres)
     panels[1].imshow(
@@ -129,8 +129,9 @@ def draw_measured_depth(panel: Axes, legend: Axes, metres: Floats) -> None:
     panel.set_title("Measured depth")
 
 
-def draw_fitted_depth(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
-    _draw_depth(panel, legend, fitted_depth(fits), "metres")
+def draw_fitted_depth(panel: Axes, legend: Axes, metres: Floats) -> None:
+    """Draw the depth of `fitted_depth` likewise."""
+    _draw_depth(panel, legend, metres, "metres")
     panel.set_title("Depth of the fitted planes")
 
 

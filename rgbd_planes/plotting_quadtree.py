@@ -55,7 +55,7 @@ def plot_quadtree(
     figure, panels, legends = panels_with_legends(2, elements.camera, figure)
     if depth_metres is None:
         depth_metres = fitted_depth(elements)
-        draw_fitted_depth(panels[0], legends[0], elements)
+        draw_fitted_depth(panels[0], legends[0], depth_metres)
     else:
         draw_measured_depth(panels[0], legends[0], depth_metres)
 

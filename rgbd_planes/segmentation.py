@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_whole, number, warn_caller
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import DepthFrame, as_depth_frame
+from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.kernels import (
     segment_blocks,
@@ -148,7 +148,8 @@ def _segment(
         rays, inverse_depth, pyramid,
     )  # fmt: skip
     segment_blocks.sum_by_fours(pyramid, rays)
-    noise, tolerance, is_rougher = noise_of(frame, rays, pyramid, nearest, given)
+    step_of_raw = step_of(frame)
+    noise, tolerance, is_rougher = noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
     rules = rules.tolerating(tolerance)
 
     state = np.empty(pyramid.offsets[-1], np.int8)
@@ -169,7 +170,20 @@ def _segment(
         region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
     )
     found = _result(
-        frame, camera, rays, work, shares, number, planes, sums, curved, noise, given, min_size, rules
+        frame,
+        step_of_raw,
+        camera,
+        rays,
+        work,
+        shares,
+        number,
+        planes,
+        sums,
+        curved,
+        noise,
+        given,
+        min_size,
+        rules,
     )
     if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
         warn_caller(
@@ -184,6 +198,7 @@ def _segment(
 
 def _result(
     frame: DepthFrame,
+    step_of_raw: float,
     camera: Camera,
     rays: Rays,
     work: Workspace,
@@ -241,7 +256,7 @@ def _result(
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
         inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera),
-        steps_at(frame, inside[:, 3] / inside[:, 0]), planes, covariance, rmse,
+        steps_at(frame, step_of_raw, inside[:, 3] / inside[:, 0]), planes, covariance, rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]

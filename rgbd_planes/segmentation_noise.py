@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_noise, warn_caller
-from rgbd_planes.depth import DepthFrame, step_of
+from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
 from rgbd_planes.residual_statistics import ResidualStatistics, like_rectangles
@@ -70,7 +70,7 @@ class Given(NamedTuple):
 
 
 def noise_of(
-    frame: DepthFrame, rays: Rays, pyramid: Pyramid, nearest: float, given: Given
+    frame: DepthFrame, step_of_raw: float, rays: Rays, pyramid: Pyramid, nearest: float, given: Given
 ) -> tuple[Noise, float, bool]:
     """Noise of a frame, and what is to be tolerated beside it: see `Rules.tolerating`.
 
@@ -80,7 +80,10 @@ def noise_of(
 
     Parameters
     ----------
-    frame, rays, pyramid
+    frame
+    step_of_raw : float
+        See `depth.step_of`.
+    rays, pyramid
     nearest : float
         Largest inverse depth of the frame, 1/m.
     given : Given
@@ -106,10 +109,12 @@ def noise_of(
     is_rougher = bool(0.0 < UNLIKE * expected < typical**0.5)
     if given.sigma is None:
         # Between the first two entries it is not to fall to nothing: far surfaces may lie there.
-        table = np.maximum(np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, q))
+        table = np.maximum(
+            np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, step_of_raw, q)
+        )
     elif given.at_large and typical > 0.0:
         # An error that neighbours share is not seen within a square: it shows as growth.
-        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, q)), table)
+        table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, step_of_raw, q)), table)
     sigma = np.maximum(table, flattest)
     # Edges pass for waves where most squares have one, and with waves of any height all things would be planes.
     np.minimum(growth, max(FORMLESS * q[middle] / sigma[middle], 1.0), out=growth)
@@ -152,12 +157,12 @@ def is_exact(noise: Noise) -> bool:
     return bool(largest <= FLATNESS * step * (len(_SHARES) - 1))
 
 
-def steps_at(frame: DepthFrame, q: Floats) -> Floats:
+def steps_at(frame: DepthFrame, step_of_raw: float, q: Floats) -> Floats:
     """Between neighbouring raw values, as differences of inverse depth; 0 where there are no steps."""
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(step_of(frame) * step)
+    return np.asarray(step_of_raw * step)
 
 
-def _rounding(frame: DepthFrame, q: Floats) -> Floats:
+def _rounding(frame: DepthFrame, step_of_raw: float, q: Floats) -> Floats:
     """Standard deviation of inverse depth that rounding to the raw values' steps makes."""
-    return np.asarray(steps_at(frame, q) / 12.0**0.5)
+    return np.asarray(steps_at(frame, step_of_raw, q) / 12.0**0.5)

@@ -26,16 +26,16 @@ def series(sigma, x):
 @pytest.mark.parametrize("sigma", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
 def test_mean_square_is_that_of_rounded_noise(sigma):
     x = np.linspace(-0.5, 0.5, 20_001)[:-1] + 2.5e-5
-    slope_u, slope_v, mean = in_common(STEP, (sigma * STEP) ** 2, 100.0, 0.0, 0.0)
+    slope_u, slope_v, mean = in_common(STEP**2, (sigma * STEP) ** 2, 100.0, 0.0, 0.0)
     wanted = np.mean(series(sigma, x) ** 2) * STEP**2
     assert 0.99 * wanted <= mean / 100.0 + 1e-5 * STEP**2 <= 1.12 * wanted + 2e-5 * STEP**2
     assert slope_u == slope_v <= 1.5 * mean  # a fit of one value shows no slope, which may be there
 
 
 def test_over_many_steps_hardly_anything_is_left():
-    few, many = (in_common(STEP, 0.0, 100.0, 0.0, steps)[2] for steps in (0.0, 30.0))
+    few, many = (in_common(STEP**2, 0.0, 100.0, 0.0, steps * STEP / 12.0**0.5)[2] for steps in (0.0, 30.0))
     assert many < 1e-3 * few
-    assert in_common(STEP, STEP**2, 100.0, 0.0, 0.0) == (0.0, 0.0, 0.0)
+    assert in_common(STEP**2, STEP**2, 100.0, 0.0, 0.0) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 5.0])
