@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import enum
+import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.saved import check_alike, save_arrays, saved_arrays
 from rgbd_planes.tile_grid import common_labels
 from rgbd_planes.wording import counted, percent
 
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
+
+_ARRAYS = "labels", "planes", "alpha", "alpha_covariance", "sizes", "rmse", "reason"
 
 
 class Reason(enum.IntEnum):
@@ -131,6 +135,20 @@ class Segmentation:
         jacobian[:, 3] = d[:, None] ** 2 * n
         return np.asarray(jacobian @ self.alpha_covariance @ jacobian.transpose(0, 2, 1))
 
+    @property
+    def angle_std(self) -> Floats:
+        """(N,) float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
+        return np.asarray(np.degrees(np.sqrt(np.trace(self.plane_covariance[:, :3, :3], axis1=1, axis2=2))))
+
+    @property
+    def offset_std(self) -> Floats:
+        """(N,) float64, metres: standard deviation of d.
+
+        That is the distance of the camera from the plane extended up to it, which the tilt of a small plane moves far
+        more than its surface: of that, at a point, the standard deviation is `uncertainty.point_distance`'s.
+        """
+        return np.sqrt(self.plane_covariance[:, 3, 3])
+
     def fitted_inverse_depth(self) -> Floats:
         """(H, W) float64, 1/m: the inverse depth of each pixel's plane; 0 where there is none."""
         a: Floats
@@ -170,6 +188,54 @@ class Segmentation:
             )
         return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
 
+    def to_table(self) -> dict[str, NDArray[Any]]:
+        """Return one row a plane as a dict of equally long columns, which `pandas.DataFrame` takes.
+
+        Columns: label, size in pixels; nx, ny, nz, d; rmse, rmse_metric; angle_std, offset_std.
+        """
+        return {
+            "label": np.arange(1, len(self) + 1),
+            "size": self.sizes,
+            "nx": self.planes[:, 0],
+            "ny": self.planes[:, 1],
+            "nz": self.planes[:, 2],
+            "d": self.planes[:, 3],
+            "rmse": self.rmse,
+            "rmse_metric": self.rmse_metric,
+            "angle_std": self.angle_std,
+            "offset_std": self.offset_std,
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an NPZ file, camera included, that `load` reads; whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            The camera's noise model is a function.
+        OSError
+            It cannot be written there.
+        """
+        about = {"camera": self.camera.to_dict(), "sigma": self.sigma}
+        save_arrays(path, about, {name: getattr(self, name) for name in _ARRAYS})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file that `save` wrote.
+
+        Raises
+        ------
+        OSError, ValueError
+            There is none, or it is another file, or damaged.
+        """
+        with saved_arrays(path, "Segmentation.save") as (about, file):
+            camera, sigma = Camera.from_dict(about["camera"]), float(about["sigma"])
+            arrays = {name: file[name] for name in _ARRAYS}
+            check_alike(arrays, _allocate(camera, len(arrays["sizes"])))
+            if not 0 <= arrays["labels"].min() <= arrays["labels"].max() <= len(arrays["sizes"]):
+                raise ValueError("labels of other planes")
+        return cls(camera=camera, sigma=sigma, **arrays)
+
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`.
 
@@ -183,3 +249,16 @@ class Segmentation:
         from rgbd_planes.plotting_segments import plot_segments
 
         return plot_segments(self, depth, figure)
+
+
+def _allocate(camera: Camera, count: int) -> dict[str, NDArray[Any]]:
+    """The arrays of a segmentation with so many planes."""
+    return {
+        "labels": np.empty(camera.shape, np.int32),
+        "planes": np.empty((count, 4)),
+        "alpha": np.empty((count, 3)),
+        "alpha_covariance": np.empty((count, 3, 3)),
+        "sizes": np.empty(count, np.int32),
+        "rmse": np.empty(count),
+        "reason": np.empty(camera.shape, np.uint8),
+    }

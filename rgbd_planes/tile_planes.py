@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -14,9 +13,9 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
 from rgbd_planes.falloff import growth_of_tiles
-from rgbd_planes.files import readable, write_beside
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
+from rgbd_planes.saved import check_alike, save_arrays, saved_arrays
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
 
 if TYPE_CHECKING:
@@ -154,10 +153,8 @@ class TilePlanes(PlacedFits):
         OSError
             It cannot be written there.
         """
-        arrays = {name.lstrip("_"): getattr(self, name) for name in ARRAYS}
-        about = json.dumps({"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method})
-        with write_beside(path) as beside, open(beside, "wb") as file:
-            np.savez_compressed(file, about=np.array(about), **arrays)
+        about = {"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method}
+        save_arrays(path, about, {name.lstrip("_"): getattr(self, name) for name in ARRAYS})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -168,15 +165,10 @@ class TilePlanes(PlacedFits):
         OSError, ValueError
             There is none, or it is another file, or damaged.
         """
-        wrote = readable(path, "a file that TilePlanes.save wrote")
-        with open(path, "rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
-            about = json.loads(str(file["about"]))
+        with saved_arrays(path, "TilePlanes.save") as (about, file):
             method, camera = about["method"], Camera.from_dict(about["camera"])
             check_choice("method", method, METHODS)
             tile = check_tile(tuple(about["tile"]), camera.shape)
             arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
-            frames = arrays["status"].shape[:-2]
-            for name, expected in allocate(frames, grid_shape(camera, tile)).items():
-                if (arrays[name].shape, arrays[name].dtype) != (expected.shape, expected.dtype):
-                    raise ValueError(f"{name} of another shape or dtype")
+            check_alike(arrays, allocate(arrays["status"].shape[:-2], grid_shape(camera, tile)))
         return cls(camera=camera, method=method, tile=tile, **arrays)

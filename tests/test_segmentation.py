@@ -14,7 +14,6 @@ from scipy.ndimage import convolve, find_objects, gaussian_filter
 from rgbd_planes import (
     Camera,
     estimate_noise,
-    fit_tiles,
     normals,
     scenes,
     segment,
@@ -839,28 +838,6 @@ def test_planes_of_sparse_pixels():
     assert found.sizes[0] == np.count_nonzero(found.labels)
     assert (found.labels[measured] == 1).mean() > 0.99
     assert ((found.reason == Reason.MISSING) == ~measured).all()
-
-
-def test_tile_labels(room):
-    found = segment(room[1], CAMERA)
-    tiles = found.tile_labels((16, 24))
-    assert tiles.shape == fit_tiles(room[1], CAMERA, tile=(16, 24)).status.shape
-    for row, column in np.ndindex(tiles.shape):
-        tile = np.s_[16 * row : 16 * row + 16, 24 * column : 24 * column + 24]
-        own = np.unique(found.labels[tile][found.reason[tile] != Reason.MISSING])
-        assert tiles[row, column] == (own[0] if len(own) == 1 else 0)
-    assert (tiles > 0).mean() > 0.3
-    assert np.array_equal(found.tile_labels(9), found.tile_labels((9, 9)))
-
-
-def test_labels_for_others(room):
-    found = segment(room[1], CAMERA)
-    assert found.labels_from_minus_one().min() >= -1
-    assert (found.labels_from_minus_one() + 1 == found.labels).all()
-    opencv = found.labels_for_opencv()
-    assert opencv.dtype == np.uint8
-    assert ((opencv == 255) == (found.labels == 0)).all()
-    assert (opencv[found.labels > 0] == found.labels[found.labels > 0] - 1).all()
 
 
 def test_covariance_is_that_of_the_fit():

@@ -1,0 +1,41 @@
+"""Results in NPZ files: their arrays, and as JSON what else they consist of."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from rgbd_planes.files import readable, write_beside
+
+Arrays = Mapping[str, Any]
+
+
+def save_arrays(path: str | os.PathLike[str], about: Mapping[str, Any], arrays: Arrays) -> None:
+    """Write a file that `saved_arrays` reads; whole or not at all."""
+    text = np.array(json.dumps(about))
+    with write_beside(path) as beside, open(beside, "wb") as file:
+        np.savez_compressed(file, about=text, **arrays)
+
+
+@contextmanager
+def saved_arrays(path: str | os.PathLike[str], writer: str) -> Iterator[tuple[dict[str, Any], Arrays]]:
+    """What `save_arrays` wrote into a file; errors of the block say that it is none, or damaged.
+
+    Raises
+    ------
+    OSError, ValueError
+        There is none, or it is another file than ``writer``, such as "TilePlanes.save", wrote, or damaged.
+    """
+    wrote = readable(path, f"a file that {writer} wrote")
+    with open(path, "rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
+        yield json.loads(str(file["about"])), file
+
+
+def check_alike(arrays: Arrays, expected: Arrays) -> None:
+    """Raise a ValueError unless arrays have the shapes and dtypes of others."""
+    for name, other in expected.items():
+        if (arrays[name].shape, arrays[name].dtype) != (other.shape, other.dtype):
+            raise ValueError(f"{name} of another shape or dtype")

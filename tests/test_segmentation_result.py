@@ -1,0 +1,94 @@
+"""What a segmentation shows, saves and turns into."""
+
+import numpy as np
+import pytest
+
+import rgbd_planes as rp
+from rgbd_planes import scenes
+
+CAMERA = rp.Camera(
+    160, 120, 131.25, 131.25, 79.5, 59.5, distortion=(0.1, -0.05, 0.001, 0.0, 0.0), depth_scale=1000.0
+)
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return scenes.room().render(CAMERA).measure(holes=0.05, seed=3)
+
+
+@pytest.fixture(scope="module")
+def found(frame):
+    return rp.segment(frame, CAMERA)
+
+
+def test_standard_deviations_are_those_of_a_fit_with_this_covariance(found):
+    n, d = found.planes[:, :3], found.planes[:, 3]
+    rng = np.random.default_rng(5)
+    for i, (alpha, covariance) in enumerate(zip(found.alpha, found.alpha_covariance, strict=True)):
+        other = rng.multivariate_normal(alpha, covariance, 4000)
+        sine = np.linalg.norm(np.cross(n[i], other), axis=1) * d[i]
+        assert found.angle_std[i] == pytest.approx(np.degrees(np.sqrt(np.mean(sine**2))), rel=0.06)
+        offsets = 1.0 / np.linalg.norm(other, axis=1)
+        assert found.offset_std[i] == pytest.approx(offsets.std(), rel=0.06)
+
+
+def test_table_has_one_row_a_plane(found):
+    table = found.to_table()
+    assert {len(column) for column in table.values()} == {len(found)}
+    assert [np.count_nonzero(found.labels == label) for label in table["label"]] == list(table["size"])
+    np.testing.assert_array_equal(
+        np.stack([table[name] for name in ("nx", "ny", "nz", "d")], 1), found.planes
+    )
+    np.testing.assert_array_equal(table["offset_std"], found.offset_std)
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_save_and_load(found, empty, tmp_path):
+    if empty:
+        found = rp.segment(np.zeros(CAMERA.shape, np.uint16), CAMERA)
+        assert len(found) == 0
+    found.save(tmp_path / "planes.npz")
+    loaded = rp.Segmentation.load(tmp_path / "planes.npz")
+    assert (loaded.camera, loaded.sigma, repr(loaded)) == (found.camera, found.sigma, repr(found))
+    for name in ("labels", "planes", "alpha", "alpha_covariance", "sizes", "rmse", "reason"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(found, name))
+        assert getattr(loaded, name).dtype == getattr(found, name).dtype
+    assert [path.name for path in tmp_path.iterdir()] == ["planes.npz"]
+
+
+def test_load_of_something_else(found, frame, tmp_path):
+    found.save(tmp_path / "planes.npz")
+    (tmp_path / "half.npz").write_bytes((tmp_path / "planes.npz").read_bytes()[:4000])
+    rp.fit_tiles(frame, CAMERA).save(tmp_path / "tiles.npz")
+    with np.load(tmp_path / "planes.npz") as file:
+        arrays = dict(file)
+    np.savez(tmp_path / "fewer.npz", **arrays | {"planes": arrays["planes"][1:]})
+    np.savez(tmp_path / "wide.npz", **arrays | {"labels": arrays["labels"].astype(np.int64)})
+    np.savez(tmp_path / "larger.npz", **arrays | {"labels": arrays["labels"] + np.int32(1)})
+    for name in ("half.npz", "tiles.npz", "fewer.npz", "wide.npz", "larger.npz"):
+        with pytest.raises(ValueError, match=rf"{name}: not a file that Segmentation.save wrote"):
+            rp.Segmentation.load(tmp_path / name)
+    with pytest.raises(ValueError, match=r"not a file that TilePlanes\.save wrote"):
+        rp.TilePlanes.load(tmp_path / "planes.npz")
+    with pytest.raises(FileNotFoundError):
+        rp.Segmentation.load(tmp_path / "none.npz")
+
+
+def test_tile_labels(frame, found):
+    tiles = found.tile_labels((8, 12))
+    assert tiles.shape == rp.fit_tiles(frame, found.camera, tile=(8, 12)).status.shape
+    for row, column in np.ndindex(tiles.shape):
+        tile = np.s_[8 * row : 8 * row + 8, 12 * column : 12 * column + 12]
+        own = np.unique(found.labels[tile][found.reason[tile] != rp.Reason.MISSING])
+        assert tiles[row, column] == (own[0] if len(own) == 1 else 0)
+    assert (tiles > 0).mean() > 0.3
+    assert np.array_equal(found.tile_labels(9), found.tile_labels((9, 9)))
+
+
+def test_labels_for_others(found):
+    assert found.labels_from_minus_one().min() >= -1
+    assert (found.labels_from_minus_one() + 1 == found.labels).all()
+    opencv = found.labels_for_opencv()
+    assert opencv.dtype == np.uint8
+    assert ((opencv == 255) == (found.labels == 0)).all()
+    assert (opencv[found.labels > 0] == found.labels[found.labels > 0] - 1).all()
