@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
-from rgbd_planes.checks import check_whole, number, numbers, plain_array, warn_caller
+from rgbd_planes.checks import check_not_a_maker, check_whole, number, numbers, plain_array, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise_model import NoiseModel
@@ -102,6 +102,7 @@ class Camera:
         invalid = numbers("invalid_values", self.invalid_values, finite=False)
         # The others are never measurements; NaN would make a camera differ from its own copy.
         self._set("invalid_values", tuple(value for value in invalid if math.isfinite(value)))
+        check_not_a_maker(self.noise)
         if self.noise is not None and not isinstance(self.noise, NoiseModel):
             raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
         self._check_depth()

@@ -110,6 +110,13 @@ def check_noise(
     return made
 
 
+def check_not_a_maker(noise: Any) -> None:
+    """Raise a TypeError for a function of `rgbd_planes.noise` in the place of the model that it makes."""
+    if getattr(noise, "__module__", "") == "rgbd_planes.noise" and hasattr(noise, "__name__"):
+        name = noise.__name__
+        raise TypeError(f"expected noise as a NoiseModel, got the function {name}: {name}(...) makes one")
+
+
 def for_each(sigma: Any, inverse_depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what a function gave for inverse depths as floats, one for each; a single number is that of all."""
     made = np.asarray(sigma, np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_whole, number, warn_caller
+from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, number, warn_caller
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
@@ -117,6 +117,7 @@ def _given(noise: Any) -> Given:
         statistics = None if getattr(noise, "is_independent", True) else noise.statistics
         lateral = float(getattr(noise, "lateral", 0.0))
         return Given(noise.sigma, lateral, at_large=True, statistics=statistics)
+    check_not_a_maker(noise)
     if noise is None or callable(noise):
         return Given(noise)
     try:

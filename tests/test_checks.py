@@ -256,3 +256,14 @@ def test_scores_of_a_segmentation_are_told_apart():
         assert one == one
         assert one != other
         assert hash(one) != hash(other)
+
+
+@pytest.mark.parametrize("maker", [noise.kinect_v1, noise.stereo, noise.time_of_flight])
+@pytest.mark.parametrize(
+    "use", [lambda maker: replace(CAMERA, noise=maker), lambda maker: rp.segment(DEPTH, CAMERA, noise=maker)]
+)
+def test_a_function_that_makes_a_noise_model_is_none(maker, use):
+    with pytest.raises(
+        TypeError, match=rf"got the function {maker.__name__}: {maker.__name__}\(\.\.\.\) makes one"
+    ):
+        use(maker)
