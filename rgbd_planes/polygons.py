@@ -94,6 +94,10 @@ class PlanePolygon:
         """(K, 3) float64: points of the plane in the camera's frame, from its own (K, 2) coordinates."""
         return np.asarray(self.origin + np.asarray(coordinates, dtype=np.float64) @ self.axes)
 
+    def to_plane(self, points: ArrayLike) -> Floats:
+        """(..., 2) float64: the feet of points, (..., 3) in the camera's frame, in the plane's own coordinates."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.origin) @ self.axes.T)
+
     def corners(self, geometry: Polygon | None = None) -> Floats:
         """(K, 3) float64: corners in the camera's frame of a polygon in the plane, by default `rectangle`."""
         chosen = self.rectangle if geometry is None else geometry

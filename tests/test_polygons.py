@@ -82,6 +82,7 @@ def test_axes_and_rings_go_as_the_image_does(
     camera = replace(CAMERA, fx=sign_x * CAMERA.fx, fy=sign_y * CAMERA.fy)
     own = seen(normal, camera)
     centre = own.to_space([own.metric.centroid.coords[0]])
+    assert own.to_plane(centre + 0.3 * own.plane[:3]) == pytest.approx(np.array(own.metric.centroid.coords))
     middle, right, down = camera.project(np.concatenate([centre, centre + 1e-3 * own.axes]))
     assert right[0] > middle[0]
     assert sign_x * sign_y * (down[1] - middle[1]) > 0.0
