@@ -4,12 +4,17 @@ The matrix of eq. tan_theta_scattermatrix is [[A, b], [bᵀ, κ]], with A the ca
 eigenvector (α, -1) satisfies (A - λI) α = b, and with α₀ = A⁻¹b the least-squares solution and RSS its
 residual, the eigenvalue is the root between 0 and A's smallest eigenvalue of
 
-    RSS - λ (1 + α₀ᵀ α_λ) = 0,    α_λ = (A - λI)⁻¹ b.
+    RSS - λ h(λ) = 0,    h(λ) = 1 + α₀ᵀ α_λ,    α_λ = (A - λI)⁻¹ b.
 
-No term of it cancels, and its derivative is -(1 + α_λᵀ α_λ). The function is concave, so Newton's method
-from the Rayleigh quotient of (α₀, -1), which bounds the eigenvalue from above, falls to it and never passes
-it, in one to five steps. Where even the quotient is not below A's smallest eigenvalue, the noise is larger
-than what the rays tell apart, and the smallest eigenvector is a plane through the camera's centre.
+No term of it cancels. A step goes to where λ / RSS - 1 / h(λ) would have its root if it were a straight line, which
+it nearly is, also beside h's pole at A's smallest eigenvalue, where Newton's steps for RSS - λ h come no nearer than
+half of the way. The slope of h needs nothing new: that of λ h is 1 + α_λᵀ α_λ.
+
+The Rayleigh quotient of (α₀, -1) bounds the root from above, and 1 / tr A⁻¹ is a third to all of A's smallest
+eigenvalue. From the smaller of the two it takes one or two steps where the noise is small. Where it is larger than
+what the rays tell apart, as across a depth edge or in the smallest tiles, the root lies close to the pole, and
+it takes some more; those that leave the interval in which the root is known to lie are replaced by half of that. The
+plane then passes near the camera's centre.
 
 All is done in coordinates relative to the tile's reference (u0, v0, q0), where A is well conditioned;
 there the identity becomes B = T⁻¹T⁻ᵀ, T being the change of coordinates.
@@ -17,102 +22,127 @@ there the identity becomes B = T⁻¹T⁻ᵀ, T being the change of coordinates.
 
 import math
 
+import numpy as np
+
 from ._jit import kernel
 
-# Tiles that take steps until the last of them has converged: several vectors, but few tiles that wait.
+# Tiles that take steps side by side, several vectors, and how many: those that need more take them alone.
 TOGETHER = 64
+STEPS = 4
+# Steps, as shares of λ, that change nothing, and that rounding may still make.
+PRECISION, ROUNDING = 1e-14, 1e-10
+# Rows of what is known of each tile: λ, the interval in which it lies, whether it is to be found yet; α_λ in centred
+# coordinates; RSS; B α₀'.
+ROOT, LOW, HIGH, MOVES, ALPHA_U, ALPHA_V, ALPHA_1, RSS, START_U, START_V, START_1 = range(11)
 
 
 @kernel(inline=True)
-def newton_step(
-    eigenvalue, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0, right_u, right_v, right_1, ba, bb, bc, rss
-):  # fmt: skip
-    """α_λ in centred coordinates (a, b, p) and the step from λ towards the root.
+def start(i, state, solution_u, solution_v, solution_1, rss, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0):
+    """Write what is known of tile ``i`` from its explicit solution."""
+    # Centred coordinates have p = c + a·u0 + b·v0, the value at the reference.
+    a, b = solution_u[i], solution_v[i]
+    p = solution_1[i] + a * u0[i] + b * v0[i]
+    b_u = (1.0 + u0[i] * u0[i]) * a + u0[i] * v0[i] * b - u0[i] * p
+    b_v = u0[i] * v0[i] * a + (1.0 + v0[i] * v0[i]) * b - v0[i] * p
+    b_1 = p - u0[i] * a - v0[i] * b
+    quotient = rss[i] / (1.0 + a * b_u + b * b_v + p * b_1)
+    # tr A⁻¹ is tr C⁻¹ + μᵀC⁻¹μ + 1/n, with C the centred scatter of the rays and μ their mean.
+    mean = 1.0 / n[i]
+    mean_u, mean_v = s_u[i] * mean, s_v[i] * mean
+    c_uu, c_uv, c_vv = s_uu[i] - s_u[i] * mean_u, s_uv[i] - s_u[i] * mean_v, s_vv[i] - s_v[i] * mean_v
+    u, v = u0[i] + mean_u, v0[i] + mean_v
+    determinant = c_uu * c_vv - c_uv * c_uv
+    adjugate = c_uu + c_vv + u * u * c_vv - 2.0 * u * v * c_uv + v * v * c_uu
+    bound = determinant / (adjugate + determinant * mean)
+    state[ROOT, i] = bound if bound < quotient else quotient  # NaN stays NaN
+    state[LOW, i], state[HIGH, i] = 0.0, quotient
+    state[RSS, i], state[START_U, i], state[START_V, i], state[START_1, i] = rss[i], b_u, b_v, b_1
 
-    The step is NaN where A' - λB is not positive definite. (ba, bb, bc) is B α₀' and the right-hand side that
-    of (A' - λB) α' = b'.
-    """
-    # (A' - λB) by LDLᵀ, eliminating the constant first: its pivot n is the largest.
-    d1 = n - eigenvalue
+
+@kernel(inline=True)
+def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
+    """Find α_λ of tile ``i``, and go on to a better λ; to NaN where it can lie nowhere."""
+    eigenvalue, rss = state[ROOT, i], state[RSS, i]
+    # (A' - λB) α' = b' by LDLᵀ, eliminating the constant first: its pivot n is the largest.
+    d1 = n[i] - eigenvalue
     inverse_1 = 1.0 / d1
-    m_u = s_u + eigenvalue * u0
-    m_v = s_v + eigenvalue * v0
+    m_u = s_u[i] + eigenvalue * u0[i]
+    m_v = s_v[i] + eigenvalue * v0[i]
     l_u = m_u * inverse_1
     l_v = m_v * inverse_1
-    e_uu = s_uu - eigenvalue * (1.0 + u0 * u0) - l_u * m_u
-    e_uv = s_uv - eigenvalue * (u0 * v0) - l_u * m_v
-    e_vv = s_vv - eigenvalue * (1.0 + v0 * v0) - l_v * m_v
+    e_uu = s_uu[i] - eigenvalue * (1.0 + u0[i] * u0[i]) - l_u * m_u
+    e_uv = s_uv[i] - eigenvalue * (u0[i] * v0[i]) - l_u * m_v
+    e_vv = s_vv[i] - eigenvalue * (1.0 + v0[i] * v0[i]) - l_v * m_v
     determinant = e_uu * e_vv - e_uv * e_uv
     inverse = 1.0 / determinant
-    f_u = right_u - l_u * right_1
-    f_v = right_v - l_v * right_1
+    right_1 = s_q[i] + q0[i] * n[i]
+    f_u = s_uq[i] + q0[i] * s_u[i] - l_u * right_1
+    f_v = s_vq[i] + q0[i] * s_v[i] - l_v * right_1
     a = (e_vv * f_u - e_uv * f_v) * inverse
     b = (e_uu * f_v - e_uv * f_u) * inverse
     p = right_1 * inverse_1 - l_u * a - l_v * b
-    value = rss - eigenvalue * (1.0 + a * ba + b * bb + p * bc)
-    c = p - u0 * a - v0 * b
-    step = value / (1.0 + a * a + b * b + c * c)
-    definite = (d1 > 0.0) & (e_uu > 0.0) & (determinant > 0.0)
-    return a, b, p, step if definite else math.nan
+    state[ALPHA_U, i], state[ALPHA_V, i], state[ALPHA_1, i] = a, b, p
+    c = p - u0[i] * a - v0[i] * b
+    h = 1.0 + a * state[START_U, i] + b * state[START_V, i] + p * state[START_1, i]
+    made = eigenvalue * h
+    move = (rss - made) * made / (made * h + rss * (1.0 + a * a + b * b + c * c - h))
+    # Beyond A's smallest eigenvalue h begins again far below 0, and 1/h goes on as it came.
+    below = (e_uu > 0.0) & (determinant > 0.0)
+    beyond = (determinant < 0.0) & (h < 0.0)
+    move = move if (d1 > 0.0) & (below | beyond) else math.nan
+    low = eigenvalue if move > 0.0 else state[LOW, i]
+    high = state[HIGH, i] if move > 0.0 else eigenvalue  # also where it is NaN: comparisons with it are false
+    after = eigenvalue + move
+    after = after if (low < after) & (after < high) else 0.5 * (low + high)
+    found = (abs(move) <= PRECISION * eigenvalue) | (rss == 0.0)
+    moves = (not found) & (low < after) & (after < high)
+    # Where nothing is left between the two, rounding is all that moves it, or there is no such eigenvector.
+    stays = eigenvalue if found | (abs(move) <= ROUNDING * eigenvalue) else math.nan
+    state[ROOT, i], state[LOW, i], state[HIGH, i] = after if moves else stays, low, high
+    state[MOVES, i] = 1.0 if moves else 0.0
 
 
 @kernel()
-def smallest_eigenvectors(moments, reference, count, work, solution, eigenvalue):
+def smallest_eigenvectors(moments, reference, count, solution, eigenvalue):
     """Smallest eigenvalue λ and α of the eigenvector (α, -1) of many tiles at a time.
 
-    The tiles go through Newton's method side by side; one that has converged stays where it is, so that its
-    result does not depend on its neighbours.
+    One that has converged stays where it is, so that its result does not depend on its neighbours.
 
     Parameters
     ----------
     moments, reference : (10, N) and (3, N) float64
         Of ``count`` tiles.
-    work : (4, N) float64
-        Room.
     solution : (3, N) float64
         On entry the explicit solution q = a·tanθx + b·tanθy + c, on return α.
     eigenvalue : (N,) float64
         The explicit solution's sum of squared residuals on entry, λ on return: NaN, and α meaningless, where
         the plane passes through the camera's centre or NaN came in.
     """
+    # Of a size that is known beforehand: so the compiler sees that its rows are apart.
+    state = np.empty((START_1 + 1, TOGETHER))
     for first in range(0, count, TOGETHER):
         last = min(first + TOGETHER, count)
         # In one dimension, whose stride the compiler knows.
         u0, v0, q0 = reference[0][first:last], reference[1][first:last], reference[2][first:last]
-        n, s_u, s_v, s_q = (
-            moments[0][first:last],
-            moments[1][first:last],
-            moments[2][first:last],
-            moments[3][first:last],
-        )
-        s_uu, s_uv, s_uq = moments[4][first:last], moments[5][first:last], moments[6][first:last]
-        s_vv, s_vq = moments[7][first:last], moments[8][first:last]
-        rss, ba, bb, bc = work[0], work[1], work[2], work[3]
-        alpha_0, alpha_1, alpha_2 = solution[0][first:last], solution[1][first:last], solution[2][first:last]
-        root = eigenvalue[first:last]
+        n, s_u, s_v = moments[0][first:last], moments[1][first:last], moments[2][first:last]
+        s_q, s_uu, s_uv = moments[3][first:last], moments[4][first:last], moments[5][first:last]
+        s_uq, s_vv, s_vq = moments[6][first:last], moments[7][first:last], moments[8][first:last]
+        of_u, of_v, of_1 = solution[0][first:last], solution[1][first:last], solution[2][first:last]
+        roots = eigenvalue[first:last]
         for i in range(last - first):
-            # B α₀' with p the value at the reference: centred coordinates have c' = c + a·u0 + b·v0.
-            a, b = alpha_0[i], alpha_1[i]
-            p = alpha_2[i] + a * u0[i] + b * v0[i]
-            ba[i] = (1.0 + u0[i] * u0[i]) * a + u0[i] * v0[i] * b - u0[i] * p
-            bb[i] = u0[i] * v0[i] * a + (1.0 + v0[i] * v0[i]) * b - v0[i] * p
-            bc[i] = p - u0[i] * a - v0[i] * b
-            rss[i] = root[i]
-            # The Rayleigh quotient of (α₀, -1).
-            root[i] = rss[i] / (1.0 + a * ba[i] + b * bb[i] + p * bc[i])
-        for _ in range(20):
+            start(i, state, of_u, of_v, of_1, roots, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0)
+        for _ in range(STEPS):
             moving = 0
             for i in range(last - first):
-                a, b, p, step = newton_step(
-                    root[i], n[i], s_u[i], s_v[i], s_uu[i], s_uv[i], s_vv[i], u0[i], v0[i],
-                    s_uq[i] + q0[i] * s_u[i], s_vq[i] + q0[i] * s_v[i], s_q[i] + q0[i] * n[i],
-                    ba[i], bb[i], bc[i], rss[i],
-                )  # fmt: skip
-                alpha_0[i] = a
-                alpha_1[i] = b
-                alpha_2[i] = p - u0[i] * a - v0[i] * b
-                # Comparisons with NaN are false: a tile without a solution is NaN and does not move.
-                moving += 1 if abs(step) > 1e-14 * root[i] else 0
-                root[i] += 0.0 if abs(step) <= 1e-14 * root[i] else step
+                step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0)
+            for i in range(last - first):
+                moving += 1 if state[MOVES, i] > 0.0 else 0
             if moving == 0:
                 break
+        for i in range(last - first):
+            while state[MOVES, i] > 0.0:
+                step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0)
+        for i in range(last - first):
+            a, b = state[ALPHA_U, i], state[ALPHA_V, i]
+            roots[i] = state[ROOT, i]
+            of_u[i], of_v[i], of_1[i] = a, b, state[ALPHA_1, i] - u0[i] * a - v0[i] * b

@@ -105,7 +105,7 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     if implicit is not None:
         for i in range(count):
             own[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
-        secular.smallest_eigenvectors(moments, reference, count, work[7:], solution, own)
+        secular.smallest_eigenvectors(moments, reference, count, solution, own)
         for i in range(count):
             a, b, c = solution[0, i], solution[1, i], solution[2, i]
             residual[i] = own[i] * (1.0 + a * a + b * b + c * c)
@@ -119,7 +119,7 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
             own[i] = error
         # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile.
         metric[i] = error / (math.sqrt(a * a + b * b + c * c) * mean_q)
-        nearest[i] = 0.0
+        nearest[i] = 0.0 if implicit is None else CENTRE / mean_q
 
 
 @kernel(inline=True)

@@ -34,8 +34,7 @@ class TileStatus(enum.IntEnum):
     """Fewer than three valid pixels, or a larger share missing than ``max_missing``."""
     DEGENERATE = 2
     """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre. (A row of
-    pixels that a lens bends counts as determining one, however badly.) For
-    ``range_implicit`` also where 1/Z differs more over the tile than its rays do, as across a depth edge."""
+    pixels that a lens bends counts as determining one, however badly.)"""
     ROUGH = 3
     """Fitted, and it keeps its plane, but its residual is above ``max_error`` or what the noise explains."""
 

@@ -36,7 +36,7 @@ class QuadtreePlanes(WindowPlanes):
     """The elements of a quadtree and their planes: arrays of shape (K, ...), one row an element.
 
     Elements that were split are not among them. An element is OK (its plane fits), TOO_FEW (too many missing
-    pixels), DEGENERATE, or ROUGH: its residual is too large, and it could not be split any further.
+    pixels), or could not be split any further: DEGENERATE, or ROUGH, which is that its residual is too large.
 
     Attributes
     ----------
@@ -161,7 +161,9 @@ class QuadtreeFitter:
                 write_moments(level, row, column, windows, arrays)
                 needed = valid_needed(windows[:, 2] * windows[:, 3], self._max_missing)
                 solve_planes(self.method, arrays, needed, self._max_error, 0, len(windows), total)
-                split = (arrays["status"] == TileStatus.ROUGH) & (level + 1 < len(self._windows))
+                status = arrays["status"]
+                split = (status == TileStatus.ROUGH) | (status == TileStatus.DEGENERATE)
+                split &= level + 1 < len(self._windows)
                 arrays |= {"windows": windows, "level": np.full(len(windows), level)}
                 leaves.append(
                     {
@@ -240,9 +242,9 @@ def segment_quadtree(
 ) -> QuadtreeSegmentation:
     """Segment a frame as the paper does: a grid of squares, split where not flat, then k-means.
 
-    Each square is fitted. Where the residual is too large the square is split into four, whose moments are
-    sums of finer tiles': no pixel is read twice. Squares with too many missing pixels are dropped. K-means on
-    the plane coefficients then labels similar planes.
+    Each square is fitted. Where the residual is too large, or the pixels determine no plane, the square is split into
+    four, whose moments are sums of finer tiles': no pixel is read twice. Squares with too many missing pixels are
+    dropped. K-means on the plane coefficients then labels similar planes.
 
     Parameters
     ----------

@@ -96,15 +96,7 @@ def determined(method, x, y, q):
     squares = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) ** 2
     squares = np.append(squares, np.zeros(3 - len(squares)))
     minors = squares[0] * squares[1] + squares[0] * squares[2] + squares[1] * squares[2]
-    if not minors > 1e-9 * squares.sum() ** 2:
-        return False
-    if method == "range_implicit":
-        # Else the smallest eigenvector is the plane that contains the rays themselves.
-        rays = np.column_stack([x, y, np.ones_like(q)])
-        alpha = np.linalg.lstsq(rays, q)[0]
-        quotient = np.sum((q - rays @ alpha) ** 2) / (1.0 + alpha @ alpha)
-        return quotient < np.linalg.svd(rays, compute_uv=False)[2] ** 2
-    return True
+    return bool(minors > 1e-9 * squares.sum() ** 2)
 
 
 def orient(plane):
