@@ -75,9 +75,9 @@ class Fit:
         nothing_missing = np.empty((0, 0), np.int32), np.empty((0, 5))
         self._missing = nothing_missing if self._range else (np.empty((0, 0, 1)),)
         if self._range:
-            tables = np.empty((*shape, 6))
-            summed_area.camera_tables(*ray_tables(camera), tables)
-            summed_area.camera_window_moments(tables, self.windows, 0, len(self.windows), self._full)
+            self._of_camera = np.empty((*shape, 6))
+            summed_area.camera_tables(*ray_tables(camera), self._of_camera)
+            self._look_up_camera()
         self._tables = np.zeros((*shape, TABLES[self.method]))
         self.arrays = allocate((), (len(self.windows),))
         self._needed = valid_needed(self.windows[:, 2] * self.windows[:, 3], 0.5)
@@ -87,8 +87,17 @@ class Fit:
         kernel = summed_area.range_tables if self._range else summed_area.standard_tables
         kernel(*self._frame, self._tables)
 
+    def _look_up_camera(self) -> None:
+        summed_area.camera_window_moments(self._of_camera, self.windows, 0, len(self.windows), self._full)
+
+    def planes_of_new_windows(self) -> None:
+        """Fit all windows as if no frame before had them: the camera's terms are looked up, too."""
+        if self._range:
+            self._look_up_camera()
+        self.planes()
+
     def planes(self) -> None:
-        """Fit all windows, from the tables or from their pixels."""
+        """Fit all windows, from the tables or from their pixels; what depends on the camera alone is there."""
         kernel: Any
         source: tuple[Any, ...]
         if self.implementation == "integral":

@@ -109,12 +109,19 @@ def _planes(rounds: int) -> Result:
     fits = {method: Fit(method, windows(1000)) for method in TABLES}
     for fit in fits.values():
         fit.build()
-    times = in_turns({method: fit.planes for method, fit in fits.items()}, rounds)
+    new = {f"{method}_new": fit.planes_of_new_windows for method, fit in fits.items()}
+    times = in_turns({method: fit.planes for method, fit in fits.items()} | new, rounds)
     seconds = {method: time_.shared_by(1000) for method, time_ in times.items()}
     return {
         "time": {
             "plane_implicit": _pair(-15.0, seconds["range_implicit"], seconds["standard_implicit"]),
             "plane_explicit": _pair(-70.0, seconds["range_explicit"], seconds["standard_explicit"]),
+            "plane_implicit_new": _pair(
+                None, seconds["range_implicit_new"], seconds["standard_implicit_new"]
+            ),
+            "plane_explicit_new": _pair(
+                None, seconds["range_explicit_new"], seconds["standard_explicit_new"]
+            ),
             "plane_implicit_vs_explicit": _pair(None, seconds["range_implicit"], seconds["range_explicit"]),
         }
     }
