@@ -15,6 +15,10 @@ from rgbd_planes.kernels import statistics
 
 Floats = npt.NDArray[np.float64]
 
+# Share of the squared variances of a normal that rounding leaves of their determinant. That of a strip of pixels is
+# larger: as its width is of its length, squared.
+_RANK = 1e-12
+
 
 def same_plane(
     alpha: npt.ArrayLike,
@@ -259,12 +263,13 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     Raises
     ------
     ValueError
-        There are none, their normals point to opposite sides, or a covariance is not of rank 3.
+        There are none, their normals point to opposite sides, or a covariance is not of rank 3, as far as rounding
+        lets one see: of planes some 100 km from the origin it may leave nothing.
 
     Notes
     -----
     Inverse covariances add: of tiles' planes with independent noise this is, to first order, the plane of all their
-    pixels. Whether they are one plane `same_plane` says.
+    pixels. Whether they are one plane `same_plane` says; of others what comes out means nothing.
     """
     plane, covariance = _array("planes", planes, (4,)), _array("plane_covariance", plane_covariance, (4, 4))
     shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])
@@ -278,27 +283,27 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     of_fused = np.take_along_axis(covariance, first[..., None, None], axis=-3)[..., 0, :, :]
     if (np.sum(plane[..., :3] * fused[..., None, :3], axis=-1) < 0.0).any():
         raise ValueError("expected planes whose normals point to one side")
+    if not _is_sure_of_a_plane(plane[there], covariance[there]).all():
+        raise ValueError("expected covariances of rank 3, as those of planes that were fitted")
     for _ in range(2):  # from the first plane, and then from what came out
         origin = _about(_surest(fused, of_fused))
         axes = _axes_across(fused[..., :3]) @ origin
         errors = np.sum(axes[..., None, :, :] * plane[..., None, :], axis=-1)
         of_errors = axes[..., None, :, :] @ covariance @ np.swapaxes(axes, -1, -2)[..., None, :, :]
         of_errors = np.where(there[..., None, None], of_errors, np.eye(3))
-        try:
-            information = np.where(there[..., None, None], np.linalg.inv(of_errors), 0.0)
-            of_sum = np.linalg.inv(np.where(some[..., None, None], information.sum(axis=-3), np.eye(3)))
-        except np.linalg.LinAlgError:
-            raise ValueError("expected covariances of rank 3, as those of planes that were fitted") from None
+        information = np.where(there[..., None, None], np.linalg.inv(of_errors), 0.0)
+        of_sum = np.linalg.inv(np.where(some[..., None, None], information.sum(axis=-3), np.eye(3)))
         weighted = np.sum(information * np.where(there[..., None], errors, 0.0)[..., None, :], axis=(-3, -1))
         found = np.sum(of_sum * weighted[..., None, :], axis=-1)
         across = axes[..., :2, :3]
-        along = np.sqrt(1.0 - np.sum(found[..., :2] ** 2, axis=-1, keepdims=True))
-        normal = along * fused[..., :3] + np.sum(found[..., :2, None] * across, axis=-2)
+        normal = fused[..., :3] + np.sum(found[..., :2, None] * across, axis=-2)
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        normal /= length
         # Of (n, d) about the point: dn lies across the fused plane's own normal.
         slope = np.zeros((*normal.shape[:-1], 4, 3))
-        slope[..., :3, :2] = np.swapaxes(across, -1, -2) - (
-            fused[..., :3, None] * (found[..., :2] / along)[..., None, :]
-        )
+        along = np.sum(across * normal[..., None, :], axis=-1)
+        slope[..., :3, :2] = np.swapaxes(across, -1, -2) - normal[..., :, None] * along[..., None, :]
+        slope[..., :3, :2] /= length[..., None]
         slope[..., 3, 2] = 1.0
         back = np.linalg.inv(origin)
         fused = np.sum(back * np.concatenate([normal, found[..., 2:]], axis=-1)[..., None, :], axis=-1)
@@ -320,11 +325,24 @@ def _axes_across(normal: Floats) -> Floats:
     return axes
 
 
-def _surest(plane: Floats, covariance: Floats) -> Floats:
-    """(..., 3): the point of a plane that is surest: there the error of d is not one of the normal."""
+def _along_axes(plane: Floats, covariance: Floats) -> tuple[Floats, ...]:
+    """`_axes_across` the normal, and the covariance along them: aa, ab, bb of the normal, ad, bd with d, dd of d."""
     axes = _axes_across(plane[..., :3])
     along = axes @ covariance @ np.swapaxes(axes, -1, -2)
-    aa, ab, bb, ad, bd = (along[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2)))
+    return axes, *(along[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
+
+
+def _is_sure_of_a_plane(plane: Floats, covariance: Floats) -> npt.NDArray[np.bool_]:
+    """(...): whether errors of two directions, and of d, have variances that do not follow from one another."""
+    _, aa, ab, bb, ad, bd, dd = _along_axes(plane, covariance)
+    determinant = aa * bb - ab * ab
+    of_d = dd * determinant - (bb * ad * ad - 2.0 * ab * ad * bd + aa * bd * bd)
+    return np.asarray((aa + bb > 0.0) & (determinant > _RANK * (aa + bb) ** 2) & (of_d > 0.0))
+
+
+def _surest(plane: Floats, covariance: Floats) -> Floats:
+    """(..., 3): the point of a plane that is surest: there the error of d is not one of the normal."""
+    axes, aa, ab, bb, ad, bd, _ = _along_axes(plane, covariance)
     determinant = aa * bb - ab * ab
     inverse = np.divide(-1.0, determinant, out=np.zeros_like(determinant), where=determinant != 0.0)
     a, b = (bb * ad - ab * bd) * inverse, (aa * bd - ab * ad) * inverse

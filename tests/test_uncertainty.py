@@ -7,6 +7,8 @@ from functools import partial
 import monte_carlo
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import special, stats
 from scipy.spatial.transform import Rotation
 
@@ -830,6 +832,25 @@ def test_fused_planes_err_as_they_say(rng):
         assert np.isnan(nothing).all()
         squares.append((plane - truth) @ np.linalg.pinv(of_plane, rcond=1e-9) @ (plane - truth))
     assert np.mean(squares) == pytest.approx(3.0, abs=1.0)
+
+
+def test_planes_that_are_not_one_are_fused_to_something():
+    planes = np.array([[0.0, 0.0, -1.0, 3.0], [0.0, -0.99, -0.14106736, 1.2]])
+    covariance = np.diag([1e-6, 1e-6, 0.0, 1e-6]), np.diag([4e-4, 4e-4, 4e-4, 1e-6])
+    fused, of_fused = rp.uncertainty.fuse_planes(planes, np.stack(covariance))
+    assert np.linalg.norm(fused[:3]) == pytest.approx(1.0)
+    assert np.isfinite(of_fused).all()
+
+
+@given(st.integers(0, 2**32), st.sampled_from([-1.0, 1.0]))
+def test_a_covariance_of_no_plane_is_refused(seed, sign):
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    errors = rng.normal(size=(1 if sign > 0.0 else 3, 4)) * [0.01, 0.01, 0.01, 0.03]
+    errors[:, :3] -= (errors[:, :3] @ normal)[:, None] * normal
+    with pytest.raises(ValueError, match="covariances of rank 3"):
+        rp.uncertainty.fuse_planes([[*normal, 2.0]] * 2, [sign * errors.T @ errors] * 2)
 
 
 def test_what_cannot_be_fused_is_refused():
