@@ -3,8 +3,8 @@
 Rounding to steps Δ is an error of variance Δ²/12, and mostly as good as independent from pixel to pixel: other noise,
 of a standard deviation σ, or the slope of the surface carries each pixel over several steps. Where neither does, as on
 a wall that faces the camera, all pixels are rounded to the same side. By its Fourier series the mean of the rounded
-values is off by (Δ/πk)·exp(-2π²k²σ²/Δ²)·sin(2πkx/Δ), k = 1, 2, ..., at a true value x; over a surface that spans s
-steps that averages as a sinc, and adds to its slope what is left of it about the middle.
+values is off by (-1)^k·(Δ/πk)·exp(-2π²k²σ²/Δ²)·sin(2πkx/Δ), k = 1, 2, ..., at a true value x. Over a surface that spans
+s steps that averages as a sinc, and adds to its slope what is left of it about the middle.
 """
 
 import math

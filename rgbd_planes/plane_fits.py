@@ -115,7 +115,7 @@ class PlaneFits:
 
         Of ``range_explicit`` it is exact where σq is constant over the tile, or the window; of labels and unions
         wherever the noise is independent from pixel to pixel. For the other methods it is, to first order, that of
-        ``range_explicit`` on the same pixels: the bound that they do not reach.
+        ``range_explicit`` on the same pixels: the bound that they reach at best.
         """
         return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
@@ -126,7 +126,7 @@ class PlaneFits:
 
     @functools.cached_property
     def angle_std(self) -> Floats:
-        """S float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
+        """S float64, degrees: root mean square of the angle between the normal and the true one, √tr Σn."""
         return self._statistics.row(statistics.ANGLE_STD)
 
     @functools.cached_property

@@ -137,7 +137,7 @@ class Segmentation:
 
     @property
     def angle_std(self) -> Floats:
-        """(N,) float64, degrees: standard deviation of the angle between the normal and the true one, √tr Σn."""
+        """(N,) float64, degrees: root mean square of the angle between the normal and the true one, √tr Σn."""
         return np.asarray(np.degrees(np.sqrt(np.trace(self.plane_covariance[:, :3, :3], axis1=1, axis2=2))))
 
     @property
