@@ -31,7 +31,7 @@ def saved_arrays(path: str | os.PathLike[str], writer: str) -> Iterator[tuple[di
     """
     wrote = readable(path, f"a file that {writer} wrote")
     with open(path, "rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
-        yield json.loads(str(file["about"])), file
+        yield json.loads(str(file["about"])), {name: np.ascontiguousarray(file[name]) for name in file.files}
 
 
 def check_alike(arrays: Arrays, expected: Arrays) -> None:

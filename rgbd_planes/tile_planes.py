@@ -171,4 +171,10 @@ class TilePlanes(PlacedFits):
             tile = check_tile(tuple(about["tile"]), camera.shape)
             arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
             check_alike(arrays, allocate(arrays["status"].shape[:-2], grid_shape(camera, tile)))
+            pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid_shape(camera, tile))
+            if (
+                arrays["status"].max() > max(TileStatus)
+                or ((arrays["valid_count"] < 0) | (arrays["valid_count"] > pixels)).any()
+            ):
+                raise ValueError("a status or a number of pixels that cannot be")
         return cls(camera=camera, method=method, tile=tile, **arrays)

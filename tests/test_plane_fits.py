@@ -58,12 +58,27 @@ def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "rows.npz", **arrays | {"rmse": arrays["rmse"][1:]})
     np.savez(tmp_path / "text.npz", **arrays | {"alpha": arrays["alpha"].astype(str)})
     np.savez(tmp_path / "batch.npz", **arrays | {"status": arrays["status"][None]})
+    np.savez(tmp_path / "status.npz", **arrays | {"status": arrays["status"] + np.uint8(4)})
+    np.savez(tmp_path / "count.npz", **arrays | {"valid_count": arrays["valid_count"] + np.int32(11 * 13)})
+    np.savez(
+        tmp_path / "negative.npz", **arrays | {"valid_count": arrays["valid_count"] - np.int32(11 * 13 + 1)}
+    )
     changed = str(arrays["about"]).replace(tiles.method, "ransac")
     np.savez(tmp_path / "method.npz", **arrays | {"about": np.array(changed)})
     names = ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz")
-    for name in (*names, "rows.npz", "text.npz", "batch.npz", "method.npz"):
+    names += ("rows.npz", "text.npz", "batch.npz", "status.npz", "count.npz", "negative.npz", "method.npz")
+    for name in names:
         with pytest.raises(ValueError, match=rf"{name}: not a file that TilePlanes.save wrote"):
             rp.TilePlanes.load(tmp_path / name)
+
+
+def test_load_of_arrays_in_another_order(tiles, tmp_path):
+    tiles.save(tmp_path / "planes.npz")
+    with np.load(tmp_path / "planes.npz") as file:
+        turned = {name: np.asfortranarray(file[name]) for name in file.files if name != "about"}
+        np.savez(tmp_path / "other.npz", about=file["about"], **turned)
+    loaded = rp.TilePlanes.load(tmp_path / "other.npz")
+    assert all(getattr(loaded, name).flags.c_contiguous for name in ("_moments", "planes", "status"))
 
 
 @pytest.mark.parametrize(
