@@ -13,7 +13,7 @@ and goes on from there. Names load on first use, so that importing this takes no
 import importlib
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 # Where each public name comes from.
 _NAMES = {

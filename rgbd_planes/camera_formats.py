@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ _ROS_FILE = {  # what a calibration file of ROS calls the matrices of the messag
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
-    with open(path, encoding="utf-8-sig") as file:  # some editors begin a file with a mark
+    with Path(path).open(encoding="utf-8-sig") as file:  # some editors begin a file with a mark
         try:
             values = json.load(file)
         except UnicodeDecodeError:

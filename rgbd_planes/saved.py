@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ def saved_arrays(path: str | os.PathLike[str], writer: str) -> Iterator[tuple[di
         There is none, or it is another file than ``writer``, such as "TilePlanes.save", wrote, or damaged.
     """
     wrote = readable(path, f"a file that {writer} wrote")
-    with open(path, "rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
+    with Path(path).open("rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
         yield json.loads(str(file["about"])), {name: np.ascontiguousarray(file[name]) for name in file.files}
 
 

@@ -15,8 +15,13 @@ def test_the_version_is_the_same_everywhere():
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     version, date = re.search(r"^## (\S+) \((\d{4}-\d\d-\d\d)\)$", changelog, re.MULTILINE).groups()
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert version == rp.__version__
-    assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == rp.__version__
+    if "\n## Unreleased\n" in changelog:  # then it is on the way from the last release to the next
+        release, _, dev = rp.__version__.partition(".dev")
+        assert dev.isdigit()
+        assert tuple(map(int, release.split("."))) > tuple(map(int, version.split(".")))
+    else:
+        assert version == rp.__version__
+    assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == version
     assert re.search(r'^date-released: "(\S+)"$', citation, re.MULTILINE)[1] == date
 
 
