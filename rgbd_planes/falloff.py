@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.ray_pitch import means_over
+from rgbd_planes.tile_grid import tile_windows
 
 Floats = npt.NDArray[np.float64]
 
@@ -29,8 +30,19 @@ def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     return _of_parts(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
 
 
+def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
+    """The same of windows, as `fit_windows` takes them, over each of their pixels."""
+    if not _grows(camera):
+        return EVEN
+    top, left, height, width = windows.T
+    table, bottom, right = _summed(camera), top + height, left + width
+    return _mean(
+        *(table[:, bottom, right] - table[:, top, right] - table[:, bottom, left] + table[:, top, left])
+    )
+
+
 def growth_of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
-    """The same of all tiles of a grid, over each of their pixels."""
+    """The same of all tiles of a grid."""
     return _of_tiles(camera, tile) if _grows(camera) else EVEN
 
 
@@ -54,10 +66,13 @@ def _of_parts(camera: Camera, footprint: bytes) -> Floats:
 
 @functools.lru_cache(maxsize=8)
 def _of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
-    sums = _of_seen(camera)
-    for axis, (size, side) in enumerate(zip(camera.shape, tile, strict=True), start=1):
-        sums = np.add.reduceat(sums, np.arange(0, size, side), axis=axis)
-    return _mean(*sums.reshape(2, -1))
+    return growth_of_windows(camera, tile_windows(camera.shape, tile))
+
+
+@functools.lru_cache(maxsize=2)
+def _summed(camera: Camera) -> Floats:
+    """(2, H + 1, W + 1): summed-area tables of the growth, and of the pixels that the lens has a ray for."""
+    return np.pad(_of_seen(camera).cumsum(axis=1).cumsum(axis=2), ((0, 0), (1, 0), (1, 0)))
 
 
 def _of_seen(camera: Camera) -> Floats:

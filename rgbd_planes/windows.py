@@ -18,7 +18,7 @@ from rgbd_planes.checks import (
 )
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.falloff import growth_of_parts
+from rgbd_planes.falloff import growth_of_windows
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.plane_fits import PlacedFits, allocate
@@ -57,6 +57,10 @@ class WindowPlanes(PlacedFits):
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
         return footprints(self.windows)
+
+    @property
+    def _growth(self) -> npt.NDArray[np.float64]:
+        return growth_of_windows(self.camera, self.windows)
 
     @property
     def _title(self) -> str:
@@ -120,7 +124,7 @@ def fit_windows(
     arrays = allocate((), (len(rectangles),))
     sizes = rectangles[:, 2:]
     footprint = footprints(rectangles)
-    growth = growth_of_parts(camera, footprint)
+    growth = growth_of_windows(camera, rectangles)
     assess = Assessment(camera, method, significance, sizes, footprint, growth).of(arrays)
     needed = valid_needed(sizes.prod(axis=1), max_missing)
     threads = choose_num_threads(num_threads, frame.raw.size)

@@ -11,7 +11,7 @@ from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
 from rgbd_planes import noise_estimation
-from rgbd_planes.falloff import growth_of_parts, growth_of_pixels
+from rgbd_planes.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
 from rgbd_planes.kernels import label_variances, statistics
 from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
 
@@ -111,6 +111,26 @@ def test_that_of_a_part_is_the_mean_over_its_pixels(lens):
     windows = np.concatenate([tile_windows(camera.shape, (16, 16)), [(48, 60, 80, 64), (3, 7, 1, 1)]])
     mean = [growth[y : y + h, x : x + w].mean() for y, x, h, w in windows]
     np.testing.assert_allclose(growth_of_parts(camera, footprints(windows)), mean, rtol=0.02)
+    np.testing.assert_allclose(growth_of_windows(camera, windows), mean)
+
+
+def test_windows_at_the_rim_of_a_fisheye_have_that_of_their_rays():
+    noise = replace(rp.noise.kinect_v1(), falloff=2.0)
+    camera = rp.Camera(
+        48, 36, 15.0, 15.0, 23.5, 17.5, (0.0,) * 4, distortion_model="fisheye", noise=noise, depth_scale=1.0
+    )
+    windows = tile_windows(camera.shape, (12, 12))
+    seen = ~camera._without_ray
+    growth = growth_of_pixels(camera)
+    mean = [
+        growth[y : y + h, x : x + w][seen[y : y + h, x : x + w]].mean()
+        if seen[y : y + h, x : x + w].any()
+        else 1.0
+        for y, x, h, w in windows
+    ]
+    assert 0.0 < seen.mean() < 1.0
+    np.testing.assert_allclose(growth_of_windows(camera, windows), mean)
+    np.testing.assert_allclose(growth_of_tiles(camera, (12, 12)), mean)
 
 
 @pytest.mark.parametrize("kind", ["tiles", "windows", "labels", "unions"])
