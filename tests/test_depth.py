@@ -1,6 +1,7 @@
 """The door for depth frames: every dtype, layout, unit and kind of missing pixel, against the contract."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from rgbd_planes import normals, scenes, segment
 from rgbd_planes.camera import Camera
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.depth import as_depth_frame, step_of
+
+CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 
 
 def camera(shape=(4, 6), **depth):
@@ -381,3 +385,57 @@ def test_what_a_fisheye_sees_beside_the_camera_is_missing(depth, unit):
     assert (depth == depth[0, 0]).all()
     if cam.disparity is None:  # a sensor measures nothing there
         np.testing.assert_array_equal(as_depth_frame(np.where(seen, depth, 0), cam).valid, seen)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("scale", [50.0, 1000.0, 5000.0])
+def test_metres_that_integers_were_made_into_are_rounded(kind, scale):
+    camera = replace(CAMERA, depth_scale=scale)
+    depth = scenes.room().render(camera).measure(noise=1e-4)
+    metres = as_depth_frame((depth / scale).astype(kind), camera)
+    assert step_of(metres) == pytest.approx(1.0 / scale, rel=1e-9)
+    expected, found = segment(depth, camera), segment(metres.raw, camera)
+    assert len(found) == len(expected)
+    assert np.mean(found.labels != expected.labels) < 1e-3
+
+
+@pytest.mark.parametrize("farthest", [1e10, 1e15, 3e38])
+def test_a_sky_beyond_any_measure_leaves_the_step_of_metres(farthest):
+    # As simulators give it. All so large numbers are whole.
+    metres = scenes.room().render(CAMERA).measure(holes=0.05) / 1000.0
+    metres[metres == 0.0] = farthest
+    assert step_of(as_depth_frame(metres, CAMERA)) == pytest.approx(0.001, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize(("parts", "scale"), [(16, 2.5e-2), (256, 1.25e-2), (16, -2.5e-2)])
+def test_disparities_that_integers_were_divided_into_are_rounded(kind, parts, scale):
+    # As OpenCV's matchers give them: 16ths of a pixel, which its examples make into floats.
+    whole = replace(CAMERA, depth_scale=None, disparity=(scale / parts, 0.1))
+    divided = replace(whole, disparity=(scale, 0.1))
+    q = 1.0 / scenes.room().render(CAMERA).depth
+    raw = np.rint((q - 0.1) / (scale / parts)).astype(np.int16)
+    disparity = (raw / parts).astype(kind)
+    assert step_of(as_depth_frame(disparity, divided)) == 1.0 / parts
+    expected, found = segment(raw, whole), segment(disparity, divided)
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    assert found.sigma == pytest.approx(expected.sigma)
+    slopes, of_floats = normals(raw, whole, avoid_edges=True), normals(disparity, divided, avoid_edges=True)
+    np.testing.assert_allclose(of_floats, slopes, atol=1e-6)
+
+
+def test_disparities_that_were_measured_have_no_step():
+    camera = replace(CAMERA, depth_scale=None, disparity=(0.025, 0.0))
+    disparity = 40.0 / scenes.room().render(CAMERA).measure(noise=1e-4, quantise=False)
+    few = np.full(CAMERA.shape, 32.0)
+    few[:, 100:] = 48.0
+    for raw in (disparity, disparity.astype(np.float32), few):
+        assert step_of(as_depth_frame(raw, camera)) == 0.0
+
+
+def test_metres_that_were_measured_have_no_step():
+    depth = scenes.room().render(CAMERA).measure(noise=1e-4, quantise=False)
+    flat = np.full(CAMERA.shape, 2.0)
+    flat[:, 100:] = 3.5
+    for metres in (depth, depth.astype(np.float32), flat, np.zeros(CAMERA.shape)):
+        assert step_of(as_depth_frame(metres, CAMERA)) == 0.0

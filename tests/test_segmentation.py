@@ -14,21 +14,18 @@ from scipy.ndimage import convolve, find_objects, gaussian_filter
 from rgbd_planes import (
     Camera,
     estimate_noise,
-    normals,
     scenes,
     segment,
     segmentation_workspace,
 )
-from rgbd_planes.depth import as_depth_frame, step_of
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
 from rgbd_planes.kernels.quantiles import quantile
 from rgbd_planes.kernels.segment_noise_estimation import varied_squares
-from rgbd_planes.kernels.segment_reach import SIZES, mixture
 from rgbd_planes.kernels.segment_records import Planes, Rays, Runs
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation_noise import tolerance
-from rgbd_planes.segmentation_reach import reach_table
 from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -773,60 +770,6 @@ def test_small_things_all_over_a_large_frame_are_planes():
     assert compare_labels(found.labels, field + 1).hoover(0.8).correct > 0.85 * field.max()
 
 
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize("scale", [50.0, 1000.0, 5000.0])
-def test_metres_that_integers_were_made_into_are_rounded(kind, scale):
-    camera = replace(CAMERA, depth_scale=scale)
-    depth = scenes.room().render(camera).measure(noise=1e-4)
-    metres = as_depth_frame((depth / scale).astype(kind), camera)
-    assert step_of(metres) == pytest.approx(1.0 / scale, rel=1e-9)
-    expected, found = segment(depth, camera), segment(metres.raw, camera)
-    assert len(found) == len(expected)
-    assert np.mean(found.labels != expected.labels) < 1e-3
-
-
-@pytest.mark.parametrize("farthest", [1e10, 1e15, 3e38])
-def test_a_sky_beyond_any_measure_leaves_the_step_of_metres(farthest):
-    # As simulators give it. All so large numbers are whole.
-    metres = scenes.room().render(CAMERA).measure(holes=0.05) / 1000.0
-    metres[metres == 0.0] = farthest
-    assert step_of(as_depth_frame(metres, CAMERA)) == pytest.approx(0.001, rel=1e-9)
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize(("parts", "scale"), [(16, 2.5e-2), (256, 1.25e-2), (16, -2.5e-2)])
-def test_disparities_that_integers_were_divided_into_are_rounded(kind, parts, scale):
-    # As OpenCV's matchers give them: 16ths of a pixel, which its examples make into floats.
-    whole = replace(CAMERA, depth_scale=None, disparity=(scale / parts, 0.1))
-    divided = replace(whole, disparity=(scale, 0.1))
-    q = 1.0 / scenes.room().render(CAMERA).depth
-    raw = np.rint((q - 0.1) / (scale / parts)).astype(np.int16)
-    disparity = (raw / parts).astype(kind)
-    assert step_of(as_depth_frame(disparity, divided)) == 1.0 / parts
-    expected, found = segment(raw, whole), segment(disparity, divided)
-    np.testing.assert_array_equal(found.labels, expected.labels)
-    assert found.sigma == pytest.approx(expected.sigma)
-    slopes, of_floats = normals(raw, whole, avoid_edges=True), normals(disparity, divided, avoid_edges=True)
-    np.testing.assert_allclose(of_floats, slopes, atol=1e-6)
-
-
-def test_disparities_that_were_measured_have_no_step():
-    camera = replace(CAMERA, depth_scale=None, disparity=(0.025, 0.0))
-    disparity = 40.0 / scenes.room().render(CAMERA).measure(noise=1e-4, quantise=False)
-    few = np.full(CAMERA.shape, 32.0)
-    few[:, 100:] = 48.0
-    for raw in (disparity, disparity.astype(np.float32), few):
-        assert step_of(as_depth_frame(raw, camera)) == 0.0
-
-
-def test_metres_that_were_measured_have_no_step():
-    depth = scenes.room().render(CAMERA).measure(noise=1e-4, quantise=False)
-    flat = np.full(CAMERA.shape, 2.0)
-    flat[:, 100:] = 3.5
-    for metres in (depth, depth.astype(np.float32), flat, np.zeros(CAMERA.shape)):
-        assert step_of(as_depth_frame(metres, CAMERA)) == 0.0
-
-
 def test_planes_of_sparse_pixels():
     # A block in four has more than half of its pixels: runs of blocks and of pixels make one part.
     rng = np.random.default_rng(14)
@@ -838,62 +781,6 @@ def test_planes_of_sparse_pixels():
     assert found.sizes[0] == np.count_nonzero(found.labels)
     assert (found.labels[measured] == 1).mean() > 0.99
     assert ((found.reason == Reason.MISSING) == ~measured).all()
-
-
-def test_covariance_is_that_of_the_fit():
-    # The observed spread of α over frames is what every single frame predicts.
-    camera = Camera(width=96, height=64, fx=100.0, fy=100.0, cx=47.5, cy=31.5)
-    rng = np.random.default_rng(12)
-    q = 0.7 + 0.05 * camera.tan_x
-    frames = [segment(1.0 / (q + rng.normal(0.0, 2e-3, q.shape)), camera) for _ in range(60)]
-    observed = np.cov([f.alpha[0] for f in frames], rowvar=False)
-    predicted = np.mean([f.alpha_covariance[0] for f in frames], axis=0)
-    assert np.diag(predicted) == pytest.approx(np.diag(observed), rel=0.6)
-    planes = np.cov([f.planes[0] for f in frames], rowvar=False)
-    assert np.diag(frames[0].plane_covariance[0])[:2] == pytest.approx(np.diag(planes)[:2], rel=0.6)
-
-
-SMALL = replace(CAMERA, width=120, height=90, cx=59.5, cy=44.5)
-
-
-@pytest.mark.parametrize(
-    ("camera", "pixels"),
-    [(CAMERA, 0.0), (CAMERA, 0.8), (CAMERA, 1.5), (CAMERA, 3.0), (SMALL, 0.0), (SMALL, 1.5)],
-)
-def test_covariance_of_correlated_noise_is_honest(camera, pixels):
-    # The mean squared error of α in units of its covariance is 1; taking pixels as independent makes it 5, 19 and 100.
-    rng = np.random.default_rng(18)
-    truth = np.array([0.1, 0.0, 0.6])
-    errors = []
-    for _ in range(25):
-        noise = gaussian_filter(rng.normal(size=camera.shape), pixels)
-        q = truth[0] * camera.tan_x + truth[2] + 1e-3 * noise / noise.std()
-        found = segment(1.0 / q, camera)
-        error = found.alpha[0] - truth
-        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
-    assert 0.4 < np.mean(errors) < 1.6
-
-
-@pytest.mark.parametrize(
-    "parts",
-    [((0.5, 4.0),), ((0.3, 8.0),), ((0.1, 8.0),), ((0.57, 2.0), (0.28, 4.0)), ((0.4, 2.0), (0.44, 8.0))],
-)
-def test_covariance_of_partly_correlated_noise_is_honest(parts):
-    # As before; by what squares of 32 pixels show, as if all errors had one reach, it is 2 to 12.
-    rng = np.random.default_rng(20)
-    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
-    truth = np.array([0.1, 0.05, 0.6])
-    errors = []
-    for _ in range(15):
-        noise = np.sqrt(1.0 - sum(share for share, _ in parts)) * rng.normal(size=camera.shape)
-        for share, length in parts:
-            smooth = gaussian_filter(rng.normal(size=camera.shape), length / 2.0**0.5, mode="wrap")
-            noise += share**0.5 * smooth / smooth.std()
-        q = truth[0] * camera.tan_x + truth[1] * camera.tan_y + truth[2] + 1e-3 * noise
-        found = segment(1.0 / q, camera)
-        error = found.alpha[0] - truth
-        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
-    assert 0.35 < np.mean(errors) < 1.6
 
 
 def test_segmenting_while_segmenting(room):
@@ -909,67 +796,6 @@ def test_segmenting_while_segmenting(room):
     one, other = (segment(room[1], CAMERA, noise=noise) for noise in (sigma, sigma_of_another))
     np.testing.assert_array_equal(one.labels, other.labels)
     np.testing.assert_array_equal(one.planes, other.planes)
-
-
-def test_reach_table_is_that_of_whole_covariances():
-    side = 16
-    y, x = np.indices((side, side)).reshape(2, -1)
-    square = (y[:, None] - y) ** 2 + (x[:, None] - x) ** 2
-    design = np.stack([np.ones(side * side), x, y], axis=1)
-    residual = np.eye(side * side) - design @ np.linalg.pinv(design)
-    part = y // 4 * 4 + x // 4
-    parts = (part == np.arange(16)[:, None]) / 4.0
-    table = reach_table()
-    for k in (0, 5, 20):
-        together = table[-1, k]
-        covariance = np.exp(-np.pi * square / together)
-        scatter = np.trace(parts @ residual @ covariance @ residual @ parts.T) / 13.0
-        left = np.trace(residual @ covariance) / (side * side - 3)
-        np.testing.assert_allclose(table[:2, k], [scatter, left])
-
-
-@pytest.mark.parametrize("shares", [(0.0, 0.0), (0.4, 0.0), (0.0, 0.3), (0.5, 0.2), (1.0, 0.0)])
-def test_mixture_of_errors_is_found(shares):
-    table = reach_table()
-    counts = np.full(SIZES, 10_000)
-    for k in (8, 15, 22):
-        a, b = shares
-        made = (1.0 - a - b) + a * table[:, k] + b * table[:, 0]
-        together = mixture(made[0:-1:2] / made[1:-1:2], counts, table)
-        assert together == pytest.approx(made[-1], rel=0.05)
-
-
-def test_a_models_slow_waves_are_in_the_covariance():
-    # Errors that reach over 40 pixels: squares of 32 show little of them, a model that knows them says so. Without it
-    # the mean squared error is four times the covariance.
-    rng = np.random.default_rng(19)
-    truth = np.array([0.1, 0.0, 0.6])
-    pixels = 20.0  # over which noise is smoothed
-    model = NoiseModel((1e-3,), correlation=((1.0, pixels * 2.0**0.5),))
-    errors = []
-    for _ in range(25):
-        noise = gaussian_filter(rng.normal(size=CAMERA.shape), pixels)
-        q = truth[0] * CAMERA.tan_x + truth[2] + 1e-3 * noise / noise.std()
-        found = segment(1.0 / q, CAMERA, noise=model)
-        assert len(found) == 1
-        error = found.alpha[0] - truth
-        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
-    assert 0.4 < np.mean(errors) < 2.0
-
-
-def test_plane_covariance_is_that_of_alpha_carried_over(room):
-    found = segment(room[1], CAMERA)
-
-    def plane(alpha):
-        return np.append(-alpha, 1.0) / np.linalg.norm(alpha)
-
-    assert len(found) > 10
-    for i, alpha in enumerate(found.alpha):
-        np.testing.assert_allclose(plane(alpha), found.planes[i], rtol=1e-12, atol=1e-12)
-        steps = 1e-6 * np.eye(3)
-        slope = np.array([plane(alpha + step) - plane(alpha - step) for step in steps]).T / 2e-6
-        expected = slope @ found.alpha_covariance[i] @ slope.T
-        np.testing.assert_allclose(found.plane_covariance[i], expected, atol=1e-6 * expected.max())
 
 
 def test_share_and_residual_in_metres_are_those_of_the_pixels():
@@ -1227,16 +1053,3 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
             np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1] > 1e-12
         ):  # else they may determine no plane
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)
-
-
-def test_covariance_is_honest_although_edges_are_shared():
-    rendering = scenes.room().render(CAMERA)
-    normalised = []  # squared errors of α in its covariance: χ²(3), whose median is 2.37
-    for seed in range(5):
-        depth = rendering.measure(holes=0.05, seed=seed)
-        found = segment(depth, CAMERA)
-        truth = np.where(depth > 0, rendering.labels, 0)
-        for true, own in compare_labels(found.labels, truth).detection(0.75).pairs - 1:
-            error = found.alpha[own] + rendering.planes[true, :3] / rendering.planes[true, 3]
-            normalised.append(error @ np.linalg.solve(found.alpha_covariance[own], error))
-    assert np.median(normalised) < 3.0
