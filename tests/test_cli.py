@@ -181,7 +181,7 @@ def test_noise_is_a_name_or_a_number(folder, capsys):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".pfm", ".npy", ".npz"])
-def test_fit_reads_every_format(folder, capsys, suffix):
+def test_fit_reads_every_format(folder, suffix):
     frame = images.read_depth("depth.png")
     if suffix == ".npy":
         np.save("frame.npy", frame / 1000.0)  # metres
@@ -204,7 +204,7 @@ def test_fit_reads_every_format(folder, capsys, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_fit_draws(folder, capsys, suffix):
+def test_fit_draws(folder, suffix):
     figure = f"planes{suffix}"
     assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--figure", figure]) == 0
     start = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]

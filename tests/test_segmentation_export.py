@@ -264,7 +264,7 @@ def test_ros_messages_survive_serialisation(depth):
     assert np.array_equal(read, found.labels)
 
 
-def test_rerun_recording_holds_every_frame(depth, tmp_path, monkeypatch):
+def test_rerun_recording_holds_every_frame(tmp_path, monkeypatch):
     pytest.importorskip("rerun")
     pytest.importorskip("shapely")
     rendering = scenes.room().render(CAMERA)

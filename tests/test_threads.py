@@ -256,7 +256,7 @@ def test_a_stream_keeps_no_frame_beyond_its_end(num_threads):
     assert kept() is None
 
 
-def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller(rng):
+def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller():
     camera = make_camera()
     good, bad = np.ones(camera.shape), np.ones((3, 3))
     for num_threads in (1, 2):
