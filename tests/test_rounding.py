@@ -76,3 +76,30 @@ def test_segments_of_walls_say_so_too(rng):
         ray = np.array([CAMERA.tan_x[64, 40], 0.0, 1.0])
         errors.append(error @ ray / np.sqrt(ray @ covariance @ ray))
     assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 3.0
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("find", ["tile", "label", "segment"])
+def test_of_a_wall_tilted_about_one_axis_each_slope_errs_as_it_says(find, upright, rng):
+    """Along one side of the image it spans many steps, along the other hardly one: their variances differ."""
+    camera = rp.Camera(96, 96, 525.0, 525.0, 47.5, 47.5, disparity=(STEP, 0.0), invalid_values=(0,))
+    noise = rp.noise.quantised(rp.noise.NoiseModel((0.05 * STEP,)), camera)
+    errors = []
+    for _ in range(100):
+        many, few = rng.uniform(3.0, 8.0), rng.uniform(-1.0, 1.0)
+        slopes = np.array([few, many] if upright else [many, few]) * STEP * camera.fx / camera.width
+        alpha = np.append(slopes, rng.uniform(0.4, 0.8))
+        q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
+        raw = np.rint(q / STEP + 0.05 * rng.standard_normal(q.shape)).astype(np.uint16)
+        if find == "tile":
+            fits = rp.fit_tiles(raw, replace(camera, noise=noise), 96)
+        elif find == "label":
+            fits = rp.fit_labels(raw, replace(camera, noise=noise), np.ones(raw.shape, int))
+        else:
+            fits = rp.segment(raw, camera)
+        found, covariance = fits.alpha.reshape(-1, 3), fits.alpha_covariance.reshape(-1, 3, 3)
+        assert len(found) == 1
+        errors.append((found[0] - alpha)[:2] / np.sqrt(np.diag(covariance[0])[:2]))
+    of_slopes = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (of_slopes > 0.4).all()
+    assert (of_slopes < 1.0).all()

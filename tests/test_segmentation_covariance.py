@@ -149,3 +149,32 @@ def test_covariance_is_honest_although_edges_are_shared():
             error = found.alpha[own] + rendering.planes[true, :3] / rendering.planes[true, 3]
             normalised.append(error @ np.linalg.solve(found.alpha_covariance[own], error))
     assert np.median(normalised) < 3.0
+
+
+def of_independent_pixels(sigma):
+    """Covariance of α of the whole image, by NumPy."""
+    rays = np.stack([*np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y), np.ones(CAMERA.shape)]).reshape(3, -1)
+    return sigma**2 * np.linalg.inv(rays @ rays.T)
+
+
+@pytest.mark.parametrize("measured", [3e-4, 2e-3])
+def test_the_residual_or_the_noise_counts_whichever_is_larger(measured, rng):
+    q = 0.5 + 0.05 * CAMERA.tan_x + measured * rng.standard_normal(CAMERA.shape)
+    found = segment(1.0 / q, CAMERA, noise=1e-3)
+    wanted = of_independent_pixels(max(measured, 1e-3))
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    np.testing.assert_allclose(found.alpha_covariance[0] / scale, wanted / scale, atol=0.15)
+
+
+def test_one_square_of_outliers_says_little_of_where_a_plane_is_noisier(rng):
+    # They are none of its pixels, which lie all around them. By all that they are off, the slopes' variances would be
+    # two and a half times as large.
+    q = 0.5 + 0.05 * CAMERA.tan_x + 1e-3 * rng.standard_normal(CAMERA.shape)
+    q[9:15, 9:15] = 2.0
+    found = segment(1.0 / q, CAMERA)
+    corners = found.labels[8:16:7, 8:16:7]
+    assert (corners == 1).all()
+    assert not found.labels[10:14, 10:14].any()
+    np.testing.assert_allclose(
+        np.diag(found.alpha_covariance[0]), np.diag(of_independent_pixels(1e-3)), rtol=0.3
+    )
