@@ -209,6 +209,17 @@ def test_a_folded_surface_is_its_folds():
     assert (found.reason == Reason.PLANE).mean() > 0.95
 
 
+@pytest.mark.parametrize(("pixels", "fold", "pleats"), [(0.0, 24, 14), (1.0, 40, 8)])
+def test_pleats_that_pass_two_by_two_for_one_plane_are_each_one(pixels, fold, pleats):
+    # All in one they are far rougher than the noise: what is taken for a plane is less then.
+    phase = np.abs((CAMERA.tan_x / (fold / CAMERA.fx)) % 2.0 - 1.0)
+    number = np.floor(CAMERA.tan_x / (fold / CAMERA.fx)).astype(int)
+    found = segment(1.0 / (0.6 + 0.004 * phase + 3e-4 * smooth_noise(1, pixels)), CAMERA)
+    truth = number - number.min() + 1
+    assert truth.max() == pleats
+    assert compare_labels(found.labels, truth).hoover(0.8).correct == pleats
+
+
 def column(sides: int | None) -> np.ndarray:
     """Inverse depth of a wall 2.5 m away with an upright column before it, round or with so many sides."""
     u, q = CAMERA.tan_x, np.full(CAMERA.shape, 0.4)
@@ -258,6 +269,20 @@ def test_a_column_of_many_sides_is_round(noise):
     on_column = q > 0.45
     assert (found.reason[on_column] == Reason.CURVED).mean() > 0.85
     assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+def test_the_sides_of_a_round_column_are_as_curved_as_its_front():
+    # By itself a side, a few blocks wide, is as good as plane: its neighbours are not, and it goes on as they do.
+    u, q = CAMERA.tan_x, np.full(CAMERA.shape, 0.4)
+    a, b = u * u + 1.0, 1.6  # a column of 40 cm, its axis 1.6 m away
+    root = b * b - a * (b * b - 0.2**2)
+    on_column = root > 0.0
+    q[on_column] = (a / (b - np.sqrt(np.maximum(root, 0.0))))[on_column]
+    for seed in range(3):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(q.shape)
+        found = segment(1.0 / (q + noise), CAMERA)
+        assert (found.reason[on_column] == Reason.CURVED).mean() > 0.95
+        assert (found.labels[~on_column] > 0).mean() > 0.98
 
 
 def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
@@ -329,6 +354,28 @@ def test_what_a_thin_thing_separates_is_one_plane(between, right, wall_parts):
     assert found.planes[left - 1, 3] == pytest.approx(2.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("share", "parts"), [(0.05, 1), (0.2, 2)])
+def test_through_a_thin_thing_one_may_see_here_and_there(share, parts):
+    # Something farther away than the wall, in some rows: where it is in many, the wall itself has a gap.
+    rng = np.random.default_rng(16)
+    q = np.full(CAMERA.shape, 0.5)
+    q[:, 150:170] = 0.9
+    q[rng.permutation(CAMERA.height)[: int(share * CAMERA.height)], 150:170] = 0.3
+    labels = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA).labels
+    assert len({labels[120, 50], labels[120, 250]}) == parts
+
+
+@pytest.mark.parametrize(("deviations", "parts"), [(3.0, 1), (6.0, 2)])
+def test_what_is_seen_beside_a_thin_thing_is_farther_by_more_than_the_noise(deviations, parts):
+    rng = np.random.default_rng(16)
+    q = np.full(CAMERA.shape, 0.5)
+    q[:, 150:170] = 0.9
+    q += rng.normal(0.0, 1e-3, q.shape)
+    q[:, 160] = 0.5 - deviations * 1e-3
+    labels = segment(1.0 / q, CAMERA, noise=1e-3).labels
+    assert len({labels[120, 50], labels[120, 250]}) == parts
+
+
 @pytest.mark.parametrize("between", [0.0, 0.9])
 def test_a_wall_behind_many_bars_is_one_plane(between):
     rng = np.random.default_rng(21)
@@ -367,6 +414,26 @@ def test_stripes_of_two_depths_are_no_waves_of_one_surface(wide, noise):
     found = segment(1.0 / q, CAMERA, noise=noise)
     assert (found.labels > 0).mean() > 0.99
     assert (found.rmse * found.mean_depth).max() < 1e-6
+
+
+def test_waves_that_begin_at_16_pixels_do_not_make_one_of_what_is_far_apart(rng):
+    # Mosaics of 8 pixels a stone: squares of 16 are fifty times as rough. One stands out by six times its roughness.
+    stones = rng.standard_normal((CAMERA.height // 8, CAMERA.width // 8)).repeat(8, axis=0).repeat(8, axis=1)
+    nearer = np.arange(CAMERA.width) >= CAMERA.width // 2
+    q = 0.5 + 4e-3 * (stones + 6.0 * nearer) + rng.normal(0.0, 1e-4, CAMERA.shape)
+    labels = segment(1.0 / q, CAMERA).labels
+    assert (labels > 0).mean() > 0.9
+    assert not {*labels[:, ~nearer].ravel()} & {*labels[:, nearer].ravel()} - {0}
+
+
+def test_pixels_far_off_a_plane_do_not_make_it_rough(rng):
+    # Three in ten by six deviations, by which they are still its own: in full they would be most of its residual.
+    q = 0.5 + rng.normal(0.0, 1e-3, CAMERA.shape)
+    off = rng.random(CAMERA.shape) < 0.3
+    q[off] += 6e-3 * rng.choice([-1.0, 1.0], np.count_nonzero(off))
+    found = segment(1.0 / q, CAMERA, noise=1e-3)
+    assert len(found) == 1
+    assert (found.labels > 0).mean() > 0.98
 
 
 def test_labels_are_in_the_order_of_their_first_pixels():
