@@ -76,10 +76,14 @@ def sandwich(camera, chosen, alpha):
 
 
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit", "standard_pca"])
-@pytest.mark.parametrize("noise", [*NOISES.values(), replace(rp.noise.kinect_v1(), falloff=4.0)], ids=str)
+@pytest.mark.parametrize(
+    "noise",
+    [*NOISES.values(), replace(rp.noise.kinect_v1(), falloff=4.0), rp.noise.NoiseModel((1e-4,))],
+    ids=str,
+)
 @pytest.mark.parametrize("lateral", [0.0, 0.5])
 def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
-    """Of a mask and of a union of tiles; the axis in a corner of the image."""
+    """Of a mask and of a union of tiles; the axis in a corner of the image. Rounding alone is uneven, too."""
     camera = replace(CAMERA, noise=replace(noise, lateral=lateral, step=0.002), cx=0.0)
     (depth,), seen = measured_floor(camera, 1, rng)
     exact = method.startswith("range")  # of points the rays are known to first order: from 1.7 to 2.3 m
@@ -93,6 +97,30 @@ def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
     tiles = rp.fit_tiles(depth, camera, 4, method)
     union = rp.merge(tiles, np.where(tiles.valid_count > 0, 1, 0))
     np.testing.assert_allclose(union.alpha_covariance[0] / scale, wanted / scale, atol=0.02 if exact else 0.1)
+
+
+@pytest.mark.parametrize(
+    "noise", [rp.noise.NoiseModel((1e-4,), step=0.002), rp.noise.time_of_flight(1e-4)], ids=str
+)
+@pytest.mark.parametrize("lens", [(-0.2, 0.03, 0.002, -0.001, 0.0), (0.01, -0.005, 0.0, 0.0)])
+def test_the_lateral_error_is_that_of_rays_through_the_lens(lens, noise):
+    """Of masks in corners, where rays are farther apart, or nearer to each other, than on the axis."""
+    camera = rp.Camera(192, 144, 115.0, 115.0, 90.5, 74.5, lens, "brown_conrady" if lens[4:] else "fisheye")
+    camera = replace(camera, noise=replace(noise, lateral=0.5))
+    alpha = np.array([0.25, -0.1, 0.8])
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    q = rays @ alpha
+    slope_x, slope_y = np.gradient(q, axis=1), np.gradient(q, axis=0)
+    variance = camera.noise.sigma(q) ** 2 + 0.5**2 * (slope_x**2 + slope_y**2)
+    for corner in (np.s_[8:40, 8:48], np.s_[100:136, 140:184]):
+        seen = np.zeros(camera.shape, int)
+        seen[corner] = 1
+        found = rp.fit_labels(1.0 / q, camera, seen).alpha_covariance[0]
+        m = rays[corner].reshape(-1, 3)
+        inverse = np.linalg.inv(m.T @ m)
+        wanted = inverse @ (m.T * variance[corner].ravel() @ m) @ inverse
+        scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+        np.testing.assert_allclose(found / scale, wanted / scale, atol=0.1)
 
 
 def test_variances_that_are_alike_make_no_difference(rng):
