@@ -369,6 +369,19 @@ def test_walls_that_differ_are_none(rng):
     assert [estimated(errors, 4, 0.0, rng).falloff for _ in range(8)] == [0.0] * 8
 
 
+def test_three_large_noisy_things_in_corners_are_none(rng):
+    """Small parts of the image are each but little of them; without a large one, a whole thing, less is left."""
+    row, column = np.indices(WIDE.shape) * 3 // np.reshape(WIDE.shape, (2, 1, 1))
+    noisy = (row != 1) & (column != 1) & ~((row == 0) & (column == 2))
+    for _ in range(2):
+        seen = []
+        for tilt in np.linspace(-0.3, 0.3, 4):
+            q = 0.6 + tilt * WIDE.tan_x + 0.1 * WIDE.tan_y
+            q += 1.4e-3 * np.where(noisy, 1.2, 1.0) * rng.standard_normal(q.shape)
+            seen.append(1.0 / q)
+        assert rp.estimate_noise(seen, WIDE).falloff == 0.0
+
+
 def test_tiles_at_the_rim_of_a_fisheye(rng):
     """What of a tile the lens does not see does not count: p-values were above 0.99 in nine of ten such tiles."""
     camera = rp.Camera.from_opencv(

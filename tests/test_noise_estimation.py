@@ -8,6 +8,8 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
+from rgbd_planes.flatness import flatness
+from rgbd_planes.large_planes import large_planes
 from rgbd_planes.noise_samples import WINDOW, Samples
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
@@ -121,6 +123,28 @@ def test_shows_a_bias_over_the_image(rng):
     assert len(figure.get_axes()) == 7
     assert "flat tiles" in repr(evidence)
     assert "\n" not in repr(evidence)
+
+
+@pytest.mark.parametrize("planar", [0.0, 4e-3])
+def test_of_a_bias_a_planar_part_does_not_show(planar, rng):
+    """Though most frames see only the half where it bends."""
+    camera = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, noise=rp.noise.NoiseModel((1e-3,)))
+    bump = 3e-3 * np.exp(-0.5 * ((camera.tan_x + 0.3) ** 2 + (camera.tan_y - 0.1) ** 2) / 0.15**2)
+    seen = []
+    for tilt in np.linspace(-0.15, 0.1, 6):
+        q = 0.5 + tilt * camera.tan_x + bump + planar * (camera.tan_x - camera.tan_y + 0.5)
+        q += 1e-3 * rng.standard_normal(q.shape)
+        q[:, 160 if seen else 320 :] = np.nan
+        seen.append(1.0 / q)
+    bias, count, _ = flatness(seen, large_planes(seen, camera), camera)
+    there = count > 0
+    rays = np.stack(np.broadcast_arrays(camera.tan_x, camera.tan_y, np.ones(camera.shape), bump))
+    *rays, wanted = rays.reshape(4, 30, 8, 40, 8).mean(axis=(2, 4))[:, there]
+    design, root = np.stack(rays, axis=1), np.sqrt(count[there])
+    design, found, wanted = root[:, None] * design, root * bias[there], root * wanted
+    wanted -= design @ np.linalg.lstsq(design, wanted)[0]
+    np.testing.assert_allclose(np.linalg.lstsq(design, found)[0], 0.0, atol=1e-7)
+    assert np.linalg.norm(found - wanted) < 0.25 * np.linalg.norm(wanted)
 
 
 @pytest.mark.parametrize("views", [1, 6])
