@@ -92,6 +92,30 @@ def test_clusters_are_the_surfaces_of_a_corner(camera):
         assert agreed.mean() > 0.98
 
 
+def test_a_square_counts_by_its_area():
+    """A large one is as many as there is room for small ones: it goes with few of these rather than with more."""
+    camera = rp.Camera(width=96, height=32, fx=60.0, fy=60.0, cx=47.5, cy=15.5)
+    near, middle, far = 1.0, 1.1, 1.22
+    quarters = [[near, near, near, far]] * 5 + [[near, near, far, far]] * 3  # 21 and 11 small squares
+    right = np.array(quarters).reshape(2, 4, 2, 2).swapaxes(1, 2).reshape(4, 8)
+    small = np.concatenate([np.full((4, 4), middle), right], axis=1)
+    found = rp.segment_quadtree(np.kron(small, np.ones((8, 8))), camera, 32, clusters=2, max_error=0.005)
+    assert np.bincount(found.elements.level).tolist() == [1, 0, 32]
+    of_depth = [{*found.labels[::8, ::8][small == depth].tolist()} for depth in (near, middle, far)]
+    assert of_depth[1] == of_depth[2] != of_depth[0]
+
+
+def test_clusters_are_the_same_in_any_unit(camera, frame):
+    """The distance of planes is in units of a frame's own depth."""
+    camera = rp.Camera(**{**camera.to_dict(), "depth_scale": None})
+    metres = np.where(frame > 0, frame / 1000.0, np.nan)
+    labels = rp.segment_quadtree(metres, camera, **OPTIONS, clusters=5).labels
+    for unit in (0.125, 8.0):
+        options = OPTIONS | {"max_error": unit * OPTIONS["max_error"]}
+        found = rp.segment_quadtree(unit * metres, camera, **options, clusters=5).labels
+        assert np.mean(found != labels) < 1e-3
+
+
 def test_cluster_plane_is_the_fit_to_all_its_pixels(camera, frame):
     segmentation = rp.segment_quadtree(frame, camera, clusters=4)
     q = oracle.inverse_depth(frame, camera)
