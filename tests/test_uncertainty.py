@@ -834,6 +834,24 @@ def test_fused_planes_err_as_they_say(rng):
     assert np.mean(squares) == pytest.approx(3.0, abs=1.0)
 
 
+@pytest.mark.parametrize("degrees", [3.0, 6.0, 12.0])
+def test_planes_are_fused_to_the_same_whichever_comes_first(degrees):
+    """A poor one, turned by so much, and a good one: where errors are linear is where the good one is."""
+    planes, covariance = [], []
+    for turn, of_turn, of_offset in (
+        (np.radians(degrees), np.radians(degrees) / 1.5, 0.05),
+        (0.0, 1e-3, 1e-3),
+    ):
+        normal = np.array([np.sin(turn), 0.2, -np.cos(turn)]) / np.sqrt(1.04)
+        planes.append([*normal, 2.0 + of_offset])
+        covariance.append(np.diag([0.0, 0.0, 0.0, of_offset**2]))
+        covariance[-1][:3, :3] = of_turn**2 * (np.eye(3) - np.outer(normal, normal))
+    fused, of_fused = rp.uncertainty.fuse_planes(planes, covariance)
+    other, of_other = rp.uncertainty.fuse_planes(planes[::-1], covariance[::-1])
+    assert (np.abs(fused - other) < 1e-3 * np.sqrt(np.diag(of_other))).all()
+    np.testing.assert_allclose(of_fused, of_other, atol=1e-3 * of_other.max())
+
+
 def test_planes_that_are_not_one_are_fused_to_something():
     planes = np.array([[0.0, 0.0, -1.0, 3.0], [0.0, -0.99, -0.14106736, 1.2]])
     covariance = np.diag([1e-6, 1e-6, 0.0, 1e-6]), np.diag([4e-4, 4e-4, 4e-4, 1e-6])
