@@ -69,6 +69,25 @@ def test_depth_and_what_does_not_tell_pass(camera):
 
 
 @cameras
+def test_a_patch_that_is_flat_as_distances_is_not_enough(camera):
+    """Beside a wall that is flat as depth."""
+    wall = 1.0 / (0.5 + 0.1 * camera.tan_x + 0.05 * camera.tan_y)
+    patch = wall * ray(camera)
+    patch[:, : camera.width // 2] = np.nan
+    assert says_so(patch, camera)
+    assert not says_so(np.where(np.isnan(patch), wall, patch), camera)
+
+
+@cameras
+def test_distances_that_were_rounded_pass(camera):
+    """However small the steps: integers are a sensor's."""
+    distance = scenes.room().render(camera).depth * ray(camera)
+    micrometres = np.rint(1e6 * distance).astype(np.int32)
+    assert says_so(micrometres / 1e6, camera)
+    assert not says_so(micrometres, replace(camera, depth_scale=1e6))
+
+
+@cameras
 @pytest.mark.parametrize("radius", [0.8, 1.0, 1.2, 1.5])
 def test_a_ball_that_bulges_like_distances_of_a_wall_passes(camera, radius):
     rays = np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1)
