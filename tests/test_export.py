@@ -112,6 +112,19 @@ def test_ply_holds_the_polygons(tiles, depth, tmp_path):
     assert not (tmp_path / "no.ply").exists()
 
 
+def test_a_mesh_keeps_the_points_that_are_not_finite(tmp_path):
+    """By whose numbers its faces go."""
+    plyfile = pytest.importorskip("plyfile")
+    points = np.array([[0.0, 0.0, 1.0], [np.nan] * 3, [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+    faces = [[0, 2, 3], [0, 3, 4]]
+    export.write_ply(tmp_path / "mesh.ply", points, faces=faces)
+    read = plyfile.PlyData.read(tmp_path / "mesh.ply")
+    np.testing.assert_array_equal(np.stack([read["vertex"][name] for name in "xyz"], axis=-1), points)
+    assert [face.tolist() for face in read["face"]["vertex_indices"]] == faces
+    export.write_ply(tmp_path / "points.ply", points)
+    assert len(plyfile.PlyData.read(tmp_path / "points.ply")["vertex"]) == 4
+
+
 def test_colours_of_points_are_shares(tmp_path):
     points = np.zeros((2, 3))
     export.write_ply(tmp_path / "points.ply", points, colours=[[0, 0.5, 1], [1, 0, 0]])
