@@ -3,10 +3,12 @@
 import ast
 import contextlib
 import importlib
+import importlib.util
 import io
 import json
 import re
 import shlex
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -189,6 +191,32 @@ def test_every_status_reason_method_and_column_is_explained():
     batch = (ROOT / "docs/howto/batch.md").read_text()
     rows = rp.fit_tiles(np.ones((4, 4)), rp.Camera(4, 4, 4.0, 4.0, 1.5, 1.5), tile=2).to_table()
     assert all(name in batch for name in rows)
+
+
+@pytest.fixture
+def equations(monkeypatch):
+    """What replaces equations when the site is built; here by their text in angle brackets."""
+    converter = ModuleType("latex2mathml.converter")
+    converter.convert = lambda equation, display: f"<{equation}>"
+    monkeypatch.setitem(sys.modules, "latex2mathml", ModuleType("latex2mathml"))
+    monkeypatch.setitem(sys.modules, "latex2mathml.converter", converter)
+    spec = importlib.util.spec_from_file_location("equations", ROOT / "docs/equations.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.on_page_markdown
+
+
+def test_equations_go_on_in_the_next_line_and_end_with_the_paragraph(equations):
+    assert equations("of $a +\nb$, and $c$") == "of <span><a +\nb></span>, and <span><c></span>"
+    assert equations("$$a\n\nb$$ `$HOME`\n```bash\n$ ls\n```\n") == "<a\n\nb> `$HOME`\n```bash\n$ ls\n```\n"
+    for text in ("it costs 5 $", "$a +\n\nb$", "$a$ and $b"):
+        with pytest.raises(ValueError, match=r"one alone: '.*\$"):
+            equations(text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_dollar_signs_of_every_page_pair_up(page, equations):
+    equations(page.read_text(encoding="utf-8"))
 
 
 def test_every_public_name_is_in_the_reference():
