@@ -95,7 +95,8 @@ def table(result: dict[str, Any]) -> str:
     """The result as Markdown."""
     base = np.add(result["numba"]["numpy"], result["numba"]["numba"])
     lines = [
-        "| | `import rgbd_planes` | first call | the slowest | with NumPy's import, of NumPy's and Numba's |",
+        "| | `import rgbd_planes` | first call | the slowest "
+        "| imports + first call, as a multiple of importing NumPy and Numba |",
         "|---|---:|---:|---:|---:|",
     ]
     for name in CALLS:

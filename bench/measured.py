@@ -1,7 +1,7 @@
 """``python -m bench.measured``: measure what docs/measured.md and a table of the README show, and put it there.
 
 What was measured is kept in docs/measured.json, from which ``python -m bench.measured --page`` makes the page's tables
-again; names of sections measure these alone.
+again; names of sections measure these alone. The section ``roofline`` draws its figure, too.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from bench import (
     first_call,
     peers,
     real_sensors,
+    roofline,
     segmentation,
     uncertainty_real,
     user_tasks,
@@ -25,6 +26,7 @@ RESULTS = PAGE.with_suffix(".json")
 SECTIONS = {
     "tasks": user_tasks,
     "peers": peers,
+    "roofline": roofline,
     "first": first_call,
     "batch": batch_throughput,
     "segments": segmentation,
@@ -59,6 +61,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{name} ...", flush=True)
         results[name] = SECTIONS[name].measure()
         RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        if name == "roofline":
+            roofline.figure(results[name])
     if missing := set(SECTIONS) - set(results):
         print(
             f"nothing measured yet of {', '.join(sorted(missing))}: the page stays as it is", file=sys.stderr

@@ -32,6 +32,7 @@ import rgbd_planes as rp
 from bench import test_normals as of_normals
 from bench.fitting import Case, case, fit, floor_of, median_angle, numpy_fit, ratio, take_turns
 from bench.floor import floor
+from bench.paper import _processor
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.threads import run_in_ranges
 
@@ -315,7 +316,8 @@ def table(measured: dict[str, Any]) -> str:
         f"{_series(points['tile'])}.",
         f"A batch of 100 frames on {threads} threads is {faster:.2f} times as fast as on one, the floor kernel "
         f"{points['threads, floor'][-1][1]:.2f} times. A frame that has yet to come from memory takes "
-        f"{points['new'][0][1]:.2f} times as long as one that is fitted again.",
+        f"{points['new'][0][1]:.2f} times as long as one that is fitted again."
+        + (f" Measured on {measured['about']['processor']}." if "processor" in measured["about"] else ""),
     ]
     return "\n".join(lines)
 
@@ -370,7 +372,7 @@ def main() -> None:
     normals = [row for holes in of_normals.HOLES for row in compare_normals(holes, repeats // 5)]
     threaded = with_all_threads(frame, 20, repeats // 3)
     points = scaling(arguments.quick)
-    about = {"python": platform.python_version(), "numpy": np.__version__, "machine": platform.machine()}
+    about = {"python": platform.python_version(), "numpy": np.__version__, "processor": _processor()}
     measured = {"about": about, "rows": rows, "normals": normals, "threads": threaded, "scaling": points}
     report = f"{table(measured)}\n\n{text_of_threads(threaded)}"
     print(report)

@@ -2,7 +2,8 @@
 
 Every piece of work needs so many bytes, divisions and other operations for a pixel, and one core moves and computes so
 many a second. The longest of the three times is the least that the work can take. Writes roofline.md and
-roofline.png, one thread, 640 x 480, uint16, 5 % missing.
+roofline.png, one thread, 640 x 480, uint16, 5 % missing. `python -m bench.measured roofline` puts both into the
+documentation.
 """
 
 import argparse
@@ -13,9 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.fitting import case, fit, floor_of, take_turns
+from bench.paper import _processor
 from rgbd_planes.kernels._jit import kernel
 
 STEPS = 16
+PICTURE = Path(__file__).resolve().parents[1] / "docs/images/roofline.png"
+FLOOR, EXPLICIT = "floor, a division a pixel", "range_explicit, tiles of {}"
 
 
 @kernel(reduction=True)
@@ -61,7 +65,7 @@ def works() -> dict[str, Work]:
     """The kernels to measure."""
     frame = case()
     listed = {
-        "floor, a division a pixel": Work(floor_of(frame, 20, False), 1.0, 5.0),
+        FLOOR: Work(floor_of(frame, 20, False), 1.0, 5.0),
         "floor, a division for two": Work(floor_of(frame, 20, True), 0.5, 6.5),
     }
     # Per pixel: 1.5 products for the shared division, q - q0, and Σq, Σqv, Σqq; z = m·raw - z0, zv, and six sums.
@@ -89,7 +93,7 @@ def machine() -> dict[str, tuple[Callable[[], Any], float]]:
     }
 
 
-def measure(repeats: int) -> tuple[dict[str, float], list[dict[str, Any]]]:
+def measure(repeats: int = 500) -> dict[str, Any]:
     """Nanoseconds of each of the machine's limits, and of a pixel of each kernel beside what these allow."""
     probes, listed = machine(), works()
     functions = {name: run for name, (run, _) in probes.items()} | {n: work.run for n, work in listed.items()}
@@ -105,30 +109,49 @@ def measure(repeats: int) -> tuple[dict[str, float], list[dict[str, Any]]]:
             "adding and multiplying": work.operations * cost["additions and multiplications"],
         }
         rows.append({"kernel": name, "ns": fastest[name] / pixels, "limits": limits})
-    return cost, rows
+    return {"processor": _processor(), "cost": cost, "rows": rows}
 
 
-def text(cost: dict[str, float], rows: list[dict[str, Any]]) -> str:
-    """The table in Markdown."""
+def text(result: dict[str, Any]) -> str:
+    """All of the result as a table in Markdown."""
     lines = [
-        "10⁹ a second on one core: "
-        + ", ".join(f"{1.0 / value:.3g} {name}" for name, value in cost.items())
+        f"10⁹ a second on one core of {result['processor']}: "
+        + ", ".join(f"{1.0 / value:.3g} {name}" for name, value in result["cost"].items())
         + ".",
         "",
         "| kernel | ns a pixel | reading | dividing | adding and multiplying | of the nearest limit |",
         "|---|---:|---:|---:|---:|---:|",
     ]
-    for row in rows:
+    for row in result["rows"]:
         limits = " | ".join(f"{value:.3f}" for value in row["limits"].values())
-        reached = max(row["limits"].values()) / row["ns"]
-        lines.append(f"| {row['kernel']} | {row['ns']:.3f} | {limits} | {reached:.0%} |".replace("%", " %"))
+        lines.append(f"| {row['kernel']} | {row['ns']:.3f} | {limits} | {_reached(row)} |")
     return "\n".join(lines)
 
 
-def figure(rows: list[dict[str, Any]], path: Path) -> None:
+def _reached(row: dict[str, Any]) -> str:
+    return f"{max(row['limits'].values()) / row['ns']:.0%}".replace("%", " %")
+
+
+def table(result: dict[str, Any]) -> str:
+    """What the page says beside the figure."""
+    can = {name: 1.0 / value for name, value in result["cost"].items()}
+    rows = {row["kernel"]: row for row in result["rows"]}
+    large, small = (rows[EXPLICIT.format(tile)] for tile in (20, 10))
+    return (
+        f"Measured on one core of this processor: {result['processor']}. It divides {can['divisions']:.1f}·10⁹ "
+        f"numbers a second, adds or multiplies {can['additions and multiplications']:.0f}·10⁹, and reads "
+        f"{can['bytes from the caches']:.0f} GB from its caches. The floor, at {_reached(rows[FLOOR])} of the speed "
+        f"that the nearest limit allows, takes {rows[FLOOR]['ns']:.2f} ns a pixel. `range_explicit` takes "
+        f"{large['ns']:.2f} ns with tiles of 20, at {_reached(large)}, and {small['ns']:.2f} ns with tiles of 10, at "
+        f"{_reached(small)}."
+    )
+
+
+def figure(result: dict[str, Any], path: Path = PICTURE) -> None:
     """Draw the time of a pixel of every kernel, and what the machine allows."""
     from matplotlib.figure import Figure
 
+    rows = result["rows"]
     drawing = Figure(figsize=(8.2, 4.6), layout="constrained")
     axis = drawing.subplots()
     places = np.arange(len(rows))[::-1]
@@ -145,7 +168,7 @@ def figure(rows: list[dict[str, Any]], path: Path) -> None:
     for row, place in zip(rows, places, strict=True):
         axis.text(row["ns"], place, f" {row['ns']:.2f}", va="center", fontsize=8)
     axis.set_yticks(places, [row["kernel"] for row in rows], fontsize=8)
-    axis.set_xlabel("ns a pixel, one thread, 640 x 480 with 5 % missing")
+    axis.set_xlabel(f"ns a pixel of 640 x 480 with 5 % missing, one core of {result['processor']}")
     axis.set_xlim(0.0, 1.12 * max(row["ns"] for row in rows))
     axis.spines[["top", "right"]].set_visible(False)
     axis.legend(frameon=False, fontsize=8, loc="upper right")
@@ -156,14 +179,13 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog="python -m bench.roofline", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("roofline"), help="folder for table and figure")
-    parser.add_argument("--rounds", type=int, default=150)
+    parser.add_argument("--rounds", type=int, default=500)
     arguments = parser.parse_args()
-    cost, rows = measure(arguments.rounds)
-    table = text(cost, rows)
-    print(table)
+    result = measure(arguments.rounds)
+    print(text(result))
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "roofline.md").write_text(table + "\n", encoding="utf-8")
-    figure(rows, arguments.out / "roofline.png")
+    (arguments.out / "roofline.md").write_text(text(result) + "\n", encoding="utf-8")
+    figure(result, arguments.out / "roofline.png")
 
 
 if __name__ == "__main__":

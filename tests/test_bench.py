@@ -16,6 +16,7 @@ from bench import (
     operations,
     readme,
     report,
+    roofline,
     sequence,
     uncertainty_real,
 )
@@ -149,6 +150,17 @@ def test_the_page_is_what_was_measured():
     assert measured.page_of(page, with_other) != page
     text = readme.README.read_text()
     assert measured.readme_of(text, results) == text, "run python -m bench.measured --page"
+
+
+def test_limits_of_the_machine_are_measured(tmp_path):
+    result = roofline.measure(repeats=1)
+    assert result["processor"]
+    assert all(row["ns"] > 0.0 for row in result["rows"])
+    shown = roofline.table(result)
+    assert result["processor"] in shown
+    assert f"`range_explicit` takes {result['rows'][2]['ns']:.2f} ns with tiles of 20" in shown
+    roofline.figure(result, tmp_path / "roofline.png")
+    assert (tmp_path / "roofline.png").stat().st_size > 5000
 
 
 def test_shares_of_few_tiles_say_little():
