@@ -169,6 +169,14 @@ def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
     assert explicit > 2 * ours
 
 
+def test_what_the_page_on_noise_says_comes_out(files, monkeypatch):
+    lines = printed("howto/noise.md", 4, files, monkeypatch).splitlines()
+    for line, true in zip(lines[-2:], (1500.0, 14.885), strict=True):
+        value, deviation = (float(number) for number in re.findall(r"\d+\.\d+", line))
+        assert 0.0 < deviation < 0.01 * true
+        assert abs(value - true) < 3.0 * deviation
+
+
 def test_what_the_page_on_normals_says_comes_out(files, monkeypatch):
     text = printed("howto/normals.md", 3, files, monkeypatch)
     rows = re.findall(r"(\d+) (True|False) +half within ([\d.]+) degrees, 90 % within ([\d.]+)", text)
