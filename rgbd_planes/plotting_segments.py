@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from rgbd_planes.camera import Camera
     from rgbd_planes.segmentation_result import Segmentation
 
 Floats = NDArray[np.float64]
@@ -51,20 +52,38 @@ def label_image(
     image = palette[segmentation.labels]
     if depth is not None:
         frame = as_depth_frame(depth, segmentation.camera)
-        image = image * _relief(frame.inverse_depth, segmentation.sigma)[..., None]
+        image = image * _relief(frame.inverse_depth, segmentation.camera, segmentation.sigma)[..., None]
     image[segmentation.reason == Reason.MISSING] = _NOT_MEASURED
     return np.asarray(np.clip(image, 0.0, 1.0))
 
 
-def _relief(inverse_depth: Floats, sigma: float) -> Floats:
-    """(H, W) brightness of a surface lit from the upper left; smoothed, for it is not to show the noise."""
+def _relief(inverse_depth: Floats, camera: Camera, sigma: float) -> Floats:
+    """(H, W) brightness of a surface lit from the upper left; smoothed, for it is not to show the noise.
+
+    A plane has one brightness, also where a lens bends it.
+    """
+    # In inverse depth, where noise is alike near and far, from pixel to pixel.
+    x, y = (_smooth_difference(inverse_depth, axis) for axis in (1, 0))
+    if camera.is_distorted:
+        u, v = camera.tan_x, camera.tan_y
+        with np.errstate(invalid="ignore", divide="ignore"):
+            (uy, ux), (vy, vx) = np.gradient(u), np.gradient(v)
+            determinant = (ux * vy - uy * vx) * np.array([[camera.fx], [camera.fy]])[:, :, None]
+            x, y = np.stack([x * vy - y * vx, y * ux - x * uy]) / determinant
+    return np.asarray(np.clip(1.0 + 0.12 * np.nan_to_num(x + y) / sigma, 0.7, 1.12))
+
+
+def _smooth_difference(image: Floats, axis: int) -> Floats:
+    """Mean over 5x5 of the differences of neighbours of which both are known; 0 where there are none.
+
+    The difference of means would jump beside a missing pixel.
+    """
     from scipy.ndimage import uniform_filter
 
-    measured = np.isfinite(inverse_depth).astype(np.float64)
-    # In inverse depth, where noise is alike near and far; the mean over the measured pixels of 5x5.
-    smooth = uniform_filter(np.nan_to_num(inverse_depth), 5) / np.maximum(uniform_filter(measured, 5), 0.04)
-    slope = np.diff(smooth, axis=1, prepend=smooth[:, :1]) + np.diff(smooth, axis=0, prepend=smooth[:1])
-    return np.asarray(np.clip(1.0 + 0.12 * slope / sigma, 0.7, 1.12))
+    difference = np.diff(image, axis=axis, prepend=np.nan)
+    known = np.isfinite(difference).astype(np.float64)
+    mean = uniform_filter(np.nan_to_num(difference), 5) / np.maximum(uniform_filter(known, 5), 0.04)
+    return np.asarray(mean)
 
 
 def plot_segments(

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import rgbd_planes as rp
-from rgbd_planes import plotting, scenes
+from rgbd_planes import plotting, plotting_segments, scenes
 from rgbd_planes.plotting_surfaces import plot_surfaces
 
 
@@ -122,6 +122,21 @@ def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
     for figure in (normals, *(fitted.plot(depth) for fitted in others)):
         assert 0.15 <= figure.get_figheight() / figure.get_figwidth() <= 2.0
         figure.savefig(io.BytesIO())
+
+
+@pytest.mark.parametrize("fy", [52.5, -52.5])
+@pytest.mark.parametrize("lens", [(), (0.1, -0.05, 0.0, 0.0)])
+def test_a_plane_has_one_brightness(fy, lens, rng):
+    """Whatever pixels are missing, and however a lens bends it: a speckle would be taken for another plane."""
+    model = {"distortion": lens, "distortion_model": "fisheye" if lens else "brown_conrady"}
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=fy, cx=33.5, cy=24.5, **model)
+    alpha = np.array([0.3, 0.2, 0.6])
+    q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
+    q[rng.random(q.shape) < 0.3] = np.nan
+    light = plotting_segments._relief(q, camera, 1e-2)[2:-2, 2:-2]
+    expected = 1.0 + 0.12 * (alpha[0] / 52.5 + alpha[1] / fy) / 1e-2
+    assert expected < 1.12
+    np.testing.assert_allclose(light, expected, atol=0.004)
 
 
 def test_colours_are_of_the_image_whatever_the_sign_of_fy():
