@@ -23,6 +23,7 @@ NO_PLANE = (0.62, 0.62, 0.62)
 _NOT_MEASURED = (1.0, 1.0, 1.0)
 _GOLDEN = 0.618033988749895
 _NUMBERED = 400  # pixels that a plane must have for its number to be written on it, at 640 x 480
+_FONT = 7  # points
 
 
 def label_colours(count: int) -> Floats:
@@ -125,16 +126,24 @@ def plot_segments(
 
 
 def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.integer]) -> None:
-    """Write each large plane's number where most of the plane is around it."""
+    """Write each large plane's number where most of the plane is around it, if no larger plane's is there."""
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)
-    for i, box in enumerate(segmentation._boxes):
+    inches = axes.figure.bbox.size / axes.figure.dpi
+    pixel = max(np.array(labels.shape[::-1]) / inches) / 72.0 * _FONT  # of the frame, as far as the font is high
+    written: list[tuple[float, float, float]] = []
+    for i in np.argsort(-segmentation.sizes, kind="stable"):
         if segmentation.sizes[i] < least:
-            continue
+            break
+        box = segmentation._boxes[i]
         row, column = _middle(labels[box] == i + 1)
+        x, y, text = float(box[1].start + column), float(box[0].start + row), str(numbers[i])
+        half = (0.32 * len(text) + 0.3) * pixel
+        if any(abs(x - at) < half + wide and abs(y - down) < 1.4 * pixel for at, down, wide in written):
+            continue
+        written.append((x, y, half))
         axes.text(
-            box[1].start + column, box[0].start + row, str(numbers[i]),
-            ha="center", va="center", fontsize=7, color="black",
+            x, y, text, ha="center", va="center", fontsize=_FONT, color="black",
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.6, "linewidth": 0},
         )  # fmt: skip
 

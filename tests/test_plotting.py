@@ -124,6 +124,21 @@ def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
         figure.savefig(io.BytesIO())
 
 
+@pytest.mark.parametrize("shape", [(96, 1280), (480, 640), (640, 96)])
+def test_numbers_of_planes_do_not_cover_each_other(shape):
+    height, width = shape
+    camera = rp.Camera(width, height, 525.0, 525.0, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(seed=1)
+    found = rp.segment(depth, camera)
+    figure = found.plot(depth)
+    figure.draw_without_rendering()
+    texts = figure.axes[0].texts
+    boxes = [text.get_bbox_patch().get_window_extent() for text in texts]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    assert texts[0].get_text() == str(np.argmax(found.sizes) + 1)
+    assert len(texts) >= min(len(found), 5)
+
+
 @pytest.mark.parametrize("fy", [52.5, -52.5])
 @pytest.mark.parametrize("lens", [(), (0.1, -0.05, 0.0, 0.0)])
 def test_a_plane_has_one_brightness(fy, lens, rng):
