@@ -10,12 +10,13 @@ from rgbd_planes.plane_fits import TileStatus
 
 Floats = NDArray[np.float64]
 
-# Green, red and blue are the paper's (its figure of a segmented room corner).
+# Green, red and blue are the paper's (its figure of a segmented room corner); the green is bluish, and the red is
+# not, so that they differ for those who do not tell green from red.
 STATUS_COLOURS = {
-    TileStatus.OK: (0.30, 0.69, 0.42),
-    TileStatus.TOO_FEW: (0.84, 0.19, 0.22),
-    TileStatus.DEGENERATE: (0.98, 0.70, 0.18),
-    TileStatus.ROUGH: (0.20, 0.40, 0.85),
+    TileStatus.OK: (0.14, 0.63, 0.49),
+    TileStatus.TOO_FEW: (0.90, 0.16, 0.06),
+    TileStatus.DEGENERATE: (0.98, 0.75, 0.18),
+    TileStatus.ROUGH: (0.20, 0.33, 0.85),
 }
 MISSING = (0.86, 0.86, 0.86)
 

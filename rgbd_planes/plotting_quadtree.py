@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from rgbd_planes.colours import MISSING
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.plotting import (
     depth_limits,
@@ -22,12 +23,13 @@ from rgbd_planes.plotting import (
 if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
 
-# The colours of the paper's figure; it has none for pixels that determine no plane.
+# The colours of the paper's figure, which has none for pixels that determine no plane; as in `STATUS_COLOURS` the
+# green is bluish. They are brighter than the grey image, so that thin lines are seen on it.
 OUTLINES = {
-    TileStatus.OK: "#00a03c",
-    TileStatus.TOO_FEW: "#e01b24",
-    TileStatus.DEGENERATE: "#f5a623",
-    TileStatus.ROUGH: "#1c4fd8",
+    TileStatus.OK: "#00c272",
+    TileStatus.TOO_FEW: "#f02a10",
+    TileStatus.DEGENERATE: "#ffc93c",
+    TileStatus.ROUGH: "#3d7bff",
 }
 _SHADE = 0.55
 
@@ -60,12 +62,13 @@ def plot_quadtree(
         draw_measured_depth(panels[0], legends[0], depth_metres)
 
     nearest, farthest = depth_limits(depth_metres)
-    grey = colormaps["gray_r"].with_extremes(bad="black")
-    base = np.nan_to_num(grey(np.clip((depth_metres - nearest) / (farthest - nearest), 0.0, 1.0)))
+    far = np.clip((depth_metres - nearest) / (farthest - nearest), 0.0, 1.0)
+    base = (0.75 - 0.55 * far)[..., None]  # grey, darker than what is missing
     palette = np.vstack([np.zeros(4), colormaps["tab20"](_palette_order(len(segmentation.planes)))])
     labels = segmentation.labels
     share = np.where(labels > 0, _SHADE, 0.0)[..., None]
-    panels[1].imshow((1.0 - share) * base[..., :3] + share * palette[labels][..., :3])
+    picture = (1.0 - share) * base + share * palette[labels][..., :3]
+    panels[1].imshow(np.where(np.isnan(picture), MISSING, picture), interpolation="nearest")
     counts = {status: int(np.count_nonzero(elements.status == status)) for status in OUTLINES}
     for status, colour in OUTLINES.items():
         panels[1].add_collection(
@@ -77,7 +80,7 @@ def plot_quadtree(
                 ],
                 facecolor="none",
                 edgecolor=colour,
-                linewidth=0.9,
+                linewidth=0.9 if status == TileStatus.OK else 1.4,
             )
         )
     panels[1].set_title(f"{counts[TileStatus.OK]} squares fitted, {len(segmentation.planes)} clusters")
@@ -85,7 +88,9 @@ def plot_quadtree(
         status: {"facecolor": "none", "edgecolor": colour, "linewidth": 2.0}
         for status, colour in OUTLINES.items()
     }
-    draw_legend_of_statuses(legends[1], elements.status, styles, "outlined by status, filled by cluster")
+    draw_legend_of_statuses(
+        legends[1], elements.status, styles, "outlined by status, filled by cluster; light grey: missing"
+    )
     return figure
 
 

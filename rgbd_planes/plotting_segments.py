@@ -129,8 +129,8 @@ def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.i
     """Write each large plane's number where most of the plane is around it, if no larger plane's is there."""
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)
-    inches = axes.figure.bbox.size / axes.figure.dpi
-    pixel = max(np.array(labels.shape[::-1]) / inches) / 72.0 * _FONT  # of the frame, as far as the font is high
+    points = 72.0 / axes.figure.dpi * np.array(axes.figure.bbox.size)
+    high = _FONT * float(np.max(labels.shape[::-1] / points))  # pixels of the frame that the font takes
     written: list[tuple[float, float, float]] = []
     for i in np.argsort(-segmentation.sizes, kind="stable"):
         if segmentation.sizes[i] < least:
@@ -138,8 +138,8 @@ def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.i
         box = segmentation._boxes[i]
         row, column = _middle(labels[box] == i + 1)
         x, y, text = float(box[1].start + column), float(box[0].start + row), str(numbers[i])
-        half = (0.32 * len(text) + 0.3) * pixel
-        if any(abs(x - at) < half + wide and abs(y - down) < 1.4 * pixel for at, down, wide in written):
+        half = (0.32 * len(text) + 0.3) * high
+        if any(abs(x - at) < half + wide and abs(y - down) < 1.4 * high for at, down, wide in written):
             continue
         written.append((x, y, half))
         axes.text(

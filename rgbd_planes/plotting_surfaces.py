@@ -18,6 +18,8 @@ from rgbd_planes.plotting import (
     panels_with_legends,
 )
 
+_FLAT = 1e-6
+
 
 def plot_surfaces(
     depth: npt.ArrayLike,
@@ -63,6 +65,7 @@ def plot_surfaces(
 
 
 def _curvature_limits(known: npt.NDArray[np.float32]) -> tuple[float, float]:
-    """Bounds that a few stray values do not move."""
+    """Bounds that a few stray values do not move; what is below a millionth is rounding, and no structure."""
     low, high = np.percentile(known, (1.0, 99.5)) if known.size else (1e-3, 1.0)
-    return float(low), float(max(high, low * (1.0 + 1e-6) + 1e-12))
+    low = max(float(low), _FLAT)
+    return low, max(float(high), 10.0 * low)

@@ -7,10 +7,12 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import rgbd_planes as rp
 from rgbd_planes import plotting, plotting_segments, scenes
+from rgbd_planes.plotting_quadtree import OUTLINES
 from rgbd_planes.plotting_surfaces import plot_surfaces
 
 
@@ -33,6 +35,42 @@ def test_colours_of_normals_follow_the_stated_convention():
     none = plotting.normal_colours(np.full((2, 3), np.nan))
     assert np.isfinite(none).all()
     assert np.ptp(none) == 0.0
+
+
+# Machado et al. 2009, of linear RGB: who lacks the cones for green, and who those for red.
+BLIND = {
+    "green": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
+    "red": [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
+    None: np.eye(3),
+}
+
+
+def as_seen(colours, cones):
+    """CIELAB of sRGB colours, as seen without these cones."""
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    xyz = np.clip(linear @ np.transpose(BLIND[cones]), 0.0, 1.0) @ np.array(
+        [[0.4339, 0.2126, 0.0178], [0.3762, 0.7152, 0.1094], [0.1899, 0.0722, 0.8728]]
+    )
+    x, y, z = np.moveaxis(np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116), -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+@pytest.mark.parametrize("cones", BLIND)
+def test_colours_of_statuses_differ_for_the_colour_blind(cones):
+    """In every light that a tile may have; two colours that are 10 apart do not look alike."""
+    light = np.linspace(0.6, 1.15, 12)[:, None]
+    seen = [
+        as_seen(np.minimum(light * plotting.STATUS_COLOURS[status], 1.0), cones)
+        if status in (rp.TileStatus.OK, rp.TileStatus.ROUGH)
+        else as_seen(np.array(plotting.STATUS_COLOURS[status])[None], cones)
+        for status in rp.TileStatus
+    ]
+    for i, one in enumerate(seen):
+        for other in seen[:i]:
+            assert np.linalg.norm(one[:, None] - other, axis=-1).min() > 25.0
+    # The paper's figure has outlines.
+    lines = [as_seen(np.array(to_rgb(colour)), cones) for colour in OUTLINES.values()]
+    assert min(np.linalg.norm(a - b) for i, a in enumerate(lines) for b in lines[:i]) > 25.0
 
 
 @pytest.mark.parametrize("tile", [8, (7, 11), 3, (50, 68)])
@@ -108,6 +146,16 @@ def test_the_scale_of_one_depth_is_in_metres():
         assert scale.get_major_ticks()[1].label1.get_text().startswith("1.0")
 
 
+def test_rounding_is_no_curvature():
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
+    depth = 1.0 / (0.5 + 0.1 * camera.tan_x)
+    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    (image,) = figure.axes[2].get_images()
+    shown = image.norm(image.get_array())
+    assert not np.ma.getmaskarray(shown).any()
+    assert (shown < 0.01).all()
+
+
 @pytest.mark.parametrize("shape", [(1280, 16), (16, 1280)])
 def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
     height, width = shape
@@ -163,6 +211,16 @@ def test_colours_are_of_the_image_whatever_the_sign_of_fy():
     for panel in (1, 2):
         pictures = [image_of(tiles.plot().axes[panel]) for tiles in (floor, mirrored)]
         np.testing.assert_allclose(*pictures, atol=1e-9)
+
+
+def test_missing_pixels_have_one_colour_in_the_papers_figure():
+    tiles, depth = fitted()
+    figure = rp.segment_quadtree(depth, tiles.camera, 8).plot(depth)
+    squares = image_of(figure.axes[1])
+    grey = (squares == plotting.MISSING).all(axis=-1)
+    assert np.array_equal(grey, depth == 0)
+    (legend,) = (axes.get_legend() for axes in figure.axes if axes.get_legend())
+    assert "missing" in legend.get_title().get_text()
 
 
 def test_every_status_and_none_of_them_ok():
