@@ -17,6 +17,7 @@ import pytest
 from bags import messages, type_store, write_bag
 
 import rgbd_planes as rp
+from bench.pictures import PICTURES, code_of
 from rgbd_planes import cli, images, presets, scenes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -185,6 +186,18 @@ def test_what_the_page_on_normals_says_comes_out(files, monkeypatch):
     assert half[15, "False"] < 0.4 * half[7, "False"]
     assert most[15, "False"] > most[7, "False"]
     assert most[15, "True"] < 0.4 * most[7, "True"] < 0.4 * most[7, "False"]
+
+
+def test_every_picture_is_drawn_by_the_code_of_its_page():
+    shown = {
+        path.stem: page
+        for page in [*PAGES, ROOT / "README.md"]
+        for path in map(Path, re.findall(r"\(\S*?(images/\w+\.png)\)", page.read_text(encoding="utf-8")))
+    }
+    assert set(shown) == {path.stem for path in (ROOT / "docs/images").iterdir()} == {"roofline", *PICTURES}
+    for name, (page, _, file) in PICTURES.items():
+        assert shown[name] == ROOT / page
+        assert f'savefig("{file}")' in code_of(name)
 
 
 def test_every_status_reason_method_and_column_is_explained():
