@@ -158,6 +158,27 @@ def test_noise_says_what_is_wrong(folder, capsys):
     assert not os.path.exists("new.json")
 
 
+@pytest.mark.parametrize("linked", [False, True])
+def test_noise_writes_over_no_file_of_the_folder_that_it_reads(folder, capsys, link, linked):
+    images_in = folder / "seen" / "depth"
+    images_in.mkdir(parents=True)
+    os.rename("camera.json", "seen/camera.json")
+    os.rename("depth.png", images_in / "0.png")
+    if linked:
+        images_in.rename("elsewhere")
+        link(images_in, folder / "elsewhere")
+    before = {path: path.read_bytes() for path in folder.glob("*/**/*.*")}
+    outputs = {"--figure": ["seen/depth/0.png", "seen/../seen/depth/0.png"], "--out": ["seen/camera.json"]}
+    if linked:
+        outputs["--figure"].append("elsewhere/0.png")
+    for option, paths in outputs.items():
+        for path in paths:
+            message = fails(capsys, "noise", "seen", option, path)
+            assert f"{path}: {option} would write over a file in seen, which is read" in message
+    assert {path: path.read_bytes() for path in folder.glob("*/**/*.*")} == before
+    assert "flat windows" in fails(capsys, "noise", "seen", "--out", "seen/noise.json")  # which is new
+
+
 def test_noise_is_a_name_or_a_number(folder, capsys):
     arguments = ["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz", "--noise"]
     depth = images.read_depth("depth.png")

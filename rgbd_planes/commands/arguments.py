@@ -4,7 +4,7 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,11 +93,16 @@ def tile_size(text: str) -> tuple[int, int]:
         raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None
 
 
-def check_outputs(arguments: argparse.Namespace, read: Iterable[Path], **suffixes: tuple[str, ...]) -> None:
-    """Refuse now what could not be written after the work, or over what is read or written already."""
+def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffixes: tuple[str, ...]) -> None:
+    """Refuse now what could not be written after the work, or over what is read or written already.
+
+    Of a folder that is read no file is written over.
+    """
     from rgbd_planes.files import check_writable
 
     taken = {os.path.realpath(path) for path in read}
+    # No format has frames deeper. Not "**", which does not go into a folder that is linked.
+    inside = [(place, pattern) for place in read if place.is_dir() for pattern in ("*", "*/*")]
     for name, allowed in suffixes.items():
         path: Path | None = getattr(arguments, name)
         if path is None:
@@ -106,6 +111,9 @@ def check_outputs(arguments: argparse.Namespace, read: Iterable[Path], **suffixe
             raise CommandError(f"{path}: expected a name that ends in {' or '.join(allowed)}")
         if os.path.realpath(path) in taken:
             raise CommandError(f"{path}: --{name} would write over another file of this command")
+        for place, pattern in inside if path.exists() else ():
+            if os.path.realpath(path) in map(os.path.realpath, place.glob(pattern)):
+                raise CommandError(f"{path}: --{name} would write over a file in {place}, which is read")
         taken.add(os.path.realpath(path))
         check_writable(path)
 
