@@ -23,17 +23,20 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))  # a link stays a link
     check_writable(target)
-    if target.exists() and not target.is_file():  # a device or a pipe, which nothing may replace
-        yield target
-        return
+    replaceable = target.is_file() or not target.exists()  # unlike a device or a pipe
     # Not the whole name, which may be as long as one can be.
     name = f"{target.stem[:40]}-{zlib.crc32(os.fsencode(target.name)):x}"
     beside = target.with_name(f".{name}.{os.getpid()}-{threading.get_ident()}{target.suffix}")
+    written = beside if replaceable else target
     try:
-        yield beside
-        beside.replace(target)
+        yield written
+        if replaceable:
+            beside.replace(target)
     except OSError as error:
-        if error.filename in (None, os.fspath(beside)):  # of a full disk, say, or a name that is too long
+        if type(error) is OSError and error.errno is None:  # of a library's own, in its own words
+            raise OSError(f"cannot write {path}: {error}") from error
+        # Of a full disk, say, or a name that is too long.
+        if error.errno is not None and error.filename in (None, os.fspath(written)):
             error.filename = os.fspath(path)
         raise
     finally:

@@ -44,6 +44,8 @@ def record(
     ------
     ModuleNotFoundError
         rerun-sdk is not installed.
+    OSError
+        It cannot be written there.
 
     Notes
     -----
@@ -86,6 +88,8 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> No
     ------
     ModuleNotFoundError
         rerun-sdk or shapely is not installed.
+    OSError
+        It cannot be written there.
 
     Notes
     -----
@@ -121,11 +125,20 @@ def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
     """The module rerun and a stream into a file."""
     with needs("rerun-sdk", "viewer"):
         import rerun as rr
-    with write_beside(path) as beside, rr.RecordingStream("rgbd_planes") as stream:
-        stream.save(beside)
-        stream.log("/", rr.ViewCoordinates.RDF, static=True)
-        yield rr, stream
-        stream.flush()
+    in_block = False
+    with write_beside(path) as beside:
+        try:
+            with rr.RecordingStream("rgbd_planes") as stream:
+                stream.save(beside)
+                stream.log("/", rr.ViewCoordinates.RDF, static=True)
+                in_block = True
+                yield rr, stream
+                in_block = False
+                stream.flush()
+        except RuntimeError as error:  # rerun's, of a full disk
+            if in_block:
+                raise
+            raise OSError(str(error)) from error
 
 
 def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:

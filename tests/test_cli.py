@@ -327,6 +327,14 @@ def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, 
     assert sorted(os.listdir()) == ["camera.json", "depth.png", "p.png"]
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
+def test_a_full_disk_is_said_in_a_line(folder, capsys, link):
+    for option, name in (("--out", "full.npy"), ("--figure", "full.png")):
+        link(folder / name, "/dev/full")
+        assert cli.main(["normals", "depth.png", "--camera", "camera.json", option, name]) == 2
+        assert capsys.readouterr().err == f"rgbd-planes normals: {name}: No space left on device\n"
+
+
 @pytest.mark.filterwarnings("default")
 def test_warnings_are_one_line(folder, capsys):
     np.save("depth.npy", images.read_depth("depth.png").astype(np.float64))  # millimetres, as metres

@@ -1,6 +1,7 @@
 """Exports, each read back with the tool that it is for."""
 
 import json
+import os
 import sys
 
 import numpy as np
@@ -244,6 +245,26 @@ def test_rerun_shows_the_points_of_a_fisheye(tmp_path):
     points = camera.points(depth)[np.isfinite(depth)] * [1.0, -1.0, 1.0]
     np.testing.assert_allclose(columns["/points", "Points3D:positions"][0], points, rtol=1e-6)
     assert not any(entity == "/camera" for entity, _ in columns)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
+def test_a_recording_that_a_full_disk_cannot_hold(depth):
+    pytest.importorskip("rerun")
+    sequence = FrameSequence([FrameEntry("0", 0.0, CAMERA, 0)], [depth].__getitem__)
+    with pytest.raises(OSError, match=r"^cannot write /dev/full: .*No space left on device"):
+        recording.record(sequence, "/dev/full")
+
+
+def test_an_error_of_a_frame_is_no_error_of_the_recording(tmp_path):
+    pytest.importorskip("rerun")
+
+    def fail(location):
+        raise RuntimeError(location)
+
+    sequence = FrameSequence([FrameEntry("0", 0.0, CAMERA, "the frame")], fail)
+    with pytest.raises(RuntimeError, match=r"^the frame$"):
+        recording.record(sequence, tmp_path / "planes.rrd")
+    assert not any(tmp_path.iterdir())
 
 
 def test_what_cannot_be_exported(tiles, depth, tmp_path, monkeypatch):

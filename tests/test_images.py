@@ -404,6 +404,17 @@ def test_what_cannot_be_written_is_named(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+def test_what_a_library_says_of_a_full_disk_names_the_file(tmp_path):
+    """NumPy's own error has no number of the system's, and said "[Errno None] None"."""
+    path = tmp_path / "file.txt"
+    with pytest.raises(OSError, match=r"^cannot write .*file\.txt: 9 requested and 3 written$"):  # noqa: SIM117
+        with files.write_beside(path):
+            raise OSError("9 requested and 3 written")
+    with pytest.raises(FileNotFoundError, match=r"^0\.png: there is no such file$"), files.write_beside(path):
+        raise FileNotFoundError("0.png: there is no such file")
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_name_as_long_as_a_name_can_be_is_written(tmp_path):
     for letter in "ab":  # and names that differ only in the end are two files
         path = tmp_path / ("x" * 240 + f"{letter}.json")

@@ -189,7 +189,7 @@ def write_figure(figure: Any, path: Path) -> None:
     from rgbd_planes.files import write_beside
 
     with write_beside(path) as beside:
-        figure.savefig(beside, dpi=120)
+        figure.savefig(beside, dpi=120, format=path.suffix[1:].lower())  # a device has no suffix
 
 
 def describe_tiles(tiles: "TilePlanes") -> str:

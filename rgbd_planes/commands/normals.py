@@ -1,6 +1,7 @@
 """``rgbd-planes normals``."""
 
 import argparse
+import io
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import FIGURES, Run, add_frame, check_outputs, read_frame, write_figure
@@ -55,8 +56,10 @@ def normals(parser: argparse.ArgumentParser) -> Run:
             f"normals at {percent(share)} of the pixels."
         )
         if arguments.out is not None:
-            with write_beside(arguments.out) as beside, open(beside, "wb") as file:
-                np.save(file, found)
+            content = io.BytesIO()  # into a file NumPy would write it without saying why it cannot
+            np.save(content, found)
+            with write_beside(arguments.out) as beside:
+                beside.write_bytes(content.getbuffer())
             print(f"Wrote {arguments.out}")
         if arguments.figure is not None:
             from rgbd_planes.plotting_surfaces import plot_surfaces
