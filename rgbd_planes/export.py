@@ -148,8 +148,9 @@ def write_ply(
     ----------
     path : path
     points : (..., 3) array_like
-        Metres. Points that are not finite are left out, if there are no faces.
+        Metres. Points that are not finite, in single precision, are left out, if there are no faces.
     normals : (..., 3) array_like, optional
+        Those that are not finite are written as zeros.
     colours : (..., 3) array_like, optional
         RGB in 0..1.
     faces : (F, K) array_like of int, optional
@@ -162,11 +163,12 @@ def write_ply(
     ValueError
         Arrays of other shapes, colours outside 0..1, or a face of a point that there is not.
     """
-    xyz = _triples("points", points)
+    xyz = _single(_triples("points", points))
     written = np.isfinite(xyz).all(axis=1) if faces is None else np.ones(len(xyz), bool)
     columns = [("xyz"[i], "<f4", xyz[written, i]) for i in range(3)]
     if normals is not None:
-        n = _triples("normals", normals, len(xyz))
+        n = _single(_triples("normals", normals, len(xyz)))
+        n[~np.isfinite(n).all(axis=1)] = 0.0  # viewers show a point without a normal, but not one of NaN
         columns += [("n" + "xyz"[i], "<f4", n[written, i]) for i in range(3)]
     if colours is not None:
         shares = _triples("colours", colours, len(xyz))[written]
@@ -207,6 +209,12 @@ def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
         expected = "(..., 3)" if count is None else f"(..., 3), {count} in all, as many as points"
         raise ValueError(f"expected {name} of shape {expected}, got {array.shape}")
     return array.reshape(-1, 3)
+
+
+def _single(values: Floats) -> NDArray[np.float32]:
+    """Numbers in single precision: infinite where that holds none as large."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
 
 
 def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:

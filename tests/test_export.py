@@ -126,6 +126,21 @@ def test_a_mesh_keeps_the_points_that_are_not_finite(tmp_path):
     assert len(plyfile.PlyData.read(tmp_path / "points.ply")["vertex"]) == 4
 
 
+def test_points_and_normals_that_are_not_finite(depth, tmp_path):
+    plyfile = pytest.importorskip("plyfile")
+    points, normals = CAMERA.points(depth), rp.normals(depth, CAMERA)
+    points[0, 0] = 1e300  # which single precision does not hold
+    export.write_ply(tmp_path / "points.ply", points, normals=normals)
+    vertex = plyfile.PlyData.read(tmp_path / "points.ply")["vertex"]
+    there = np.isfinite(points[..., 2]) & (points[..., 2] < 1e300)
+    xyz = np.stack([vertex[name] for name in "xyz"], axis=-1)
+    np.testing.assert_array_equal(xyz, points[there].astype(np.float32))
+    written = np.stack([vertex["n" + name] for name in "xyz"], axis=-1)
+    without = np.isnan(normals[there]).any(axis=-1)
+    assert 0 < without.sum() < len(without)
+    np.testing.assert_array_equal(written, np.where(without[:, None], 0.0, normals[there]))
+
+
 def test_colours_of_points_are_shares(tmp_path):
     points = np.zeros((2, 3))
     export.write_ply(tmp_path / "points.ply", points, colours=[[0, 0.5, 1], [1, 0, 0]])
