@@ -123,7 +123,7 @@ def fit_sequence(
         cov_d_d. All floats but timestamp are in single precision. A segment's place is the rectangle around
         it, its valid_count its pixels.
     settings : FitSettings, optional
-        Tiles or segments, and the arguments of `fit_tiles`.
+        Tiles or segments, and the arguments of `fit_tiles` or `segment`.
     num_threads : int, optional
         All cores, if not given. The table is the same for any number.
     scheduler : str, optional

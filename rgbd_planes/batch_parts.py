@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from rgbd_planes.checks import collected_warnings, number
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
-from rgbd_planes.segmentation import segment
+from rgbd_planes.segmentation import SMALLEST, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tile_grid import check_tile, grid_shape
 from rgbd_planes.tile_planes import TilePlanes
@@ -35,6 +35,8 @@ class FitSettings:
         The planes of `rgbd_planes.segment`, one row a plane, instead of one row a tile.
     tile, method, max_missing, max_error, significance
         Of tiles, as `rgbd_planes.fit_tiles` takes them.
+    min_size : int
+        Of segments, as `rgbd_planes.segment` takes it.
     """
 
     segments: bool = False
@@ -43,11 +45,16 @@ class FitSettings:
     max_missing: float = 0.5
     max_error: float | None = None
     significance: float | None = None
+    min_size: int = SMALLEST
 
     def __post_init__(self) -> None:
         # Of Python's own types, whatever fit_tiles takes: to find a fitter by, and to be written to a file.
         tile = np.asarray(self.tile).tolist()
-        plain = {"segments": bool(self.segments), "tile": tuple(tile) if isinstance(tile, list) else tile}
+        plain = {
+            "segments": bool(self.segments),
+            "tile": tuple(tile) if isinstance(tile, list) else tile,
+            "min_size": check_min_size(self.min_size),
+        }
         for name in ("max_missing", "max_error", "significance"):
             value = getattr(self, name)
             optional = value is None and name != "max_missing"
@@ -61,16 +68,19 @@ class FitSettings:
         Raises
         ------
         TypeError, ValueError
-            Settings that cannot be used; or some of tiles with `segments`.
+            Settings that cannot be used; or some of tiles with `segments`, or of segments without it.
         """
+        fitted, others = ("segments", "tiles") if self.segments else ("tiles", "segments")
+        of_segments = ("segments", "min_size")
+        of_others = [
+            f.name
+            for f in fields(self)
+            if (f.name in of_segments) != self.segments and getattr(self, f.name) != f.default
+        ]
+        if of_others:
+            raise ValueError(f"{fitted} take no options of {others}, got {', '.join(of_others)}")
         if not self.segments:
             _fitter.__wrapped__(camera, self)  # settings that cannot be used may not do for a cache
-            return
-        of_tiles = [
-            f.name for f in fields(self) if f.name != "segments" and getattr(self, f.name) != f.default
-        ]
-        if of_tiles:
-            raise ValueError(f"segments take no options of tiles, got {', '.join(of_tiles)}")
 
     def rows_of_frame(self, camera: Camera) -> int:
         """Number of tiles of a frame; 1 for segments, of which there are few."""
@@ -155,7 +165,7 @@ def fit_part(
     problems: list[Problem] = []
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
     rows = empty_rows(columns, len(sequence) * settings.rows_of_frame(sequence.camera))
-    add = _add_segments if settings.segments else _TileAdder(settings)
+    add = partial(_add_segments, settings.min_size) if settings.segments else _TileAdder(settings)
     said: list[str] = []
     warnings: dict[str, tuple[str, str]] = {}
     asked = settings.segments  # by `segment` itself
@@ -239,8 +249,8 @@ class _TileAdder:
         rows.add_tiles(number, self._grid, tiles)
 
 
-def _add_segments(frame: Frame, number: int, rows: Rows) -> None:
-    segments = segment(frame.depth, frame.camera)
+def _add_segments(min_size: int, frame: Frame, number: int, rows: Rows) -> None:
+    segments = segment(frame.depth, frame.camera, min_size=min_size)
     places = [
         (label, down.start, across.start, down.stop - down.start, across.stop - across.start)
         for label, (down, across) in enumerate(segments._boxes, start=1)

@@ -14,7 +14,7 @@ from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.plotting_segments import label_colours
 from rgbd_planes.polygons import plane_polygons
-from rgbd_planes.segmentation import segment
+from rgbd_planes.segmentation import SMALLEST, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.tracking import MEMORY, Tracker
@@ -76,13 +76,17 @@ def record(
             stream.log("fitted", rr.Scalars(float(np.count_nonzero(tiles.fitted))))
 
 
-def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> None:
+def record_segments(
+    sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = SMALLEST
+) -> None:
     """Segment a sequence and write a recording that rerun shows; whole or not at all.
 
     Parameters
     ----------
     sequence : FrameSequence
     path : .rrd file
+    min_size : int
+        As in `rgbd_planes.segment`.
 
     Raises
     ------
@@ -102,7 +106,7 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str]) -> No
     most = 0
     with _recording(path) as (rr, stream):
         for index, frame in enumerate(sequence):
-            tracked = tracker.follow(segment(frame.depth, frame.camera))
+            tracked = tracker.follow(segment(frame.depth, frame.camera, min_size=min_size))
             _log_frame(rr, stream, index, frame)
             ids = (tracked.ids - 1) % _MOST_CLASSES + 1
             labels = np.append(0, ids)[tracked.segmentation.labels]

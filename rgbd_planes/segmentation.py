@@ -108,8 +108,12 @@ def segment(
 def check_settings(camera: Camera, noise: Any, min_size: int) -> tuple[Given, int]:
     """The noise, and the least size of a plane, that a segmentation goes by."""
     check_camera(camera)
-    min_size = check_whole("min_size", min_size, 3, "whole number of pixels")
-    return _given(camera.noise if noise is None else noise), min_size
+    return _given(camera.noise if noise is None else noise), check_min_size(min_size)
+
+
+def check_min_size(min_size: int) -> int:
+    """Return the least size of a plane as an int."""
+    return check_whole("min_size", min_size, 3, "whole number of pixels")
 
 
 def _given(noise: Any) -> Given:

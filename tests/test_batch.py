@@ -176,9 +176,12 @@ def test_one_row_a_segment(recording, tmp_path):
             assert (row.top, row.left) == (y.min(), x.min())
             assert (row.height, row.width) == (np.ptp(y) + 1, np.ptp(x) + 1)
     assert [problem.frame for problem in report.problems] == [2]
-    arguments = ["batch", str(recording), "--out", str(tmp_path / "c"), "--segments"]
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "c"), "--segments", "--min-size", "300"]
     assert cli.main(arguments) == 1
-    assert "label" in parquet.read_schema(tmp_path / "c" / "part-000000.parquet").names
+    large = parquet.read_table(tmp_path / "c").to_pandas()
+    expected = rp.segment(sequence[0].depth, CAMERA, min_size=300)
+    assert 0 < len(expected) < (table.frame == 0).sum()
+    assert np.array_equal(large.valid_count[large.frame == 0], expected.sizes)
 
 
 def test_bad_frames_are_skipped_and_reported(recording, tmp_path):

@@ -84,6 +84,11 @@ def model_or_number(text: str) -> "NoiseModel | float":
     return sigma
 
 
+def add_min_size(parser: argparse.ArgumentParser) -> None:
+    """Add the least size of a plane."""
+    parser.add_argument("--min-size", type=int, default=60, metavar="N", help="fewest pixels of a plane (60)")
+
+
 def tile_size(text: str) -> tuple[int, int]:
     """Parse "16", or "12x20" for a height of 12."""
     try:

@@ -7,6 +7,7 @@ from pathlib import Path
 from rgbd_planes.commands.arguments import (
     Run,
     add_fit_options,
+    add_min_size,
     add_noise,
     add_sequence_options,
     read_sequence,
@@ -33,8 +34,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--segments",
         action="store_true",
-        help="one row for each plane of the scene, not for each tile; takes no options of tiles",
+        help="one row for each plane of the scene, not for each tile; takes no options of tiles, but --min-size",
     )
+    add_min_size(parser)
     add_fit_options(parser)
     add_noise(
         parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain"
@@ -64,6 +66,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             method=arguments.method,
             max_missing=arguments.max_missing,
             max_error=arguments.max_error,
+            min_size=arguments.min_size,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: not where nobody looks
         skipped: dict[str, list[int]] = {}  # frames by the reason, which is said once, and again at the end

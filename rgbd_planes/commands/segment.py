@@ -8,6 +8,7 @@ from rgbd_planes.commands.arguments import (
     CommandError,
     Run,
     add_frame,
+    add_min_size,
     add_noise,
     check_outputs,
     read_frame,
@@ -23,7 +24,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     """
     add_frame(parser)
     add_noise(parser, "without either, it is estimated from the frame", number_is_model=False)
-    parser.add_argument("--min-size", type=int, default=60, metavar="N", help="fewest pixels of a plane (60)")
+    add_min_size(parser)
     parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
     parser.add_argument("--polygons", action="store_true", help="add the outlines to the JSON; needs shapely")
     parser.add_argument("--labels", type=Path, metavar="PNG", help="write the labels, 16 bits, 0 for none")
