@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,12 +33,13 @@ from rgbd_planes.files import alone_in, write_beside
 from rgbd_planes.sequences.frames import FrameSequence
 from rgbd_planes.threads import num_cores
 
-# Of a part: what is lost by an interruption and how often progress shows, and what each thread holds in memory.
+# Of a part: what is lost by an interruption, and what each thread holds in memory.
 MOST_FRAMES = 512
 MOST_SEGMENTED = 64  # each takes tens of times as long as the tiles of one
 FEWEST_FRAMES = 4
 MOST_ROWS = 600_000
 CONNECT_SECONDS = 30.0
+PROGRESS_SECONDS = 0.2  # between two calls, where no part is done
 _ABOUT = "_about.json"
 
 Task = tuple[int, int, int]  # number of the part, first frame, one after the last
@@ -85,9 +87,9 @@ class Progress(NamedTuple):
     Attributes
     ----------
     frames : int
-        How many, since the last call.
+        How many, since the last call: fitted, if by threads here, though not in the table before their part is.
     problems : tuple of Problem
-        Those of them that could not be read or fitted.
+        Those that could not be read or fitted, of a part that is in the table.
     """
 
     frames: int
@@ -108,9 +110,10 @@ def fit_sequence(
 
     Where `out` holds a part of this very table, from a call that was interrupted, the rest is done: of the
     same frames, read from the same files at the same paths, by the same function, with the same cameras and
-    settings. A table with a noise model that is a function, or of a sequence that cannot be pickled, is not
-    resumed. A frame that cannot be read or fitted is skipped and reported, and tried again with `retry` only.
-    Memory does not grow with the sequence.
+    settings. What is lost is at most the part that each thread is at: up to 512 frames, or 64 of segments. A
+    table with a noise model that is a function, or of a sequence that cannot be pickled, is not resumed. A
+    frame that cannot be read or fitted is skipped and reported, and tried again with `retry` only. Memory
+    does not grow with the sequence.
 
     Parameters
     ----------
@@ -198,14 +201,15 @@ def fit_sequence(
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
         said = set()
-        for task, part in workers.run(sequence, settings, columns, missing, folder):
-            report.add(part)
-            for kind, (name, message) in part.warnings.items():
-                if kind not in said:
-                    said.add(kind)
-                    warn_caller(f"{name}: {message}")
+        for frames, part in workers.run(sequence, settings, columns, missing, folder):
+            if part is not None:
+                report.add(part)
+                for kind, (name, message) in part.warnings.items():
+                    if kind not in said:
+                        said.add(kind)
+                        warn_caller(f"{name}: {message}")
             if progress is not None:
-                progress(Progress(task[2] - task[1], part.problems))
+                progress(Progress(frames, () if part is None else part.problems))
     report.problems.sort(key=lambda problem: problem.frame)
     return report
 
@@ -267,7 +271,10 @@ def _file(folder: Path, number: int) -> Path:
 
 
 class _Threads:
-    """Parts by threads of this process."""
+    """Parts by threads of this process.
+
+    `run` gives the number of frames that were fitted since it last did, and a part, if one is done.
+    """
 
     def __init__(self, num_threads: int | None) -> None:
         self.slots = num_threads or num_cores()
@@ -279,14 +286,17 @@ class _Threads:
         columns: Columns,
         tasks: list[Task],
         folder: Path,
-    ) -> Iterator[tuple[Task, Part]]:
+    ) -> Iterator[tuple[int, Part | None]]:
         stopped = threading.Event()
+        fitted: SimpleQueue[None] = SimpleQueue()  # an item for each frame
         waiting = iter(tasks)
         executor = ThreadPoolExecutor(self.slots, thread_name_prefix="rgbd_planes_batch")
 
         def submit(task: Task) -> None:
             frames, file = sequence[task[1] : task[2]], _file(folder, task[0])
-            work = partial(fit_part, frames, task[1], settings, columns, file, stopped.is_set)
+            work = partial(
+                fit_part, frames, task[1], settings, columns, file, stopped.is_set, partial(fitted.put, None)
+            )
             try:
                 future = executor.submit(work)
             except RuntimeError:
@@ -296,14 +306,23 @@ class _Threads:
                 future.set_result(work())
             running[future] = task
 
+        def newly_fitted() -> int:
+            count = fitted.qsize()
+            for _ in range(count):
+                fitted.get()
+            return count
+
         running: dict[Future[Part], Task] = {}
         try:
             for task in islice(waiting, 2 * self.slots):
                 submit(task)
             while running:
-                done = wait(running, return_when=FIRST_COMPLETED).done
+                done = wait(running, PROGRESS_SECONDS, FIRST_COMPLETED).done
+                if not done:
+                    yield newly_fitted(), None
                 for future in sorted(done, key=running.__getitem__):  # one thread's are said in order
-                    yield running.pop(future), future.result()
+                    del running[future]
+                    yield newly_fitted(), future.result()
                     for task in islice(waiting, 1):
                         submit(task)
         finally:
@@ -312,7 +331,7 @@ class _Threads:
 
 
 class _Cluster:
-    """Parts by the workers of a Dask cluster."""
+    """Parts by the workers of a Dask cluster, as `_Threads` gives them."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -326,7 +345,7 @@ class _Cluster:
         columns: Columns,
         tasks: list[Task],
         folder: Path,
-    ) -> Iterator[tuple[Task, Part]]:
+    ) -> Iterator[tuple[int, Part | None]]:
         from distributed import as_completed
 
         waiting = iter(tasks)
@@ -347,7 +366,7 @@ class _Cluster:
             with write_beside(_file(folder, task[0])) as beside:
                 beside.write_bytes(part.content)
             future.release()
-            yield task, part
+            yield task[2] - task[1], part
             for next_task in islice(waiting, 1):
                 completed.add(submit(next_task))
 

@@ -144,6 +144,7 @@ def fit_part(
     columns: Columns,
     where: Path | None = None,
     stopped: Callable[[], bool] = lambda: False,
+    fitted: Callable[[], object] = lambda: None,
 ) -> Part:
     """Read and fit some frames, and write their rows.
 
@@ -159,6 +160,8 @@ def fit_part(
         Of the file, which appears whole or not at all; without it the part has its content.
     stopped : callable
         Whether to give up, asked before each frame.
+    fitted : callable
+        Called after each frame.
     """
     import pyarrow
 
@@ -190,6 +193,7 @@ def fit_part(
         said.clear()
         seconds["read"] += middle - begin
         seconds["fit"] += time.perf_counter() - middle
+        fitted()
     begin = time.perf_counter()
     status = rows.status_counts()
     about = json.dumps({"status": status, "problems": problems})

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 import warnings
@@ -481,11 +482,35 @@ def test_memory_does_not_grow_with_the_sequence(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("segments", "most"), [(False, 512), (True, 64)])
-def test_parts_are_small_enough_to_show_progress(segments, most):
+def test_an_interruption_loses_small_parts(segments, most):
     sizes = [batch._frames_of_part(n, FitSettings(segments), CAMERA, 2) for n in (1, 7, 100, 1000, 100_000)]
     assert sizes == sorted(sizes)
     assert sizes[0] == 1
     assert 0.9 * most < sizes[-1] <= most
+
+
+def test_progress_shows_before_the_first_part_is_done(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "PROGRESS_SECONDS", 0.01)
+    monkeypatch.setattr(batch, "_frames_of_part", lambda *whatever: 30)
+    went_on = threading.Event()
+
+    def read(path):
+        if path.stem == "20":
+            assert went_on.wait(60)
+        return images.read_depth(path)
+
+    seen = []
+
+    def progress(done):
+        assert not list((tmp_path / "out").glob("part-*")) or went_on.is_set()
+        seen.append(done.frames)
+        if sum(seen) == 20:
+            went_on.set()
+
+    sequence = FrameSequence(rp.open_sequence(recording).entries, read)
+    rp.fit_sequence(sequence, tmp_path / "out", num_threads=1, progress=progress)
+    assert sum(seen) == 30
+    check_rows(tmp_path / "out", rp.open_sequence(recording))
 
 
 # After three parts nothing more is done until the process is told to stop.
@@ -496,11 +521,11 @@ from rgbd_planes import batch_parts, cli
 signal.signal(signal.SIGINT, signal.default_int_handler)
 fit_part = batch_parts.fit_part
 parts = []
-def slowly(sequence, first, settings, columns, where, stopped):
+def slowly(sequence, first, settings, columns, where, stopped, fitted):
     while len(parts) == 3 and not stopped():
         time.sleep(0.01)
     parts.append(first)
-    return fit_part(sequence, first, settings, columns, where, stopped)
+    return fit_part(sequence, first, settings, columns, where, stopped, fitted)
 import rgbd_planes.batch
 rgbd_planes.batch.fit_part = slowly
 sys.exit(cli.main(sys.argv[1:]))
