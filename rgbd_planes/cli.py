@@ -1,6 +1,7 @@
 """The command line: ``rgbd-planes demo``, ``fit``, ``segment``, ``normals``, ``noise``, ``batch``."""
 
 import argparse
+import difflib
 import inspect
 import io
 import os
@@ -8,8 +9,9 @@ import shutil
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from itertools import takewhile
+from typing import Any, NoReturn
 
 from rgbd_planes import __version__
 from rgbd_planes.commands import COMMANDS
@@ -72,10 +74,31 @@ def main(argv: list[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, without the usage."""
+    """Says what is wrong in one line, without the usage: first of all options that there are not."""
+
+    _given: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        if self._subparsers is None:  # the options of a command are not ours
+            self._given = args
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
+        unknown = self._unknown_options()
+        if unknown:
+            message = f"unrecognized arguments: {', '.join(unknown)}"
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+    def _unknown_options(self) -> list[str]:
+        """The options that are given and that there are not, each with the one that is most like it."""
+        options = list(self._option_string_actions)
+        unknown = []
+        for text in takewhile("--".__ne__, self._given):
+            name = text.partition("=")[0]
+            if name.startswith("--") and not any(option.startswith(name) for option in options):
+                meant = difflib.get_close_matches(name, options, 1)
+                unknown.append(f"{name} (did you mean {meant[0]}?)" if meant else name)
+        return unknown
 
 
 def _show_each_once() -> Callable[..., None]:

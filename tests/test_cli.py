@@ -201,6 +201,22 @@ def test_noise_is_a_name_or_a_number(folder, capsys):
             )
 
 
+def test_an_option_that_there_is_not_is_named_before_one_that_is_missing(folder, capsys):
+    message = fails(capsys, "fit", "depth.png", "--camra", "camera.json")
+    assert message == (
+        "rgbd-planes fit: unrecognized arguments: --camra (did you mean --camera?) (see rgbd-planes fit --help)\n"
+    )
+    arguments = ["fit", "depth.png", "--camera", "camera.json"]
+    assert "--tiles (did you mean --tile?), --methd (did" in fails(
+        capsys, *arguments, "--tiles=20", "--methd", "x"
+    )
+    assert "--xyzzy (see" in fails(capsys, *arguments, "--xyzzy", "3")
+    assert "unrecognized arguments: more" in fails(capsys, *arguments, "more")
+    assert "invalid choice: 'fitt'" in fails(capsys, "fitt", "depth.png", "--camera", "camera.json")
+    assert "could match" in fails(capsys, *arguments, "--m", "1")
+    assert "required: --camera" in fails(capsys, "fit", "depth.png", "--max-e", "1")
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".pfm", ".npy", ".npz"])
 def test_fit_reads_every_format(folder, suffix):
     frame = images.read_depth("depth.png")
@@ -356,7 +372,7 @@ def test_no_command_and_an_unknown_one(capsys):
 
 def test_an_unknown_option_names_the_command(folder, capsys):
     said = fails(capsys, "fit", "depth.png", "--camera", "camera.json", "--significant", "0.01")
-    assert "rgbd-planes fit: unrecognized arguments: --significant 0.01" in said
+    assert "rgbd-planes fit: unrecognized arguments: --significant (see" in said
     assert "rgbd-planes fit --help" in said
 
 
