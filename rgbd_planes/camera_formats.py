@@ -201,6 +201,11 @@ def depth_scale_of(depth_units: float) -> float:
     units = number("depth_units", depth_units)
     if not units > 0:
         raise ValueError(f"expected depth_units > 0 (metres per raw unit), got {depth_units!r}")
+    if units > 1:
+        raise ValueError(
+            "expected depth_units in metres per raw unit, 0.001 for millimetres, "
+            f"got {depth_units!r}: that is depth_scale"
+        )
     # The device states its unit in float32; 0.001 must not come out as 999.99995 units per metre.
     if float(np.float32(units)) == units:
         units = float(str(np.float32(units)))

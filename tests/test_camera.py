@@ -555,6 +555,9 @@ def test_from_realsense():
     with pytest.raises(ValueError, match="depth_units or depth_scale, got both"):
         Camera.from_realsense(realsense(), depth_units=0.001, depth_scale=1000.0)
     assert Camera.from_realsense(realsense(), depth_units=0.001, depth_scale=None).depth_scale == 1000.0
+    message = "depth_units in metres per raw unit, 0.001 for millimetres, got 1000.0: that is depth_scale"
+    with pytest.raises(ValueError, match=message):
+        Camera.from_realsense(realsense(), depth_units=1000.0)
     with pytest.raises(ValueError, match="depth_units > 0"):
         Camera.from_realsense(realsense(), depth_units=0.0)
 
