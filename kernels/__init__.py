@@ -3,35 +3,35 @@
 What calls what:
 
 - tiles: `grid` from raw depth to planes, with `strips`, `range_moments` and `camera_terms` or `standard_moments`, then
-  `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` has those of any pixels
+  `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` sums those of any pixels
 - windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
   `label_variances` and `sandwich` for parts of many depths
 - segments: `segment_blocks`, `segment_noise_estimation` with `segment_reach`, `segment_joining`, `segment_regions`,
-  which does most of the work with `segment_growth`, `segment_merge` and `segment_pixels`, which has `segment_settled`
+  which does most of the work with `segment_growth`, `segment_merge` and `segment_pixels`, which uses `segment_settled`
   and `segment_contest`; then `segment_shape` with `segment_facets`, `segment_runs`, `segment_parts`, `segment_gaps`,
-  `segment_labels`, `segment_inside`, `segment_unevenness` and `segment_planes`, in this order; `segment_records` has
+  `segment_labels`, `segment_inside`, `segment_unevenness` and `segment_planes`, in this order; `segment_records` holds
   what they hand on
-- what many of them use: `depth`, `copying`, `disjoint_sets`, `quantiles`; of segments `segment_moments` and
+- used by many of them: `depth`, `copying`, `disjoint_sets`, `quantiles`; for segments `segment_moments` and
   `segment_noise`
 - tables on disk: `rows`
 
-What the same name means everywhere:
+Names that mean the same everywhere:
 
 raw, lowest, highest
     A frame, (H, W) uint16, float32 or float64; a pixel is valid if ``lowest <= raw <= highest``.
 scale, offset, is_disparity
-    The inverse depth of a raw value: ``scale / raw``, or ``scale * raw + offset`` of disparity. Where there is no
-    ``is_disparity``, an ``offset`` of None says that it is depth.
+    The inverse depth of a raw value: ``scale / raw``, or ``scale * raw + offset`` for disparity. Without an
+    ``is_disparity``, an ``offset`` of None means depth.
 q, alpha
-    Inverse depth 1/Z, and the plane -n/d: q = α·(tanθx, tanθy, 1); 1/m.
+    Inverse depth 1/Z, and the plane's -n/d: q = α·(tanθx, tanθy, 1); in 1/m.
 tan_x, tan_y
-    tanθx and tanθy of each pixel's ray: (H, W) float64, where nothing else is said.
+    tanθx and tanθy of each pixel's ray: (H, W) float64, unless stated otherwise.
 u, v, w
-    The coordinates that are summed up: (tanθx, tanθy, q) in range space, (X, Y, Z) in the standard form.
+    The coordinates that are summed: (tanθx, tanθy, q) in range space, (X, Y, Z) in the standard form.
 moments, reference
-    The sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over valid pixels, and the point that they are about.
+    The sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over valid pixels, and the point they are taken about.
 work, room
-    Memory that the caller lends; what is in it means nothing before, nor, where nothing else is said, after.
+    Memory that the caller lends; its contents mean nothing before a call nor, unless stated otherwise, after it.
 """

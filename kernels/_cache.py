@@ -1,4 +1,4 @@
-"""Compiled kernels on disk, for processes that begin, and end, at any time."""
+"""Compiled kernels on disk, for processes that start and end at any time."""
 
 import contextlib
 import hashlib
@@ -18,19 +18,19 @@ from numba.core.serialize import dumps
 class CacheFiles:
     """A file for each combination of types that a kernel is compiled for.
 
-    Numba's own files are numbered, and an index says which is for which types: of two processes that compile a kernel
-    at the same time, for different types, either may find the other's code under its number, and run it. And a
-    file that was cut short is an error there, for good. Here a file is named by what it is for, appears whole or
-    not at all, and is compiled anew if it is damaged.
+    Numba's own files are numbered, and an index says which is for which types: if two processes compile a kernel for
+    different types at the same time, either may find the other's code under its number, and run it. And a file that was
+    cut short stays an error for good. Here a file is named by what it is for, appears whole or not at all, and is
+    compiled anew if it is damaged.
 
     Parameters
     ----------
     folder : path
         Where files are saved.
     installed : path
-        Where files are looked for, too: whoever installed the kernels may have compiled them, and others may only read.
+        Where files are also looked for: whoever installed the kernels may have compiled them, and others may only read.
     base : str
-        What the names of a kernel's files begin with.
+        How the names of a kernel's files begin.
     """
 
     def __init__(self, folder: Any, installed: Any, base: str) -> None:
@@ -40,7 +40,7 @@ class CacheFiles:
         return f"{self._base}.{hashlib.sha256(repr((numba.__version__, key)).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
-        """What was saved, or None."""
+        """Return what was saved, or None."""
         name, size = self._name(key), hashlib.sha256().digest_size
         for folder in (self._folder, self._installed):
             with contextlib.suppress(OSError):
@@ -51,7 +51,7 @@ class CacheFiles:
         return None
 
     def save(self, key: Any, compiled: Any) -> None:
-        """Save, or replace, what a kernel was compiled to."""
+        """Save, or replace, a compiled kernel."""
         path, data = self._folder / self._name(key), dumps(compiled)
         beside = path.with_name(f"{path.name}.{uuid.uuid4().hex[:16]}")
         try:
@@ -67,9 +67,9 @@ class CacheFiles:
 
 
 class Installed:
-    """The place of compiled kernels that is beside their sources, to read from: what Numba asks of a place.
+    """Numba's interface of a place for compiled kernels, for those beside their sources, which are only read.
 
-    Not one of Numba's own, whose names its versions change.
+    Derived from none of Numba's own places, whose names change from version to version.
     """
 
     def __init__(self, function: Callable[..., Any], file: str) -> None:
@@ -86,10 +86,10 @@ class Installed:
         return str(self._folder)
 
     def get_source_stamp(self) -> None:
-        """Return what tells stale files, whose names do here."""
+        """Return None: file names already identify their sources."""
 
     def get_disambiguator(self) -> str:
-        """Return what tells functions of one name apart in a file: as of Numba's places."""
+        """Return what tells functions of the same name in a file apart, as Numba's own places do."""
         return str(self._line)
 
     def ensure_cache_path(self) -> None:
@@ -106,9 +106,9 @@ class Compiled(CompileResultCacheImpl):
 class Cache(FunctionCache):
     """Numba's cache on disk, from which a kernel loads in a sixth of the time.
 
-    Before it loads anything, Numba's own puts together all that a compilation may need, among it SciPy's linear
-    algebra. A compiled kernel needs only the functions that allocate arrays, and the modules of what it calls: a
-    NumPy function like sum or max would bring SciPy again. A compilation fetches the rest itself.
+    Before it loads anything, Numba's own sets up all that a compilation may need, SciPy's linear algebra included. A
+    compiled kernel needs only the functions that allocate arrays, and the modules of what it calls: a NumPy function
+    like sum or max would bring in SciPy again. A compilation fetches the rest itself.
     """
 
     _impl_class = Compiled
@@ -116,7 +116,7 @@ class Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         installed = Installed(function, function.__code__.co_filename).get_cache_path()
-        with contextlib.suppress(AttributeError):  # a later Numba's inside is another: its own files then
+        with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own files then
             self._cache_file = CacheFiles(self._cache_path, installed, self._impl.filename_base)
 
     @property
@@ -128,7 +128,7 @@ class Cache(FunctionCache):
         """Return the compiled kernel for these types, or None."""
         try:
             guard, load = self._guard_against_spurious_io_errors, self._load_overload
-        except AttributeError:  # a later Numba's inside is another: its own way then
+        except AttributeError:  # a later Numba may differ inside: its own way then
             return super().load_overload(sig, target_context)
         rtsys.initialize(target_context)
         with guard():

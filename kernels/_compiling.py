@@ -1,12 +1,11 @@
-"""How Numba compiles in a third less time: two habits of Python's that cost a compiler much.
+"""Compile in a third less time, by avoiding two costs of CPython.
 
-It makes millions of small objects that stay until it is done, and Python looks through them again and again for
-garbage, by default whenever there are 700 new ones (2000 in later versions).
+Numba makes millions of small objects that stay until it is done, and Python searches them again and again for garbage,
+by default whenever there are 700 new ones (2000 in later versions).
 
-And it calls hundreds of functions within each other. Python keeps their frames in chunks of 16 KB, and gives a chunk
-back to the system when its last frame is done: where one ends just below a function that is called a million times,
-every call takes a chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for
-those above it.
+And its calls nest hundreds deep. Python keeps their frames in chunks of 16 KB, and gives a chunk back to the system
+when its last frame is done: if a chunk ends just below a function that is called a million times, every call takes a
+chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for those above it.
 """
 
 import contextlib
@@ -16,9 +15,9 @@ from collections.abc import Callable
 from typing import Any
 
 PATIENCE = 20_000
-"""New objects before garbage is looked for; 40 MB more while the largest kernels compile."""
+"""New objects before garbage is collected; takes 40 MB more while the largest kernels compile."""
 ROOM = 70_000
-"""Places of eight bytes in a frame: more than half of a chunk of 1 MB, so the rest of one is for those above it."""
+"""Slots of eight bytes in a frame: more than half of a chunk of 1 MB, the rest of which is for the frames above it."""
 
 _is_compiling = False
 
@@ -33,9 +32,9 @@ with contextlib.suppress(ValueError, OverflowError):  # a later Python may limit
 
 
 def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
-    """A compiler that garbage waits for, and that has room for its frames.
+    """Make garbage collection wait for a compiler, and its frames have room.
 
-    Numba lets one thread at a time compile, and that one compiles what a kernel calls within the kernel.
+    Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel is.
     """
 
     @functools.wraps(compiler)
@@ -45,14 +44,14 @@ def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
             return compiler(*args)
         before, *others = gc.get_threshold()
         _is_compiling = True
-        if 0 < before < PATIENCE:  # it is neither off nor as patient already
+        if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
             return _with_room(compiler, *args)
         finally:
             _is_compiling = False
             now, *others = gc.get_threshold()
-            if now == PATIENCE:  # nobody has set anything else
+            if now == PATIENCE:  # nobody has set it meanwhile
                 gc.set_threshold(before, *others)
 
     return compile_alone

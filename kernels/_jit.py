@@ -22,7 +22,7 @@ from ._compiling import without_haste
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 has_cache = True
-"""Whether compiled kernels have a place on disk: not where neither the installation nor the home can be written."""
+"""Whether compiled kernels have a place on disk: False if neither the installation nor the home folder is writable."""
 
 
 @functools.cache
@@ -31,14 +31,14 @@ def _sources_digest() -> str:
 
     Numba's cache looks only at the file of the function itself: a kernel that calls another file's
     kernel would stay stale when that file changes. The digest in the function's qualified name, which is
-    part of the cache's file name, makes every change of any kernel a new cache entry.
+    part of the cache's file name, gives every change to any kernel a new cache entry.
     """
     digest = hashlib.sha256()
     paths = sorted(Path(__file__).parent.glob("*.py"))
     for path in paths:
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
-    if not paths:  # they are in a zip, or in a program that has no sources: another one may take its place
+    if not paths:  # they are in a zip, or in a program without sources, which another may replace
         stat = os.stat(getattr(__loader__, "archive", sys.executable))
         digest.update(repr((stat.st_mtime_ns, stat.st_size)).encode())
     return digest.hexdigest()[:12]
@@ -50,14 +50,14 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
     Parameters
     ----------
     reduction : bool
-        Let the compiler reorder sums so that they vectorise. NaN and infinity keep their meaning. Never
-        for the solves, whose order of operations is their accuracy. What such a kernel calls is a reduction
-        or inline: anything else would get the same leave, for all its callers, if it is compiled for this one first.
+        Let the compiler reorder sums so that they vectorise. NaN and infinity keep their meaning. Never for the solves,
+        whose accuracy depends on the order of operations. Such a kernel may call only reductions and inline kernels:
+        any other, if compiled for this one first, would be reordered for all its callers.
     inline : bool
-        Make the function part of every kernel that calls it, so that the compiler sees the sizes of the
-        arrays that it gets. Its source goes there, which compiles it once instead of twice; that of a reduction
-        only after it was compiled, since leave to reorder is given to whole functions. Where it is called in
-        several places, that is also what compiles fastest.
+        Make the function part of every kernel that calls it, so that the compiler sees the sizes of the arrays that it
+        gets. Its source goes there, and is compiled once instead of twice; a reduction goes there compiled, since
+        reordering is allowed to whole functions only. For a function called in several places, that is also the fastest
+        to compile.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     if reduction:
@@ -69,12 +69,12 @@ def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Functi
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
         global has_cache
         dispatcher = numba.njit(**options)(function)
-        with contextlib.suppress(AttributeError):  # a later Numba's inside is another: its own way then
+        with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own way then
             dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile)
         try:
             dispatcher._cache = Cache(function)
             has_cache &= dispatcher._cache.saves
-        except RuntimeError:  # nor a place to read from
+        except RuntimeError:  # not even a place to read from
             has_cache = False
         return cast(Function, dispatcher)
 

@@ -2,16 +2,16 @@
 
 They are the paper's eq. tan_theta_scattermatrix-1: the block of eq. tan_theta_scattermatrix that has no depth in it.
 Without lens distortion tanθx and tanθy are linear in a tile's column j, counted from its last, and row k, and the sums
-follow from those of 1, j, k, jj, jk and kk over the valid pixels, which are whole numbers: a column adds up 1, k and kk
-in three fields of one number, and a tile that number times 1, j and jj.
+follow from those of 1, j, k, jj, jk and kk over the valid pixels, which are integers: a column adds up 1, k and kk in
+three fields of one number, and a tile that number times 1, j and jj.
 """
 
 import numpy as np
 
 from ._jit import kernel
 
-# Rows and columns whose valid pixels are counted at a time: so few that Σ1, Σjj, Σk and Σjk fit into fields of 22
-# bits and Σkk into one of 20. What a field has no room for is not used.
+# Rows and columns whose valid pixels are counted at a time: few enough for Σ1, Σjj, Σk and Σjk to fit into fields of 22
+# bits and Σkk into one of 20. Sums that overflow their field are not used.
 BAND_ROWS = 32
 BAND_COLUMNS = 64
 FIELD = np.uint64(22)
@@ -29,7 +29,7 @@ def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
     Parameters
     ----------
     codes : (COLUMNS,) uint64
-        Of ``span`` columns a tile.
+        Each tile has ``span`` columns.
     u, step_u, v
         tanθx of the columns, its step, and tanθy of the rows, relative to their tile's centre.
     counts, last_u : (3, TILES) uint64 and (TILES,) float64
@@ -41,12 +41,12 @@ def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
         size = min(span - part, BAND_COLUMNS)
         for tile in range(tiles):
             start = tile * span + part
-            # What a column adds to a sum goes into the next as many times as there are columns to come.
+            # A column's share of one sum enters the next once for each column still to come.
             once = by_j = by_triangle = NO_CODE
             for column in range(start, start + size):
                 by_triangle += by_j
                 by_j += once
-                once += codes[np.uintp(column)]  # unsigned: no test for an index from the end
+                once += codes[np.uintp(column)]  # unsigned: no test for negative indices
             counts[0, tile] = once
             counts[1, tile] = by_j
             counts[2, tile] = by_triangle

@@ -1,9 +1,9 @@
 """The upper tail of the chi-square distribution, for blocks of values and any number of degrees of freedom.
 
-With a half of the degrees of freedom, λ the chi-square over them, and η²/2 = λ - 1 - ln λ with the sign of λ - 1, the
-tail is that of a normal deviate z = η·√a + C(η, 1/a)/√a: C is smooth and small, since η·√a is the signed root of
-the likelihood ratio (Temme, "The asymptotic expansion of the incomplete gamma functions", SIAM J. Math. Anal. 10,
-1979; Barndorff-Nielsen, Biometrika 73, 1986). Plain arithmetic without a branch, so that the loops vectorise.
+With a = half the degrees of freedom, λ = chi-square over the degrees of freedom, and η²/2 = λ - 1 - ln λ with the sign
+of λ - 1, the tail is that of a normal deviate z = η·√a + C(η, 1/a)/√a: C is smooth and small, since η·√a is the signed
+root of the likelihood ratio (Temme, "The asymptotic expansion of the incomplete gamma functions", SIAM J. Math. Anal.
+10, 1979; Barndorff-Nielsen, Biometrika 73, 1986). Plain arithmetic without a branch, so that the loops vectorise.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from ._jit import kernel
 from .normal_distribution import LN_2, OF_EXPONENT, WHOLE, WHOLE_BITS
 
-# C as powers of η, one a row, and of s = 1/(a + 1/2), for η in this range: made by ``python -m bench.chi_square``.
+# C in powers of η, one per row, and of s = 1/(a + 1/2), for η in this range: made by ``python -m bench.chi_square``.
 ETA_LEAST, ETA_MOST = -8.9, 9.9
 CORRECTION = np.array([
     (0.333393098820238, 0.0070354301472177, 0.0045077685311466, -0.00938927514763931),
@@ -27,7 +27,7 @@ CORRECTION = np.array([
 
 LEAST_FREEDOM = 1.0
 
-# The bits of a double: ln x is taken of its mantissa, between √½ and √2, and of its exponent.
+# The bits of a double: ln x is computed from its mantissa, between √½ and √2, and its exponent.
 ROOT_HALF = np.int64(0x3FE6A09E667F3BCD)
 ONE = np.int64(0x3FF0000000000000)
 MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
@@ -48,7 +48,7 @@ def split(x, exponent, count):
 
 @kernel(reduction=True, inline=True)
 def deviates(work, count):
-    """Normal deviates that are exceeded as often as ``work[0]`` by chi-square over its degrees of freedom.
+    """Normal deviates that are exceeded with the probabilities of chi-square over its degrees of freedom at ``work[0]``.
 
     Where their `normal_distribution.tails` are above 1e-12, these have a relative error below 2e-5 for 5 degrees of
     freedom or more, 2e-4 for 2 and 2e-3 for 1.
@@ -56,7 +56,7 @@ def deviates(work, count):
     Parameters
     ----------
     work : (normal_distribution.WORK, N) float64
-        Its second row is 1/√(degrees of freedom), of at least `LEAST_FREEDOM`.
+        Its second row is 1/√(degrees of freedom), for degrees of freedom of at least `LEAST_FREEDOM`.
     count : int
         Number of values.
     """
@@ -66,11 +66,12 @@ def deviates(work, count):
     split(mantissa, exponent, count)
     for i in range(count):
         m, v = mantissa[i], root[i] * root[i]
-        # One division for three.
+        # One division instead of three.
         inverse = 1.0 / ((m + 1.0) * (1.0 + v) * root[i])
         w = (m - 1.0) * (inverse * (1.0 + v) * root[i])
         square = w * w
-        # ln of the mantissa is 2·artanh w. Where values are far from 1, so that this matters, no digit more is needed.
+        # ln of the mantissa is 2·artanh w. Where values are so far from 1 that the omitted terms matter, no more digits
+        # are needed.
         series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square / 9.0)))
         more = min(max(ratio[i], 1e-18), 1e6) - 1.0
         half_square = more - (exponent[i] * LN_2 + 2.0 * w * (1.0 + series))

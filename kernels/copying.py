@@ -1,13 +1,13 @@
-"""Copies of one array in another."""
+"""Copying an array into another."""
 
 from ._jit import kernel
 
 
 @kernel(inline=True)
 def copy(values, where):
-    """Copy as many values as there is room for, perhaps to another type.
+    """Copy as many values as ``where`` has room for, perhaps to another type.
 
-    For an assignment Numba compiles the message of an error, which takes seconds.
+    A slice assignment makes Numba compile its error message, which takes seconds.
     """
     for i in range(len(where)):
         where[i] = values[i]
@@ -15,7 +15,7 @@ def copy(values, where):
 
 @kernel(inline=True)
 def copy_columns(values, first, last, where):
-    """Copy columns ``first`` to ``last`` of all rows to the first columns."""
+    """Copy columns ``first`` to ``last`` of all rows to the first columns of ``where``."""
     for row in range(len(values)):
         # In one dimension, whose stride the compiler knows.
         source, target = values[row][first:last], where[row]
@@ -25,7 +25,7 @@ def copy_columns(values, first, last, where):
 
 @kernel(inline=True)
 def copy_columns_back(where, first, last, values):
-    """The reverse of `copy_columns`, to rows that follow each other in one dimension."""
+    """The reverse of `copy_columns`, to rows that lie one after the other in one dimension."""
     columns = len(values) // len(where)
     for row in range(len(where)):
         source, target = where[row], values[row * columns + first : row * columns + last]

@@ -22,11 +22,11 @@ def separable(
     ----------
     tan_x, tan_y : (W,) and (H,) float64
     needed_of : (window² + 1,) float64
-        Number of valid pixels that a window of so many pixels needs.
+        Number of valid pixels that a window needs, by the number of its pixels.
     surfaces : bool
         Write the variance and the variation too.
     everywhere : bool
-        With ``surfaces``: the planes around missing pixels too, which otherwise get NaN.
+        With ``surfaces``: also the planes around missing pixels, which otherwise get NaN.
     normals, variance, variation : (H W 3,), (H W,) and (H W,) float32, written
         The last two are left alone without ``surfaces``.
     """
@@ -58,7 +58,7 @@ def separable(
     for left in range(0, width, strip):
         columns = min(strip, width - left)
         count = columns + 2 * half
-        missing[:] = count  # a slot without missing pixels holds the sums of such a row
+        missing[:] = count  # a slot with none missing would have to hold the sums of a full row
         total_missing = 0
         for row in range(row_start - half, row_stop + half):
             # This row enters the window around row - half, and the one above the window leaves.
@@ -101,7 +101,7 @@ def separable(
 
             if (
                 centre <= max(row_start, half) or centre >= height - half
-            ):  # between, windows have all their rows
+            ):  # in between, windows have all their rows
                 needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
             first = centre * width + left
             at_pixels = valid[row % slots, half:]
@@ -124,9 +124,9 @@ def distorted(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, window, needed_of,
     everywhere, band_start, band_stop, normals, variance, variation,
 ):  # fmt: skip
-    """The planes around the pixels of some bands as `separable` with ``surfaces``, for any camera.
+    """The planes around the pixels of some bands, as `separable` with ``surfaces`` but for any camera.
 
-    Every pixel has its own ray, taken relative to one of the strip's: the sums over valid pixels are real numbers.
+    Every pixel has its own ray, taken relative to the strip's middle one: the sums over valid pixels are not integers.
 
     Parameters
     ----------

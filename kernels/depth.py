@@ -1,6 +1,6 @@
 """From a frame's raw values to depth, Z of the paper's eq. RGBD_reconstruction, and inverse depth.
 
-Of raw values that are no measurement what comes out means nothing.
+For raw values that are not measurements the result means nothing.
 """
 
 from ._jit import kernel

@@ -1,11 +1,11 @@
-"""Disjoint sets: trees of which each node names its parent, and a root itself."""
+"""Disjoint sets: trees in which each node names its parent, and a root itself."""
 
 from ._jit import kernel
 
 
 @kernel(inline=True)
 def root_of(parent, i):
-    """The oldest ancestor."""
+    """Root of the tree that ``i`` is in."""
     while parent[i] != i:
         i = parent[i]
     return i

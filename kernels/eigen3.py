@@ -57,10 +57,10 @@ def eigenvector(a, b, c, d, e, f, eigenvalue):
 
 @kernel()
 def eigenpair_of_line(a, b, c, d, e, f):
-    """Smallest eigenvalue and unit eigenvector of a matrix whose other eigenvalues are far below the largest.
+    """Smallest eigenvalue and unit eigenvector of a matrix whose two smaller eigenvalues are far below the largest.
 
-    The largest one's eigenvector is any column after a few multiplications with the matrix. Across it a 2x2 matrix is
-    left, whose digits are those of the smaller eigenvalues.
+    The largest one's eigenvector is any column after a few multiplications by the matrix. Orthogonal to it a 2x2 matrix
+    remains, whose digits are those of the smaller eigenvalues.
     """
     is_first, is_second = (a >= d) & (a >= f), d >= f
     x = a if is_first else (b if is_second else c)
@@ -110,7 +110,7 @@ def smallest_eigenpairs(matrix, count, work, eigenvalue, vector):
     """Smallest eigenvalue and its unit eigenvector, which is NaN for a zero matrix.
 
     The root of the cubic has lost digits to the determinant. A Rayleigh quotient, which cubes the error of
-    the vector, brings them back; or `eigenpair_of_line`, where there was none left.
+    the vector, brings them back; where none are left, `eigenpair_of_line` does.
 
     Parameters
     ----------

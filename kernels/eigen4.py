@@ -9,8 +9,8 @@ and M (x, δ) = λ (x, δ) gives x = -λδ (C - λI)⁻¹ μ and the secular equ
     1 - λ/n - λ μᵀ (C - λI)⁻¹ μ = 0,
 
 whose smallest root lies between 0 and C's smallest eigenvalue λ₁. Solved in s, where λ = λ₁ s / (1 + s),
-it is nearly a straight line, also where λ₁ is 0 and M singular: forming M and its quartic would lose the
-digits that the answer is made of.
+it is nearly a straight line, even where λ₁ is 0 and M singular: forming M and its quartic would lose the digits that
+the answer is made of.
 """
 
 from . import eigen3
@@ -75,7 +75,7 @@ def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
             high[i] = high[i] if value > 0.0 else here
             after = here + step
             after = after if (low[i] < after) & (after < high[i]) else 0.5 * (low[i] + high[i])
-            # Comparisons with NaN are false: what has no solution does not move.
+            # Comparisons with NaN are false: a matrix without a solution does not move.
             moves = abs(step) > 1e-15 * here
             moving += 1 if moves else 0
             s[i] = after if moves else here

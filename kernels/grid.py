@@ -26,7 +26,7 @@ def fit_range_tiles(
     scale, offset
         q = scale / raw, or scale * raw + offset unless ``offset`` is None.
     tan_x, tan_y : (H, W) float64
-        tanθx and tanθy of each pixel; of a camera without lens distortion (C * tile_width,) and (H,), those of each
+        tanθx and tanθy of each pixel; for a camera without lens distortion (C * tile_width,) and (H,), those of each
         column and row relative to its tile's centre.
     centre : (2, T) float64
         The ray (tanθx, tanθy) that each tile's moments are relative to, tiles counted row by row.
@@ -89,7 +89,7 @@ def fit_standard_tiles(
     method, max_error, tile_row_start, tile_row_stop,
     moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
-    """Fit the tiles of some tile rows in (X, Y, Z): as `fit_range_tiles`.
+    """Fit the tiles of some tile rows in (X, Y, Z), as `fit_range_tiles` does in range space.
 
     ``method`` is as in `solve.standard_planes`.
     """

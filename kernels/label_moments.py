@@ -11,7 +11,7 @@ from .depth import depth, inverse_depth
 def points_of_row(
     raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, points
 ):  # fmt: skip
-    """Write the points of a row of pixels, ``points`` (4, W): u, v, w, and 1, or 0 for what is missing.
+    """Write the points of a row of pixels, ``points`` (4, W): u, v, w, and 1, or 0 for a missing pixel.
 
     (u, v, w) is (tanθx, tanθy, q), or (X, Y, Z) if ``is_standard``.
     """
@@ -42,7 +42,7 @@ def points_of_row(
 
 @kernel(inline=True)
 def add_footprint(row, start, stop, footprint, i):
-    """Add the places of a run's pixels to row ``i``: how many, Σx, Σy, Σx² and Σy²."""
+    """Add the positions of a run's pixels to row ``i``: their number, Σx, Σy, Σx² and Σy²."""
     n, last = stop - start, stop - 1
     footprint[i, 0] += n
     footprint[i, 1] += n * (start + last) // 2
@@ -54,9 +54,9 @@ def add_footprint(row, start, stop, footprint, i):
 
 @kernel(reduction=True)
 def add_run(points, start, stop, reference, sums, i):
-    """Add a run's points, less row ``i`` of ``reference``, to row ``i`` of ``sums``, ten each.
+    """Add the ten sums of a run's points, relative to row ``i`` of ``reference``, to row ``i`` of ``sums``.
 
-    Those of eq. tan_theta_scattermatrix, or of eq. XYZ_scattermatrix.
+    They are those of eq. tan_theta_scattermatrix, or of eq. XYZ_scattermatrix.
     """
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
     r_u, r_v, r_w = reference[i, 0], reference[i, 1], reference[i, 2]
@@ -100,13 +100,13 @@ def label_moments(
     ----------
     tan_x, tan_y : (H, W) float64, or (1, W) and (H, 1)
     is_standard : bool
-        Moments of (X, Y, Z) and not of (tanθx, tanθy, q).
+        Moments of (X, Y, Z) instead of (tanθx, tanθy, q).
     labels : (H, W) int32
         0 for none.
     footprint : (K, 5) int64, written
-        Of each label's pixels, the missing ones too: how many, Σx, Σy, Σx² and Σy².
+        For each label's pixels, missing ones included: their number, Σx, Σy, Σx² and Σy².
     moments, reference : (K, 10) and (K, 3) float64, written
-        The ten sums, and the point that they are about: the label's first, so that little cancels.
+        The ten sums, and the point they are taken about: the label's first valid one, so that little cancels.
     """
     height, width = raw.shape
     points = np.empty((4, width))

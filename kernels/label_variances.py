@@ -1,4 +1,4 @@
-"""What a noise model says of the pixels of each label of an image, at whichever depths they are."""
+"""Variances by a noise model of the pixels of each label of an image, whatever their depths."""
 
 import math
 
@@ -12,7 +12,7 @@ from .statistics import DEPTH_STEP, DISPARITY_STEP, SCALE, VARIANCES
 
 @kernel(inline=True)
 def variance_at(q, noise):
-    """Variance of the errors along the ray at an inverse depth; ``noise`` is that of `statistics.assess`."""
+    """Variance of the errors along the ray at an inverse depth; ``noise`` as in `statistics.assess`."""
     table = noise[VARIANCES:]
     if len(table) == 1:
         return table[0]
@@ -47,7 +47,7 @@ def variances_of_run(
 
 @kernel(reduction=True)
 def add_variances(us, vs, along, rounding, start, stop, sums, i):
-    """Add those of a run to row ``i`` of ``sums``."""
+    """Add the variances of a run to row ``i`` of ``sums``."""
     s_along = s_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
     # Without a sign: so the compiler knows that they do not count from the end.
     for k in range(np.uint64(start), np.uint64(stop)):
@@ -82,13 +82,13 @@ def label_variances(
     labels : (H, W) int32
         0 for none.
     alpha : (K, 3) float64
-        Where it is NaN, each pixel's own depth counts.
+        Where it is NaN, each pixel's own depth is used.
     noise : see `statistics.assess`
     growth : (H, W) float64, or empty
-        How many times those of ``noise`` the variances of q along the ray are.
+        Factors on the variances of q along the ray that ``noise`` gives.
     sums : (K, 8) float64, written
-        Of the variances of q along the ray, of those of rounding, of the squares of both together, and of both together
-        times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
+        Sums of the variances of q along the ray, of those of rounding, of the squares of their total, and of their
+        total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
     """
     height, width = raw.shape
     vs, along, rounding = np.empty(width), np.empty(width), np.empty(width)

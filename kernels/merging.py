@@ -1,4 +1,4 @@
-"""From the moments of tiles to those of the larger tiles, or any others, that they make up."""
+"""From the moments of tiles to those of the larger tiles, or other regions, that they make up."""
 
 from ._jit import kernel
 
@@ -37,7 +37,7 @@ def merge_by_four(moments, reference, wide_moments, wide_reference):
     ----------
     moments, reference : (10, R, C) and (3, R, C) float64
     wide_moments, wide_reference : (10, ⌈R/2⌉, ⌈C/2⌉) and (3, ⌈R/2⌉, ⌈C/2⌉) float64, written
-        The reference point is the mean of the four's, each counted by its valid pixels.
+        The reference point is the mean of the four tiles', weighted by their valid pixels.
     """
     rows, columns = moments.shape[1:]
     for wide_row in range(wide_moments.shape[1]):
@@ -76,7 +76,7 @@ def merge_by_label(moments, reference, labels, wide_moments, wide_reference):
     labels : (K,) int32
     wide_moments : (10, 1, N) float64, written
     wide_reference : (3, 1, N) float64
-        The reference points to add up about.
+        The reference points to sum about.
     """
     wide_moments[:] = 0.0
     for i in range(labels.shape[0]):

@@ -12,13 +12,13 @@ TAIL_0, TAIL_1, TAIL_2 = 0.1994715460615227, 0.19940475726989348, 0.151458365978
 TAIL_3, TAIL_4, TAIL_5 = 0.029282237616144374, 0.05416858389853427, -0.47931690750756856
 TAIL_6, TAIL_7, TAIL_8 = 0.5950355620527407, -0.3134674436265108, 0.06396343432391081
 
-# With these bits above it, a small whole number is that number plus 2⁵².
+# A small integer with these bits above it is, read as a double, that integer plus 2⁵².
 WHOLE, WHOLE_BITS = 2.0**52, np.int64(0x4330000000000000)
 LN_2 = math.log(2.0)
 OF_EXPONENT = 1023.0
 
-# Rows of room that the tails of distributions need: in the end the first is the probability, the last the deviate. The
-# first also holds what the deviate is of: where that is NaN, so is the probability.
+# Rows of room that the tails of distributions need: in the end the first is the probability, the last the deviate. At
+# first the first holds the value that the deviate stands for: where that is NaN, so is the probability.
 WORK = 5
 
 
@@ -30,7 +30,7 @@ def tails(work, count):
         size = min(abs(deviate[i]), 37.0)
         # exp(-z²/2) = 2^(r - k)
         square = size * size * (0.5 / LN_2)
-        k = np.floor(square + 0.5)  # not math.floor, which as plain Python takes no NaN
+        k = np.floor(square + 0.5)  # not math.floor, which in plain Python refuses NaN
         power[i] = k - square
         exponent[i] = (WHOLE + OF_EXPONENT) - k
     bits = exponent.view(np.int64)

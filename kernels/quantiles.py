@@ -5,11 +5,11 @@ from ._jit import kernel
 
 @kernel()
 def quantile(values, share):
-    """As `numpy.quantile`, of two values or more and a ``share`` below 1; ``values`` (N,) is reordered."""
+    """As `numpy.quantile`, for two values or more and a ``share`` below 1; ``values`` (N,) is reordered."""
     position = share * (len(values) - 1)
     k = int(position)
     first, last = 0, len(values) - 1
-    while first < last:  # Hoare's selection: what is smaller to the left, what is larger to the right
+    while first < last:  # Hoare's selection: smaller values to the left, larger ones to the right
         pivot = values[(first + last) // 2]
         i, j = first, last
         while i <= j:

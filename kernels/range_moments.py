@@ -7,8 +7,8 @@ cancels later. Without lens distortion only those with q come from the frame; th
 For a camera without lens distortion tanθx depends on the column alone and tanθy on the row alone: columns are
 multiplied by tanθx once, when they are folded into tiles. Four rows are read at a time, two at the end: the
 accumulators' loads and stores would otherwise cost more than the arithmetic, and one division gives the inverse of
-two depths, 1/a = b/(ab) and 1/b = a/(ab). The four are a quarter of the tile apart: so each of them goes on where
-the one before it ended, and the processor fetches it ahead from memory. It would not if they were neighbours.
+two depths, 1/a = b/(ab) and 1/b = a/(ab). The four are a quarter of the tile apart, so that each of them goes on where
+the one before it ended and the processor prefetches it from memory, as it would not for neighbours.
 """
 
 import numpy as np
@@ -26,13 +26,13 @@ from .strips import (
     sums_of_pair,
 )
 
-# As a comparison gives it: for the literal True Numba would compile once more.
+# Of the type of a comparison: for the literal True Numba would compile once more.
 BOTH = np.bool_(True)
 
 
 @kernel(inline=True)
 def inverse_depths(a, b, scale, offset):
-    """Inverse depths of two raw values, for one division."""
+    """Inverse depths of two raw values, with one division."""
     if offset is None:
         inverse = scale / (a * b)
         return b * inverse, a * inverse
@@ -41,7 +41,7 @@ def inverse_depths(a, b, scale, offset):
 
 @kernel(reduction=True, inline=True)
 def range_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q):
-    """Σq, Σqv, Σqq and the codes of the valid ones of two pixels of a column, or of the first alone."""
+    """Σq, Σqv, Σqq and summed codes of two pixels of a column, or of the first alone, as far as they are valid."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
@@ -158,8 +158,8 @@ def range_strip_separable(
 ):  # fmt: skip
     """Range-space sums of a strip of tiles, for a camera without lens distortion.
 
-    Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). The
-    other entries need no more of it than which pixels are valid.
+    Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). For the other
+    entries it is enough to know which pixels are valid.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def range_strip_separable(
         raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
         references,
     )  # fmt: skip
-    # More than one turn only where a tile is wider than a strip.
+    # More than one pass only where a tile is wider than a strip.
     start, last = tile_start * tile_width, min(tile_stop * tile_width, raw.shape[1])
     step_u = step_of_columns(u, start, last, tile_width)
     for left in range(start, last, COLUMNS):
@@ -208,7 +208,7 @@ def range_strip_separable(
 def range_pair_of_rays(
     a, b, is_pair, lowest, highest, scale, offset, tan_xa, tan_xb, tan_ya, tan_yb, u0, v0, q0
 ):  # fmt: skip
-    """The ten sums of the valid ones of two pixels of a column, or of the first alone."""
+    """The ten sums of two pixels of a column, or of the first alone, as far as they are valid."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
@@ -310,7 +310,7 @@ def range_strip(
 ):  # fmt: skip
     """Range-space sums as in `range_strip_separable`, for any camera: tan_x, tan_y are (H, W).
 
-    ``centre`` (2, N) are the central rays of the tiles.
+    ``centre`` (2, N) holds the central rays of the tiles.
     """
     sums, columns = room[:2]
     tiles = tile_stop - tile_start

@@ -17,7 +17,7 @@ def add_tiles(
     statistics : (K, R, C) float64
         See `statistics.assess`.
     which : (U,) int64
-        Those of its rows that the table has.
+        The rows of it that the table has.
     floats : (6 + U, N) float32, written
         nx, ny, nz, d, rmse, rmse_metric, and the statistics.
     valid_counts : (N,) int32, written
