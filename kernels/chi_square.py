@@ -48,7 +48,7 @@ def split(x, exponent, count):
 
 @kernel(reduction=True, inline=True)
 def deviates(work, count):
-    """Normal deviates that are exceeded with the probabilities of chi-square over its degrees of freedom at ``work[0]``.
+    """Normal deviates exceeded with the probabilities of chi-square over its degrees of freedom at ``work[0]``.
 
     Where their `normal_distribution.tails` are above 1e-12, these have a relative error below 2e-5 for 5 degrees of
     freedom or more, 2e-4 for 2 and 2e-3 for 1.

@@ -7,7 +7,7 @@ from ._jit import kernel
 def sandwich(n, u, v, uu, uv, vv, weighted):
     """Covariances of a plane's slopes and mean inverse depth, in units of the mean variance of its pixels.
 
-    A⁻¹BA⁻¹ with A = Σxᵢxᵢᵀ and B = Σtᵢxᵢxᵢᵀ of n pixels of variances tᵢ, of mean 1, at x = (u - ū, v - v̄, 1).
+    A⁻¹BA⁻¹ with A = Σxᵢxᵢᵀ and B = Σtᵢxᵢxᵢᵀ of n pixels with variances tᵢ of mean 1, at x = (u - ū, v - v̄, 1).
 
     Parameters
     ----------
@@ -19,9 +19,10 @@ def sandwich(n, u, v, uu, uv, vv, weighted):
     Returns
     -------
     inverse : tuple of 3 floats
-        Of the scatter: the slopes' variance along u, covariance, and variance along v, were all variances alike.
+        Inverse of the scatter: the slopes' variance along u, covariance, and variance along v, if all variances were
+        alike.
     slopes : tuple of 3 floats
-        The same of these variances.
+        The same three with the variances as they are.
     with_mean : tuple of 2 floats
         Covariances of the slopes with the mean.
     """

@@ -7,14 +7,14 @@ residual, the eigenvalue is the root between 0 and A's smallest eigenvalue of
     RSS - λ h(λ) = 0,    h(λ) = 1 + α₀ᵀ α_λ,    α_λ = (A - λI)⁻¹ b.
 
 No term of it cancels. A step goes to where λ / RSS - 1 / h(λ) would have its root if it were a straight line, which
-it nearly is, also beside h's pole at A's smallest eigenvalue, where Newton's steps for RSS - λ h come no nearer than
-half of the way. The slope of h needs nothing new: that of λ h is 1 + α_λᵀ α_λ.
+it nearly is, even beside h's pole at A's smallest eigenvalue, where Newton's steps for RSS - λ h go no more than half
+of the way. The slope of h needs nothing new: that of λ h is 1 + α_λᵀ α_λ.
 
-The Rayleigh quotient of (α₀, -1) bounds the root from above, and 1 / tr A⁻¹ is a third to all of A's smallest
-eigenvalue. From the smaller of the two it takes one or two steps where the noise is small. Where it is larger than
-what the rays tell apart, as across a depth edge or in the smallest tiles, the root lies close to the pole, and
-it takes some more; those that leave the interval in which the root is known to lie are replaced by half of that. The
-plane then passes near the camera's centre.
+The Rayleigh quotient of (α₀, -1) bounds the root from above, and 1 / tr A⁻¹ is between a third and all of A's smallest
+eigenvalue. From the smaller of the two it takes one or two steps where the noise is small. Where the noise is larger
+than what the rays tell apart, as across a depth edge or in the smallest tiles, the root lies close to the pole, and it
+takes some more; steps that leave the interval in which the root is known to lie are replaced by bisection. The plane
+then passes near the camera's centre.
 
 All is done in coordinates relative to the tile's reference (u0, v0, q0), where A is well conditioned;
 there the identity becomes B = T⁻¹T⁻ᵀ, T being the change of coordinates.
@@ -26,19 +26,19 @@ import numpy as np
 
 from ._jit import kernel
 
-# Tiles that take steps side by side, several vectors, and how many: those that need more take them alone.
+# Tiles that take steps side by side, filling several vectors, and how many steps: tiles that need more take them alone.
 TOGETHER = 64
 STEPS = 4
-# Steps, as shares of λ, that change nothing, and that rounding may still make.
+# Steps, as shares of λ, that count as none, and that rounding alone may make.
 PRECISION, ROUNDING = 1e-14, 1e-10
-# Rows of what is known of each tile: λ, the interval in which it lies, whether it is to be found yet; α_λ in centred
+# Rows of the tiles' state: λ, the interval in which it lies, whether it is still to be found; α_λ in centred
 # coordinates; RSS; B α₀'.
 ROOT, LOW, HIGH, MOVES, ALPHA_U, ALPHA_V, ALPHA_1, RSS, START_U, START_V, START_1 = range(11)
 
 
 @kernel(inline=True)
 def start(i, state, solution_u, solution_v, solution_1, rss, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0):
-    """Write what is known of tile ``i`` from its explicit solution."""
+    """Write the state of tile ``i`` from its explicit solution."""
     # Centred coordinates have p = c + a·u0 + b·v0, the value at the reference.
     a, b = solution_u[i], solution_v[i]
     p = solution_1[i] + a * u0[i] + b * v0[i]
@@ -61,7 +61,7 @@ def start(i, state, solution_u, solution_v, solution_1, rss, n, s_u, s_v, s_uu, 
 
 @kernel(inline=True)
 def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
-    """Find α_λ of tile ``i``, and go on to a better λ; to NaN where it can lie nowhere."""
+    """Find α_λ of tile ``i``, and go on to a better λ, or to NaN where it can lie nowhere."""
     eigenvalue, rss = state[ROOT, i], state[RSS, i]
     # (A' - λB) α' = b' by LDLᵀ, eliminating the constant first: its pivot n is the largest.
     d1 = n[i] - eigenvalue
@@ -86,7 +86,7 @@ def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
     h = 1.0 + a * state[START_U, i] + b * state[START_V, i] + p * state[START_1, i]
     made = eigenvalue * h
     move = (rss - made) * made / (made * h + rss * (1.0 + a * a + b * b + c * c - h))
-    # Beyond A's smallest eigenvalue h begins again far below 0, and 1/h goes on as it came.
+    # Beyond A's smallest eigenvalue h begins again far below 0, and 1/h continues smoothly.
     below = (e_uu > 0.0) & (determinant > 0.0)
     beyond = (determinant < 0.0) & (h < 0.0)
     move = move if (d1 > 0.0) & (below | beyond) else math.nan
@@ -96,7 +96,7 @@ def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
     after = after if (low < after) & (after < high) else 0.5 * (low + high)
     found = (abs(move) <= PRECISION * eigenvalue) | (rss == 0.0)
     moves = (not found) & (low < after) & (after < high)
-    # Where nothing is left between the two, rounding is all that moves it, or there is no such eigenvector.
+    # Where nothing is left between the bounds, only rounding moves it, or there is no such eigenvector.
     stays = eigenvalue if found | (abs(move) <= ROUNDING * eigenvalue) else math.nan
     state[ROOT, i], state[LOW, i], state[HIGH, i] = after if moves else stays, low, high
     state[MOVES, i] = 1.0 if moves else 0.0
@@ -106,7 +106,7 @@ def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
 def smallest_eigenvectors(moments, reference, count, solution, eigenvalue):
     """Smallest eigenvalue λ and α of the eigenvector (α, -1) of many tiles at a time.
 
-    One that has converged stays where it is, so that its result does not depend on its neighbours.
+    A tile that has converged stays where it is, so that its result does not depend on its neighbours.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Segmentation: the frame in blocks of a few pixels, and in squares of 2x2, 4x4, ... blocks.
 
-The frame is read once; what comes out are the moments and the plane of each block and of each square.
+The frame is read once, for the moments and the plane of each block and of each square.
 """
 
 import numpy as np
@@ -12,16 +12,16 @@ from .segment_noise import through_lens
 
 # Pixels along a block's side.
 BLOCK = 4
-# Owner of a block: EMPTY where no pixel is measured; MIXED where regions have shares of it, or nobody has anything;
-# UNSEEN before the first round.
+# Owner of a block: EMPTY where no pixel is measured; MIXED where regions have shares of it, or nobody has any; UNSEEN
+# before the first round.
 EMPTY, MIXED, UNSEEN = -1, -2, -3
-# Blocks of a row that are worked on together.
+# Blocks of a row that are processed together.
 CHUNK = 84
 
 
 @kernel(inline=True)
 def inverse_of(value, lowest, highest, scale, offset, is_disparity):
-    """Inverse depth of a raw value, 0 where it is no measurement."""
+    """Inverse depth of a raw value, 0 if it is not a measurement."""
     valid = (value >= lowest) & (value <= highest)
     if is_disparity:
         return np.float32(scale * value + offset) if valid else np.float32(0.0)
@@ -52,7 +52,7 @@ def solve_squares(sums, count, rays, rss, slope_square):
 
 @kernel(inline=True)
 def fold(along, sums, count):
-    """Sums over blocks of sums over columns of pixels."""
+    """Add up sums over columns of pixels to sums over blocks."""
     for c in range(count):
         x = c * BLOCK
         sums[c] = (along[x] + along[x + 1]) + (along[x + 2] + along[x + 3])
@@ -60,7 +60,7 @@ def fold(along, sums, count):
 
 @kernel(inline=True)
 def add_columns(q, u, v, count, along):
-    """Moments of the columns of pixels, ``along`` (10, CHUNK·BLOCK), of ``count`` blocks beside each other."""
+    """Moments of the columns of pixels, ``along`` (10, CHUNK·BLOCK), of ``count`` adjacent blocks."""
     for x in range(count * BLOCK):
         n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
         for k in range(BLOCK):
@@ -83,7 +83,7 @@ def add_columns(q, u, v, count, along):
 
 @kernel(inline=True)
 def apart(values, count, columns):
-    """Put the first, second, ... columns of pixels of ``count`` blocks beside each other: (BLOCK·CHUNK,)."""
+    """Gather the first columns of pixels of ``count`` blocks, then the second ones, and so on: (BLOCK·CHUNK,)."""
     for c in range(count):
         x = c * BLOCK
         columns[c] = values[x]
@@ -94,9 +94,9 @@ def apart(values, count, columns):
 
 @kernel(inline=True)
 def add_separable(q, u, row_v, count, sums):
-    """Moments of blocks where tanθx, ``u``, is that of the column and tanθy, ``row_v`` (BLOCK,), that of the row.
+    """Moments of blocks where tanθx, ``u``, depends on the column alone and tanθy, ``row_v`` (BLOCK,), on the row.
 
-    ``q`` (BLOCK, BLOCK·CHUNK) and ``u`` have their columns as `apart` puts them; ``sums`` is (10, CHUNK).
+    ``q`` (BLOCK, BLOCK·CHUNK) and ``u`` have their columns in the order of `apart`; ``sums`` is (10, CHUNK).
     """
     for c in range(count):
         n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
@@ -128,8 +128,8 @@ def add_separable(q, u, row_v, count, sums):
 def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
     """Read the frame once: the inverse depth of every pixel, and moments and plane of every block.
 
-    The sums are added up down the image columns first, which runs along the rows and vectorises. Where tanθx
-    is the same down a column, it multiplies the column's sums.
+    Sums are first taken down the image columns, in loops along the rows, which vectorise. Where tanθx is the same down
+    a column, it multiplies the column's sums.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
 def sum_by_fours(pyramid, rays):
     """Moments and planes of squares of 2x2, 4x4, ... blocks: one level of the pyramid after another.
 
-    The lowest is that of `block_moments`.
+    The lowest is written by `block_moments`.
     """
     moments, rss, slope_square, offsets, shapes = pyramid
     sums = np.empty((10, CHUNK))

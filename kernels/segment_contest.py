@@ -1,11 +1,11 @@
 """Segmentation: the regions around a block contend for its pixels.
 
 Where two planes are far apart, the residual averaged over the pixel and its neighbours decides; where both fit
-within the noise, which is along the line in which they meet, the side of that line decides: it is the one thing
-there that is free of noise.
+within the noise, which is along the line in which they meet, the side of that line decides: it is the only thing there
+that is free of noise.
 
-Blocks with as many contenders are worked on together, LANES of them: one for each place in the processor's vectors,
-pixel by pixel. So there are no branches, which no processor could foresee.
+Blocks with equally many contenders are processed together, LANES of them: one for each lane of the processor's vectors,
+pixel by pixel. So there are no branches, which no processor could predict.
 """
 
 import math
@@ -16,18 +16,18 @@ from ._jit import kernel
 from .segment_blocks import BLOCK
 from .segment_moments import difference
 
-NEIGHBOURS = 9  # blocks, and so the regions that can contend for one
+NEIGHBOURS = 9  # blocks around a block, itself included, and so the regions that can contend for it
 PAIRS = NEIGHBOURS * (NEIGHBOURS - 1) // 2
 SIDE = BLOCK + 2  # of a block with the pixels around it
 AREA = SIDE * SIDE
-LANES = 64  # blocks that are worked on together
-ROOM = 4 * AREA + BLOCK * SIDE  # rows of `share_out`'s room
-NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel comes near to
+LANES = 64  # blocks that are processed together
+ROOM = 4 * AREA + BLOCK * SIDE  # rows of ``space`` in `share_out`
+NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel is near
 
 
 @kernel(inline=True)
 def place_of(a, listed, count):
-    """Where a region stands in a list of ``count``; ``count`` where it does not."""
+    """Index of a region in a list of ``count``, or ``count`` if it is not in it."""
     i = 0
     while i < count and listed[i] != a:
         i += 1
@@ -36,10 +36,10 @@ def place_of(a, listed, count):
 
 @kernel(inline=True)
 def contenders(region, row, column, centre_u, centre_v, candidate, centre):
-    """The regions in the 3x3 blocks around one, and where their blocks lie; returns how many.
+    """The regions in the 3x3 blocks around one, and where their blocks lie; returns their number.
 
-    ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, these with the sums of (u, v) of the
-    blocks' centres and the number of blocks.
+    ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, the latter with the sums of (u, v) of
+    the blocks' centres and the number of blocks.
     """
     rows, columns = region.shape
     count = 0
@@ -63,7 +63,7 @@ def contenders(region, row, column, centre_u, centre_v, candidate, centre):
 def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column, distance):
     """Whether no other contender comes near to region a's plane in a block, or only beyond where they meet.
 
-    Planes are farthest apart, and on one side of the line in which they meet, at the corners.
+    The corners decide: there planes are farthest apart, and on one side of the line in which they meet if all four are.
     """
     top, left = row * BLOCK, column * BLOCK
     bottom, right = min(top + BLOCK, tan_y.shape[0]) - 1, min(left + BLOCK, tan_x.shape[1]) - 1
@@ -88,7 +88,7 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
 
 @kernel(inline=True)
 def middle(k):
-    """Which pixel of a block with its rim is pixel ``k`` of the block."""
+    """Index of pixel ``k`` of a block within the block with its rim."""
     return (k // BLOCK + 1) * SIDE + k % BLOCK + 1
 
 
@@ -97,7 +97,7 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     """Copy q, tanθx and tanθy of a block and its rim to lane ``n``; outside the image nothing is measured.
 
     ``q``, ``u`` and ``v`` (AREA, LANES) float32 are written; of tanθx only the first row, and of tanθy the first
-    column, where others are alike: see `repeat_rays`.
+    column, where the others are the same: see `repeat_rays`.
     """
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
@@ -131,7 +131,7 @@ def repeat_rays(u, v):
 
 @kernel(inline=True)
 def line_between(a, b, alpha, centre, i, j):
-    """Where the planes of two contending regions meet between the regions.
+    """The line in which the planes of two contending regions meet, where it lies between the regions.
 
     Rows ``i`` and ``j`` of ``centre`` are those of `contenders`. Returns the line's coefficients, positive on b's side,
     or zeros where the planes do not meet between the two.
@@ -149,9 +149,9 @@ def line_between(a, b, alpha, centre, i, j):
 def misfits(q, u, v, plane, k, limit, square):
     """Squared residuals of blocks and their rims against the planes of contender ``k``, in variances.
 
-    To rows k·AREA and following of ``square``. They are cut off at ``limit``, so that pixels beyond a depth jump do not
-    outweigh the others, and 0 where nothing was measured. ``plane`` (4·NEIGHBOURS, LANES) has α and 1 over the standard
-    deviation of each contender.
+    They are written to rows k·AREA and following of ``square``, cut off at ``limit``, so that pixels beyond a depth
+    jump do not outweigh the others, and 0 where nothing was measured. ``plane`` (4·NEIGHBOURS, LANES) holds α and 1
+    over the standard deviation of each contender.
     """
     for p in range(AREA):
         for n in range(LANES):
@@ -162,9 +162,9 @@ def misfits(q, u, v, plane, k, limit, square):
 
 @kernel(inline=True)
 def sums_of_nine(values, first, sums, k, down):
-    """Sums of the 3x3 around every pixel of blocks, of which row ``first`` has the first of the rim.
+    """Sums over the 3x3 around every pixel of blocks, which are with their rims in ``values`` from row ``first`` on.
 
-    To rows k·BLOCK² and following of ``sums``; ``down`` (BLOCK·SIDE, LANES) is room to work in.
+    They are written to rows k·BLOCK² and following of ``sums``; ``down`` (BLOCK·SIDE, LANES) is room.
     """
     for p in range(BLOCK * SIDE):
         for n in range(LANES):
@@ -177,10 +177,10 @@ def sums_of_nine(values, first, sums, k, down):
 
 @kernel(inline=True)
 def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner):
-    """Let contender ``j`` contend with ``i`` for those pixels that this one has.
+    """Let contender ``j`` contend for the pixels that ``i`` holds.
 
-    The first BLOCK² rows of ``sums`` have the measured pixels around each, the next ones the sums of squares of the
-    first contender, and so on. ``winner`` (BLOCK², LANES) is changed.
+    The first BLOCK² rows of ``sums`` hold the number of measured pixels around each pixel, the next ones the sums of
+    squares of the first contender, and so on. ``winner`` (BLOCK², LANES) is changed.
     """
     for y in range(BLOCK):
         for x in range(BLOCK):
@@ -201,7 +201,7 @@ def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winn
 
 @kernel(inline=True)
 def take_rest(j, q, square, limit, winner):
-    """Let contender ``j`` have those pixels that are within its limit and that nobody has."""
+    """Give contender ``j`` the pixels within its limit that nobody has."""
     for k in range(BLOCK * BLOCK):
         p = middle(k)
         for n in range(LANES):
@@ -211,9 +211,10 @@ def take_rest(j, q, square, limit, winner):
 
 @kernel(inline=True)
 def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
-    """Sum up the pixels that contender ``k`` has, as those of `Shares`, and say which they are.
+    """Sum up the pixels that contender ``k`` has, as in `Shares`, and mark them.
 
-    To rows 11·k and following of ``owned``, and row k of ``pixels``. Squared residuals count as ``cut`` at most.
+    Written to rows 11·k and following of ``owned``, and row k of ``pixels``. Squared residuals count as ``cut`` at
+    most.
     """
     o = 11 * k
     for n in range(LANES):
@@ -243,7 +244,7 @@ def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
 
 @kernel(inline=True)
 def measured_pixels(q, pixels):
-    """Which pixels of the blocks are measured: to the last row of ``pixels``."""
+    """Write which pixels of the blocks are measured to the last row of ``pixels``."""
     for n in range(LANES):
         pixels[NEIGHBOURS, n] = 0
     for i in range(BLOCK * BLOCK):
@@ -256,18 +257,18 @@ def measured_pixels(q, pixels):
 def share_out(
     contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels
 ):
-    """Share out the pixels of LANES blocks among their contenders, of which each has ``contending``.
+    """Share out the pixels of LANES blocks among their contenders, of which each block has ``contending``.
 
     Parameters
     ----------
     space : (ROOM, LANES) float32
-        q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room to work in.
+        q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room.
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
-        α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` each two.
+        α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
     limit, close, cut : float32
         Squares of what `segment_pixels.own_pixels` calls ``reach``, ``close`` and ``cut``.
     square, sums, winner
-        Room to work in: see `misfits`, `sums_of_nine` and `contend`.
+        Room: see `misfits`, `sums_of_nine` and `contend`.
     owned, pixels : (11·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written
         See `sum_owned` and `measured_pixels`.
     """

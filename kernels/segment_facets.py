@@ -1,7 +1,7 @@
 """Segmentation: planes that are the facets of something round.
 
-The mesh of a cushion or the strips of a lamp's shade are planes to the last digit, but nobody would call them so.
-What tells them from the faces of a box: they meet at small angles, one after the other, bending the same way.
+The mesh of a cushion or the strips of a lamp's shade are planes to the last digit, but nobody would call them planes.
+Unlike the faces of a box, they meet at small angles, one after the other, bending the same way.
 """
 
 import math
@@ -14,15 +14,15 @@ from .segment_blocks import BLOCK
 from .segment_moments import difference, jump_at
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
-FACETS = 4  # planes that make something round: a ceiling between two slopes is three
+FACETS = 4  # planes that something round has at least: a ceiling between two slopes has three
 
 
 @kernel()
 def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     """How two regions that touch are bent against each other, if by less than ``blunt`` radians.
 
-    AWAY from the camera, as facets of a ball are, or TOWARDS it; STRAIGHT if their planes do not meet where the
-    regions touch, to a block, or at a larger angle.
+    AWAY from the camera, as facets of a ball are, or TOWARDS it; STRAIGHT if their planes do not meet within a block of
+    where the regions touch, or meet at a larger angle.
     """
     d_u, d_v, _ = difference(alpha, a, b)
     jump = jump_at(alpha, a, b, where)
@@ -33,7 +33,7 @@ def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     square_b = alpha[b, 0] ** 2 + alpha[b, 1] ** 2 + alpha[b, 2] ** 2
     if not along > math.cos(blunt) * math.sqrt(square_a * square_b):
         return STRAIGHT
-    # From a's middle to b's the plane of a comes nearer than that of b, or falls behind.
+    # From a's middle to b's, the plane of a comes nearer than that of b, or falls behind.
     nearer = d_u * (m_b[1] / m_b[0] - m_a[1] / m_a[0]) + d_v * (m_b[2] / m_b[0] - m_a[2] / m_a[0])
     return AWAY if nearer > 0.0 else TOWARDS
 
@@ -42,8 +42,8 @@ def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
 def turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members):
     """Mean squared angle of the normals of each group of regions about their mean, written at the group's root.
 
-    ``parent`` (N,) leads to the roots; ``turned`` (N,) is what the normals turn within each region. Also written:
-    ``pixels`` (N,) and ``members`` (N,) of each group.
+    ``parent`` (N,) leads to the roots; ``turned`` (N,) is the mean squared angle of the normals within each region.
+    Also written: ``pixels`` (N,) and ``members`` (N,) of each group.
     """
     regions = len(parent)
     normal = np.zeros((regions, 3))
@@ -68,11 +68,11 @@ def turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, m
 
 @kernel()
 def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, count, curved):
-    """Mark the facets of what is meant to be round, as a ball that a computer drew or a shade of strips.
+    """Mark the facets of what is meant to be round, such as a rendered ball or a lampshade of strips.
 
-    Planes that meet at less than ``blunt`` radians and bend the same way form groups. One is round if it has
-    FACETS or more, none of which is most of it, and turns by more than ``sharp`` radians, root mean square.
-    The other arguments are those of `segment_shape.find_curved`.
+    Planes that meet at less than ``blunt`` radians and bend the same way form groups. A group is round if it has FACETS
+    or more, none of which is half of it, and turns by more than ``sharp`` radians, root mean square. The other
+    arguments are those of `segment_shape.find_curved`.
     """
     pairs, where, _ = contacts
     regions = len(alpha)

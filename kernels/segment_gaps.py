@@ -1,8 +1,8 @@
-"""Segmentation: parts of one plane that a thin thing in front separates are one plane again.
+"""Segmentation: parts of one plane that something thin in front separates become one plane again.
 
 A lamp's pole cuts the wall behind it in two. The two halves are one plane if their moments agree that they are
-and nothing between them is farther away than the plane: through what is farther one would see that there is a gap
-in the wall itself.
+and nothing between them is farther away than the plane: anything farther would be seen through a gap in the wall
+itself.
 """
 
 import numpy as np
@@ -18,24 +18,25 @@ from .segment_runs import TOP, WHOLE
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
 FARTHEST = np.iinfo(np.int64).max  # a row or column after all others
-NO_RUN = np.int32(-1)  # label of none
-# Of each four bits, the first that is set and the one after the last.
+NO_RUN = np.int32(-1)  # label where there is no run
+# For any four bits, the first that is set, and the one after the last.
 FIRST = (0, 0, 1, 0, 2, 0, 1, 0, 3, 0, 1, 0, 2, 0, 1, 0)
 STOP = (0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4)
-OPEN = 0.1  # share of the rows or columns that may see through
+OPEN = 0.1  # share of the rows or columns that may be open
 
 
 @kernel(inline=True)
 def overlap(box, a, b, side):
-    """Rows of blocks, columns for ``side`` 1, that boxes a and b of `label_boxes` share; below 0 they are apart."""
+    """Rows of blocks, or columns for ``side`` 1, that boxes a and b of `label_boxes` share; below 0 if apart."""
     return min(box[a, 2 * side + 1], box[b, 2 * side + 1]) - max(box[a, 2 * side], box[b, 2 * side])
 
 
 @kernel(inline=True)
 def may_be_thin(box, a, b, side):
-    """Whether a gap between labels a and b may be longer than wide, along the rows or, ``side`` 1, the columns.
+    """Whether a gap between labels a and b may be longer than wide, along the rows or, for ``side`` 1, the columns.
 
-    No gap counts as thin that is wider than there are rows, or columns; none is narrower than between boxes.
+    A gap wider than the number of rows, or columns, that cross it is not thin; none is narrower than the distance of
+    the boxes.
     """
     widest, narrowest = BLOCK * overlap(box, a, b, side), -BLOCK * (overlap(box, a, b, 1 - side) + 1)
     return widest >= LEAST and narrowest <= widest
@@ -43,24 +44,24 @@ def may_be_thin(box, a, b, side):
 
 @kernel()
 def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
-    """Pairs of planes whose union is one plane as well, and that are near enough for a thin gap.
+    """Pairs of planes whose union is also one plane, and that are near enough for a thin gap.
 
     Parameters
     ----------
     moments, alpha, deviation : (N, 10), (N, 3), (N,) float64
         Moments and plane of each, and standard deviation of a pixel about it.
     box : (N + 1, 4) int64
-        Of `label_boxes`.
+        See `label_boxes`.
     floor, spread : float
-        Joining two may raise the sum of squared residuals by floor² n + spread variances; n are the smaller
-        one's pixels.
+        Joining two may raise the sum of squared residuals by floor² n + spread variances, n being the smaller one's
+        pixels.
     pairs : (K, 2) int64, written
         The first K of them, nearest labels first.
 
     Returns
     -------
     int
-        How many there are.
+        Number of pairs.
     """
     count = 0
     for a in range(len(moments)):
@@ -74,7 +75,7 @@ def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
             u, v = smaller[1] / smaller[0], smaller[2] / smaller[0]
             d_u, d_v, d_1 = difference(alpha, a, b)
             d = d_u * u + d_v * v + d_1
-            # The smaller one's pixels are nearly all of the rise: a quick way to say no.
+            # The smaller one's pixels make nearly all of the rise: a quick rejection.
             if not d * d <= 4.0 * allowed * variance:
                 continue
             if rise(moments, a, b) <= allowed * variance * smaller[0]:
@@ -102,7 +103,7 @@ def label_boxes(runs, box):
 
 @kernel(inline=True)
 def columns_in_row(k, y, runs, width):
-    """First column of a run's pixels in row ``y``, and the one after the last: the same if it has none there."""
+    """First column of a run's pixels in row ``y``, and the one after the last: equal if it has none there."""
     if runs.share[k] == WHOLE:
         return runs.start[k] * BLOCK, min(runs.stop[k] * BLOCK, width)
     four = (runs.pixels[k] >> np.int32(y % BLOCK * BLOCK)) & TOP
@@ -111,7 +112,7 @@ def columns_in_row(k, y, runs, width):
 
 @kernel(inline=True)
 def rows_in_column(k, row, x, runs, height):
-    """The same of its rows in column ``x``; it lies in row ``row`` of blocks."""
+    """First row of a run's pixels in column ``x``, and the one after the last; the run is in row ``row`` of blocks."""
     if runs.share[k] == WHOLE:
         return row * BLOCK, min(row * BLOCK + BLOCK, height)
     column = runs.pixels[k] >> np.int32(x % BLOCK)
@@ -132,8 +133,8 @@ def sees_through(inverse_depth, rays, alpha, reach, y, x):
 def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     """Gaps between labels a and b along the rows.
 
-    ``gaps`` (G,) int64 is written: how many gaps of 0, 1, 2, ... pixels one does not see through. Returns how many
-    one sees through, and does not. Unless told to ``look`` it takes it that one sees through none.
+    ``gaps`` (G,) int64 is written: the number of closed gaps, which cannot be seen through, of 0, 1, 2, ... pixels.
+    Returns the numbers of open and of closed gaps. Without ``look`` all are taken to be closed.
     """
     height, width = inverse_depth.shape
     closed = opened = 0
@@ -170,12 +171,12 @@ def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
 
 @kernel()
 def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
-    """The same along the columns."""
+    """Gaps between labels a and b along the columns, as `gaps_across` along the rows."""
     height, width = inverse_depth.shape
     closed = opened = 0
     gaps[:] = 0
     first, stop = max(box[a, 2], box[b, 2]), min(box[a, 3], box[b, 3])
-    # Row of pixels up to which each column has a, and b.
+    # For each column, the row of pixels up to which it has a, and b.
     last = np.full((2, (stop - first) * BLOCK), -1, np.int64)
     for row in range(min(box[a, 0], box[b, 0]), max(box[a, 1], box[b, 1])):
         for i in range(runs.first[row], runs.first[row + 1]):
@@ -204,7 +205,7 @@ def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
 
 @kernel()
 def is_thin(gaps, opened, closed):
-    """Whether a gap, of which `gaps_across` or `gaps_down` tells, is longer than wide and none to see through."""
+    """Whether a gap, as `gaps_across` or `gaps_down` gives it, is longer than wide and cannot be seen through."""
     if opened > OPEN * (opened + closed):
         return False
     crossed = 0
@@ -217,7 +218,7 @@ def is_thin(gaps, opened, closed):
 
 @kernel()
 def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent):
-    """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first that each goes with.
+    """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first plane that each is united with.
 
     Parameters
     ----------
@@ -231,7 +232,7 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, 
         a, b = pairs[k]
         if root_of(parent, a) == root_of(parent, b):
             continue
-        reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this one sees through the gap
+        reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this is seen through the gap
         thin = False
         for side in range(2):
             if thin or not may_be_thin(box, a + 1, b + 1, side):
@@ -258,11 +259,11 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, 
 
 @kernel()
 def join_planes(parent, number, moments, alpha, rss, deviation):
-    """Make one plane of those that have one parent; returns how many are left.
+    """Make one plane of those that have the same parent; returns how many planes are left.
 
-    ``parent`` (N,) int64 is of `join_across` and overwritten; ``number`` (P,) int32, a part's plane from 1 on or 0,
-    becomes that of the joined ones; ``moments`` (N, 10), ``alpha`` (N, 3), ``rss`` and ``deviation`` (N,) keep theirs
-    in their first rows.
+    ``parent`` (N,) int64 comes from `join_across` and is overwritten; ``number`` (P,) int32, a part's plane from 1 on
+    or 0, becomes that of the joined planes; ``moments`` (N, 10), ``alpha`` (N, 3), ``rss`` and ``deviation`` (N,) hold
+    those of the joined planes in their first rows.
     """
     count = 0
     for a in range(len(parent)):

@@ -1,7 +1,7 @@
 """Segmentation: squares that are surely one plane grow together, before regions are weighed against each other.
 
-What `segment_merge` then has to weigh, best pairs first, are hundreds of regions for thousands of squares. Which of
-two planes takes a square that fits both is not decided here: such a square adds more than is sure.
+`segment_merge` then has to weigh hundreds of regions, best pairs first, instead of thousands of squares. Which of two
+planes takes a square that fits both is not decided here: such a square adds more than is sure.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from .disjoint_sets import root_of
 from .segment_merge import describe
 from .segment_moments import residual_of_two
 
-# The block to the right, and the one below.
+# Steps to the block on the right, and to the one below.
 DOWN, RIGHT = (0, 1), (1, 0)
 
 
@@ -20,7 +20,7 @@ def grow_together(region, moments, noise, rules, parent):
     """Join regions that touch, one pair after the other along the rows of blocks.
 
     Two regions of together at most ``most`` pixels are joined if that raises the sum of squared residuals by no more
-    than the share ``sure`` of what `segment_merge.merge` allows at last.
+    than the share ``sure`` of what `segment_merge.merge` allows in the end.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def grow_together(region, moments, noise, rules, parent):
     for a in range(regions):
         parent[a] = a
     most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
-    last_a = np.full(len(DOWN), -1, np.int64)  # the pair that was last refused, on each side
+    last_a = np.full(len(DOWN), -1, np.int64)  # the last pair refused, in each direction
     last_b = np.full(len(DOWN), -1, np.int64)
     for row in range(rows):
         for column in range(columns):

@@ -1,8 +1,8 @@
 """Segmentation: the pixels that are surely their plane's own.
 
-Along its edge each pixel went to the plane that it fits. So a plane gets some of its neighbour's there and loses some
-of its own, and a sensor's pixel may see both: that shifts planes by more than noise does. In the end they are
-fitted to the pixels whose neighbours are theirs, too.
+Along an edge each pixel went to the plane that it fits. So a plane gains some of its neighbour's pixels there and loses
+some of its own, and a sensor's pixel may see both: that shifts planes by more than noise does. In the end planes are
+fitted to the pixels whose neighbours are also theirs.
 """
 
 import numpy as np
@@ -11,20 +11,20 @@ from ._jit import kernel
 from .copying import copy
 from .segment_moments import add, ray_of, residual
 
-# Where a label cannot be: beyond the frame, and where nothing is measured.
+# In place of a label: beyond the frame, and where nothing is measured.
 BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
-# Flags that are looked at together.
+# Flags that are tested together.
 WORD = 8
-# The least share of a plane's pixels that it is fitted to.
+# Smallest share of its pixels that a plane is fitted to.
 ENOUGH = 0.5
 
 
 @kernel()
 def find_edges(label, inverse_depth, y, most, least, edge):
-    """Mark the pixels of row ``y`` that have a label, and beside them a measured one that has another, or none.
+    """Mark the labelled pixels of row ``y`` that have a measured neighbour with another label, or none.
 
-    ``most`` and ``least`` (W + 2,) int32 are room to work in, their first and last BELOW and ABOVE; ``edge`` (W,)
-    bool is written.
+    ``most`` and ``least`` (W + 2,) int32 are room, whose first and last entries are BELOW and ABOVE; ``edge`` (W,) bool
+    is written.
     """
     height, width = label.shape
     above, below = max(y - 1, 0), min(y + 1, height - 1)
@@ -43,7 +43,7 @@ def find_edges(label, inverse_depth, y, most, least, edge):
 
 @kernel()
 def inside_moments(label, inverse_depth, rays, moments, inside):
-    """Moments of the pixels of each label whose eight neighbours have it, but for those that are not measured.
+    """Moments of the pixels of each label whose eight neighbours, as far as they are measured, have it too.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     moments : (N, 10) float64
         Of all pixels of labels 1..N.
     inside : (N, 10) float64, written
-        ``moments`` again, where too few would be left, or such as determine no plane.
+        ``moments`` again, where too few pixels would be left, or they would determine no plane.
     """
     height, width = label.shape
     most, least = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)

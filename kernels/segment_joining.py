@@ -22,13 +22,13 @@ def join_blocks(pyramid, noise, rules, sensor, state):
         which counts ``steep_block`` times (a block across a depth jump looks steep, too). Four are one plane if
         joining them adds at most ``square_floor``² variances per pixel, plus ``square_spread``.
     sensor : (R·C,) float64, written
-        Of each block: see `segment_noise.sensor_variance`.
+        For each block: see `segment_noise.sensor_variance`.
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """
     moments, rss, slope_square, offsets, shapes = pyramid
     lateral_variance = noise.lateral_variance
-    # Rows of their own: what is asked of one by two indices the compiler takes for scattered.
+    # Rows of their own: reads by two indices look scattered to the compiler.
     pixels, sum_q = moments[0], moments[3]
     variance = np.empty(len(rss))
     sensor_variances(pixels, sum_q, noise.sigma, variance)
@@ -68,8 +68,8 @@ def leaves(pyramid, state, region, owner, region_moments):
     """Number the largest planar node over each planar block, in the order of their first blocks.
 
     ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
-    pixels; ``owner`` (R, C) int32 is written: EMPTY or UNSEEN; ``region_moments`` (R·C, 10) is written.
-    Returns how many there are.
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or UNSEEN; ``region_moments`` (R·C, 10) is written. Returns the
+    number of nodes.
     """
     moments, _, _, offsets, shapes = pyramid
     pixels, levels = moments[0], shapes.shape[0]

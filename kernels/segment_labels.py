@@ -1,4 +1,4 @@
-"""Segmentation: the label of every pixel, and why it has none."""
+"""Segmentation: the label of every pixel, or why it has none."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ COMPANY = 3
 
 @kernel()
 def label_runs(runs, number):
-    """Give each run the label that ``number`` (P,) int32 says its part has."""
+    """Give each run the label of its part, from ``number`` (P,) int32."""
     for i in range(runs.first[-1]):
         runs.label[i] = number[runs.part[i]]
 
@@ -28,23 +28,23 @@ def write_labels(
     runs : Runs
         With their final labels, 0 for none.
     why : (P,) uint8
-        Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are those of the other pixels.
+        Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are the other pixels' reasons.
     stray : (P,) bool
         Parts without a label whose pixels are loose.
     loose, loose_count
-        Of `segment_runs.find_runs`; those pixels are added.
+        From `segment_runs.find_runs`; the pixels of those parts are added.
     label, reason : (H, W) int32 and uint8, written
 
     Returns
     -------
     int
-        How many loose pixels there are.
+        Number of loose pixels.
     """
     row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
     run_label, part, run_pixels = runs.label, runs.part, runs.pixels
     height, width = label.shape
     labels, reasons, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
-    # What a row of pixels has of whole blocks: missing pixels aside, the next rows have the same.
+    # Labels and reasons of whole blocks in a row of pixels: missing pixels aside, the blocks' other rows have the same.
     line_label = np.empty(-(-width // BLOCK) * BLOCK, np.int32)
     line_reason = np.empty(len(line_label), np.uint8)
     for row in range(len(row_runs) - 1):
@@ -90,7 +90,10 @@ def write_labels(
 
 @kernel()
 def is_lone(labels, inverse_depth, here, a):
-    """Whether hardly a pixel around one of label ``a`` has its label, and most have not; ``labels`` is (H·W,)."""
+    """Whether at most COMPANY of the measured 3x3 pixels share label ``a``, and no more than do not.
+
+    ``labels`` is (H·W,).
+    """
     height, width = inverse_depth.shape
     same = others = 0
     y, x = here // width, here % width
@@ -105,9 +108,9 @@ def is_lone(labels, inverse_depth, here, a):
 
 @kernel(inline=True)
 def label_around(a, b, c, d, e, f, g, h, needed):
-    """The label that so many of eight have, more than half; or 0."""
+    """The label that at least ``needed`` of eight have, more than half of them; or 0."""
     found = np.int32(0)
-    for k in range(4):  # more than half of eight must hold one of the first four
+    for k in range(4):  # more than half of eight must include one of the first four
         own = a if k == 0 else b if k == 1 else c if k == 2 else d
         n = (
             np.int32(a == own) + np.int32(b == own) + np.int32(c == own) + np.int32(d == own)
@@ -121,7 +124,7 @@ def label_around(a, b, c, d, e, f, g, h, needed):
 def settle_strays(
     runs, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes
 ):  # fmt: skip
-    """Take the label from pixels that stand alone, and let loose ones go with those around them.
+    """Take the label from pixels that stand alone, and give loose ones the label of those around them.
 
     Parameters
     ----------
@@ -131,16 +134,16 @@ def settle_strays(
     unclaimed : uint8
         Reason of pixels that lose their label.
     least : int
-        Pixels that a label keeps.
+        Pixels that a label keeps at least.
     needed : int
-        A loose pixel goes with a label that so many or more of its eight neighbours have.
+        A loose pixel takes a label that at least so many of its eight neighbours have.
     loose, loose_count
-        Of `write_labels`; those that lose their label are added.
+        From `write_labels`; pixels that lose their label are added.
     label, reason : (H, W) int32 and uint8, changed
     sizes : (N + 1,) int32, changed
         Pixels of each label.
     """
-    # By one index: pixels are many, and dividing for two of them takes most of the time.
+    # By one index: there are many pixels, and dividing for two indices would take most of the time.
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
     row_runs, run_start, run_share, run_label = runs.first, runs.start, runs.share, runs.label
     run_pixels = runs.pixels
@@ -159,7 +162,8 @@ def settle_strays(
                 here = corner + p // BLOCK * width + p % BLOCK
                 same = 0
                 if width < here < len(labels) - width - 1:
-                    # Beyond the left or the right end of the image is the other one: so much the less alone.
+                    # Beyond the left or right end of the image this reads the other end, and so can only find more
+                    # company.
                     for k in range(3):
                         line = here + (k - 1) * width
                         for x in range(line - 1, line + 2):

@@ -2,9 +2,9 @@
 
 Joining regions a and b raises the sum of squared residuals by Δ = RSS(a ∪ b) - RSS(a) - RSS(b), which the
 moments give exactly. Were the noise independent, Δ/σ² would follow χ²(3); real noise is correlated and has a
-systematic part, so Δ is measured against the pixels of the smaller region: a bend of so many standard
-deviations is still one plane. Pairs that are each other's best join in every round, best first in effect,
-and small regions join the large one that they fit best; so do those that even independent noise would explain.
+systematic part, so Δ is measured against the pixels of the smaller region: a bend of up to some standard deviations is
+still one plane. Pairs that are each other's best join in every round, best first in effect, and small regions join the
+large one that they fit best; so do pairs that even independent noise would explain.
 """
 
 import numpy as np
@@ -15,14 +15,15 @@ from .disjoint_sets import root_of
 from .segment_moments import difference, fit, rise, solve
 from .segment_noise import sensor_variance, variance, waviness
 
-# A region this many times larger than its neighbour takes in several such at a time.
+# A region this many times larger than its neighbour takes in several of them at a time.
 MUCH_LARGER = 4.0
-# Pairs that are looked at together, which the processor's vectors do.
+# Pairs that are processed together, by the processor's vectors.
 TOGETHER = 64
-# Variances by which joining two halves of one plane raises the sum of squared residuals in 95 cases of 100: χ²(3).
+# Variances by which joining two halves of one plane raises the sum of squared residuals at most, in 95 cases of 100:
+# χ²(3).
 CHANCE = 7.8
 FEW_SLOTS = 1 << 12
-# Flags that are looked at together.
+# Flags that are tested together.
 WORD = 8
 # Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
 DOWN, RIGHT = (0, 1, 1, 1), (1, 0, 1, -1)
@@ -42,7 +43,7 @@ def row_of(a, b, pairs, count, table):
     """The row of a pair of regions among the first ``count``, or ``count`` if it is none of them.
 
     ``pairs[row]`` is a, b and the slot of ``table`` (2^k,) int32 that says ``row``; for a new pair that slot is
-    written to ``pairs[count]``. What earlier lists of pairs left in the table does no harm: no row names it.
+    written to ``pairs[count]``. Slots that earlier lists of pairs left in the table do no harm: no row names them.
     """
     mask = np.uint64(len(table) - 1)
     slot = np.int64(scrambled(np.int64(a) * 0x100000001 + b) & mask)
@@ -59,7 +60,7 @@ def row_of(a, b, pairs, count, table):
 
 @kernel()
 def neighbours(region, rays, contacts):
-    """Write the pairs of different regions that blocks side by side or corner to corner have.
+    """Write the pairs of different regions whose blocks lie side by side or corner to corner.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def neighbours(region, rays, contacts):
     centre_u, centre_v = rays.centre_u, rays.centre_v
     pairs, where, table = contacts
     rows, columns = region.shape
-    # With a rim of no regions: a block's neighbours, and theirs, are there without looking where the frame ends.
+    # With a rim of no regions: a block's neighbours, and theirs, can be read without asking where the frame ends.
     around = np.full((rows + 2, columns + 4), np.int32(-1))
     for row in range(rows):
         copy(region[row], around[row, 2 : columns + 2])
@@ -85,7 +86,7 @@ def neighbours(region, rays, contacts):
         -(-columns // WORD) * WORD, np.bool_
     )  # blocks of a row beside which there is another region
     words = differs.view(np.uint64)
-    slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: what is small stays in the cache
+    slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: a small one stays in the cache
     count = 0
     for row in range(rows):
         own, below, beyond = around[row], around[row + 1], around[row + 2]
@@ -148,7 +149,7 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     pairs, where = contacts.pairs, contacts.where
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
-    # Joint moments; smaller, touch, step, rss, variance, squared waviness; what comes out.
+    # Joint moments; smaller, touch, step, rss, variance, squared waviness; the result.
     m = np.empty((18, TOGETHER))
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)
@@ -179,9 +180,9 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 
 @kernel()
 def describe(moments, chosen, noise, described):
-    """Plane, residual, variance of a pixel and squared waviness of ``chosen`` regions: to ``described``, in this order.
+    """Write the plane, residual, variance of a pixel and squared waviness of regions to ``described``, in this order.
 
-    ``chosen`` is (N,) bool.
+    Of those that are ``chosen``, (N,) bool.
     """
     sigma, x, y = noise.sigma, noise.lateral_variance_x, noise.lateral_variance_y
     lens, growth = noise.lens, noise.growth
@@ -219,7 +220,7 @@ def find_best(pairs, cost, agreeing, best, least):
 
 @kernel()
 def contract(contacts, count, parent, changed):
-    """Make the pairs of regions pairs of what these have become; returns how many are left.
+    """Replace the regions of all pairs by what they have become; returns how many pairs are left.
 
     Parameters
     ----------
@@ -231,7 +232,7 @@ def contract(contacts, count, parent, changed):
         Whether another one went into it since the pairs were last contracted.
     """
     pairs, where, table = contacts
-    slots = table[:]  # no more than the pairs need: what is small stays in the cache
+    slots = table[:]  # no more than the pairs need: a small one stays in the cache
     while len(slots) >= 4 * count and len(slots) > 2:
         slots = slots[: len(slots) // 2]
     kept = 0
@@ -239,7 +240,7 @@ def contract(contacts, count, parent, changed):
         a, b = root_of(parent, pairs[i, 0]), root_of(parent, pairs[i, 1])
         if a == b:
             continue
-        # Pairs that disagree stay: one of the two may change yet.
+        # Pairs that disagree stay: one of the two may still change.
         pairs[kept, 2] = -1
         if changed[a] or changed[b]:
             a, b = min(a, b), max(a, b)
@@ -265,22 +266,22 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     moments : (N, 10) float64
         Of each region; the moments of a joined region are written to the row that ``parent`` names.
     contacts, count
-        Of `neighbours`; they are overwritten.
+        From `neighbours`; they are overwritten.
     noise : Noise
     rules : Rules
         A pair agrees if Δ is at most σ² (floor² · waviness² · n + spread), and the jump at most about
         jump · waviness · σ; n is the smaller region's pixels, the waviness is its own, and σ² the smaller of the two
-        variances. In place of both floor · waviness and jump · waviness is crest times the larger region's waviness,
-        if that is more.
+        variances. Where crest times the larger region's waviness is more, it takes the place of floor · waviness and
+        jump · waviness.
     tolerance : float
-        What ``region_floor``, ``region_jump`` and ``region_crest`` are multiplied by.
+        Factor on ``region_floor``, ``region_jump`` and ``region_crest``.
     parent : (N,) int64, written
         The region that each one went into.
 
     Returns
     -------
     int
-        Number of pairs that are left in ``contacts``, of regions that others have gone into.
+        Number of pairs left in ``contacts``, of the regions that the others went into.
     """
     regions = moments.shape[0]
     cost = np.empty(count)
@@ -314,7 +315,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
             # Each other's best; or the best of a region too small to change the larger one much.
             mutual = best[a] == i or moments[a, 0] >= MUCH_LARGER * moments[b, 0]
             if not mutual or changed[b] or parent[a] != a:
-                # Or what only chance tells apart, as they are now: one or both have been joined with others.
+                # Or they differ only by chance, as they are now: one or both have been joined with others.
                 a = root_of(parent, a)
                 if a == b or rise(moments, a, b) > CHANCE * min(variances[a], variances[b]):
                     continue
@@ -334,9 +335,9 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
 
 @kernel()
 def keep_pairs_inside(contacts, parent, chosen):
-    """Keep the pairs whose two lie in one chosen region; returns how many.
+    """Keep the pairs of which both lie in the same chosen region; returns how many.
 
-    ``parent`` (N,) is the region of each, ``chosen`` (N,) bool is read at the regions.
+    ``parent`` (N,) is the region that each lies in, ``chosen`` (N,) bool is that of these regions.
     """
     pairs, where, _ = contacts
     kept = 0
@@ -378,14 +379,14 @@ def number_regions(parent, moments, least, number):
         The region that each one went into.
     moments : (N, 10) float64
     least : float
-        Regions of fewer pixels are given up.
+        Regions of fewer pixels are dropped.
     number : (N,) int64, written
         New number of each old region, or -1.
 
-    Returns
-    -------
-    int
-        How many there are.
+        Returns
+        -------
+        int
+            Number of regions left.
     """
     count = 0
     for i in range(len(parent)):
@@ -402,9 +403,9 @@ def number_regions(parent, moments, least, number):
 
 @kernel()
 def rename_pairs(pairs, count, number):
-    """Give the regions of the first ``count`` pairs their new ``number`` (N,); whether all have one.
+    """Give the regions of the first ``count`` pairs their new ``number`` (N,); returns whether all have one.
 
-    What touches whom is another matter where a region is given up: one looks across its blocks then.
+    If a region is dropped, contacts change, since `neighbours` looks across its blocks.
     """
     kept = True
     for a in range(len(number)):
@@ -417,7 +418,7 @@ def rename_pairs(pairs, count, number):
 
 @kernel()
 def renumber(region, number):
-    """Give the blocks of regions, (R, C) int32, their new ``number`` (N,); none stays -1."""
+    """Give the blocks of regions, (R, C) int32, their new ``number`` (N,); -1, no region, stays."""
     same = True
     for a in range(len(number)):
         same &= number[a] == a

@@ -12,7 +12,8 @@ import numpy as np
 
 from ._jit import kernel
 
-# Where 1 less the squared correlation of u and v is no more than this, or one of them is constant, pixels are a line.
+# Where 1 less the squared correlation of u and v is no more than this, or one of them is constant, pixels lie on a
+# line.
 COLLINEAR = 1e-6
 
 
@@ -47,7 +48,7 @@ def residual(m):
 
 @kernel(inline=True)
 def residual_of_two(moments, a, b):
-    """That of the plane of what rows ``a`` and ``b`` of moments have together."""
+    """Sum of squared residuals of one plane fitted to rows ``a`` and ``b`` of moments; -1 where there is none."""
     return solve(
         moments[a, 0] + moments[b, 0], moments[a, 1] + moments[b, 1], moments[a, 2] + moments[b, 2],
         moments[a, 3] + moments[b, 3], moments[a, 4] + moments[b, 4], moments[a, 5] + moments[b, 5],
@@ -58,7 +59,7 @@ def residual_of_two(moments, a, b):
 
 @kernel(inline=True)
 def residual_of(moments, a):
-    """That of row ``a`` of moments."""
+    """Sum of squared residuals of the plane fitted to row ``a`` of moments; -1 where there is none."""
     return solve(
         moments[a, 0], moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4], moments[a, 5], moments[a, 6],
         moments[a, 7], moments[a, 8], moments[a, 9],
@@ -67,13 +68,13 @@ def residual_of(moments, a):
 
 @kernel(inline=True)
 def rise(moments, a, b):
-    """How much larger it is for what rows ``a`` and ``b`` have together than for the two apart."""
+    """By how much the sum of squared residuals is larger for rows ``a`` and ``b`` together than for the two apart."""
     return residual_of_two(moments, a, b) - residual_of(moments, a) - residual_of(moments, b)
 
 
 @kernel(inline=True)
 def fit(m, alpha):
-    """Write α of the plane fitted to moments; the sum of squared residuals. Both as `solve`."""
+    """Write α of the plane fitted to moments; returns the sum of squared residuals. Both as in `solve`."""
     rss, alpha[0], alpha[1], alpha[2] = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
     return rss
 
@@ -86,7 +87,7 @@ def difference(alpha, a, b):
 
 @kernel(inline=True)
 def jump_at(alpha, a, b, where):
-    """By how much the one's inverse depth is larger where two regions touch: ``where`` is that of their `Contacts`."""
+    """By how much region a's inverse depth is larger where it touches b: ``where`` is that of their `Contacts`."""
     d_u, d_v, d_1 = difference(alpha, a, b)
     return (d_u * where[1] + d_v * where[2]) / where[0] + d_1
 
@@ -112,10 +113,10 @@ def misfit(m, i, alpha, region):
 
 @kernel(inline=True)
 def rows_of(moments, first, part):
-    """Five rows of moments, from the ``first`` on, each a part of its own.
+    """Columns ``part`` of five rows of moments, from the ``first`` on, each an array of its own.
 
-    What is asked of a row by its own index, and not of the whole array by two, costs the processor's vectors a
-    quarter: those of the whole may count from the end.
+    Reading a row by one index takes the processor's vectors a quarter of the time of reading the whole array by two,
+    which may count from the end.
     """
     return (
         moments[first, part], moments[first + 1, part], moments[first + 2, part], moments[first + 3, part],
@@ -126,7 +127,7 @@ def rows_of(moments, first, part):
 @kernel(inline=True)
 def add(m, u, v, q):
     """Add a pixel to moments."""
-    q = np.float64(q)  # the square of a single has the digits of a single
+    q = np.float64(q)  # the square of a single-precision number has single precision
     m[0] += 1.0
     m[1] += u
     m[2] += v

@@ -11,8 +11,8 @@ from ._jit import kernel
 def sensor_variance(q, sigma):
     """Variance of an inverse depth.
 
-    ``sigma`` holds the step of a table and then the standard deviation at q = 0, step, 2 step, ...; between
-    the entries it is linear, beyond the last it is the last.
+    ``sigma`` holds the step of a table and then the standard deviation at q = 0, step, 2 step, ...; it is linear
+    between the entries and constant beyond the last.
     """
     position = min(q / sigma[0], sigma.shape[0] - 2.0)
     i = min(int(position), sigma.shape[0] - 3)
@@ -23,13 +23,13 @@ def sensor_variance(q, sigma):
 
 @kernel(inline=True)
 def expected_variance(q, sigma):
-    """Variance of an inverse depth by `sensor_variance`; 1 where ``sigma`` is empty: not known."""
+    """Variance of an inverse depth by `sensor_variance`; 1 where ``sigma`` is empty, that is unknown."""
     return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
 
 
 @kernel()
 def sensor_variances(pixels, sum_q, sigma, variance):
-    """That of the mean of squares of so many ``pixels`` and this sum of inverse depths, (T,) each, to ``variance``."""
+    """Write `sensor_variance` at the mean inverse depth of squares, from ``pixels`` and ``sum_q``, (T,) each."""
     last, scale = sigma.shape[0] - 2.0, 1.0 / sigma[0]
     for i in range(len(variance)):
         position = min(sum_q[i] / max(pixels[i], 1.0) * scale, last)
@@ -41,7 +41,7 @@ def sensor_variances(pixels, sum_q, sigma, variance):
 
 @kernel(inline=True)
 def waviness(pixels, growth):
-    """How much larger noise is over a region of so many pixels than over 8x8: correlated noise grows.
+    """By what factor noise is larger over a region of ``pixels`` than over 8x8: correlated noise grows.
 
     ``growth`` holds the ratio for squares of 8, 16, 32, ... pixels; in between it follows log2 of the side.
     """
@@ -53,9 +53,9 @@ def waviness(pixels, growth):
 
 @kernel(inline=True)
 def at_angle(square, lens):
-    """What a lens stretches a pixel by, squared, across the radius, and by how many times ρ² more along it.
+    """Squared factor by which a lens stretches a pixel across the radius, and how much more, in ρ², along it.
 
-    ``square`` is ρ², tan² of the angle off the axis; ``lens`` (2, K) has both by ρ / (1 + ρ), from 0 to 1.
+    ``square`` is ρ², tan² of the angle off the axis; ``lens`` (2, K) tabulates both by ρ / (1 + ρ), from 0 to 1.
     """
     radius = math.sqrt(square)
     position = radius / (1.0 + radius) * (lens.shape[1] - 1.0)
@@ -68,7 +68,7 @@ def at_angle(square, lens):
 
 @kernel(inline=True)
 def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
-    """Variance x·a² + y·b² that slopes a and b make, where a lens makes the rays of n pixels differ."""
+    """Variance x·a² + y·b² that slopes a and b make, over n pixels seen through a lens."""
     share = 1.0 / max(n, 1.0)
     across, along = at_angle((s_uu + s_vv) * share, lens)
     of_radius = (a * a * s_uu + 2.0 * a * b * s_uv + b * b * s_vv) * share
@@ -77,14 +77,14 @@ def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
 
 @kernel(inline=True)
 def stretch_at(square, lens):
-    """What a lens stretches a pixel by, squared, at ``square`` of `at_angle`: the mean across and along the radius."""
+    """Squared factor by which a lens stretches a pixel, the mean across and along the radius: see `at_angle`."""
     across, along = at_angle(square, lens)
     return across + 0.5 * along * square
 
 
 @kernel(inline=True)
 def stretch_of(m, lens):
-    """That of pixels of moments ``m``; 1 without a lens."""
+    """`stretch_at` for pixels of moments ``m``; 1 without a lens."""
     stretch = 1.0
     if lens.shape[1] > 0:
         stretch = stretch_at((m[4] + m[7]) / max(m[0], 1.0), lens)
@@ -93,7 +93,7 @@ def stretch_of(m, lens):
 
 @kernel()
 def stretches(u, v, lens, stretch):
-    """That of pixels that look at (u, v), (R, C) float64 each; ``stretch`` (R, C) is written."""
+    """Write `stretch_at` for pixels that look at (u, v), (R, C) float64 each, to ``stretch`` (R, C)."""
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
             stretch[row, column] = stretch_at(u[row, column] ** 2 + v[row, column] ** 2, lens)
@@ -130,5 +130,5 @@ def in_square(sensor, planes, a, i):
 
 @kernel(inline=True)
 def about_plane(sensor, planes, a):
-    """The same of a pixel of the region, on the whole."""
+    """Variance as of `in_square`, for a pixel anywhere in the region."""
     return (sensor + planes.slope_variance[a] * planes.stretch[a]) * planes.waviness_square[a]

@@ -1,4 +1,4 @@
-"""Segmentation: what the squares of a frame tell of its noise.
+"""Segmentation: what the squares of a frame tell about its noise.
 
 Most squares of most frames hold one surface, so a low quantile of their residuals is noise.
 """
@@ -15,41 +15,41 @@ from .segment_noise import expected_variance
 from .segment_reach import FEWEST, FLAT, FULL, go_together
 from .segment_records import Pyramid
 
-# Blocks of 4 pixels where there are not so many: the smallest plane has as many. Of more the frame is not small, but
-# what is measured is sparse.
+# Numbers of blocks of 4 pixels that are enough where larger squares are too few: the smallest plane has as many as the
+# first. With more than MOST_BLOCKS the frame is not small but sparse.
 FEWEST_BLOCKS, MOST_BLOCKS = 4, 160
-MIXTURE = 0.5  # residual, as a share of the mean inverse depth, of a square of what is near and what is far
+MIXTURE = 0.5  # residual, as a share of the mean inverse depth, of a square of near and far things
 SOLID = 2  # level of the squares that are too large to be a speck
 LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
-# Where the second is so many times the first, it is that of edges or outliers, of which more squares are full than is
-# usual: of real sensors it is 1.2 to 2.1 times. Lower quantiles tell then, unless they are of no noise at all.
+# If the TYPICAL quantile exceeds LEAP times the LOW one (sensors: 1.2 to 2.1), edges or outliers fill the squares, and
+# lower quantiles are used, down to LOWEST, unless these show no noise at all: NOTHING times less.
 LEAP, NOTHING, LOWEST = 4.0, 1e6, 0.05
 STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
 MOST_GROWTH = 8.0
-# Where things are small, or the frame is, hardly a large square holds one surface, and edges would pass for noise that
-# grows. So many squares of 16 pixels must there be to tell of it at all.
+# Where things are small, or the frame is, hardly any large square holds one surface, and edges would pass for noise
+# that grows. There must be so many squares of 16 pixels to say anything about growth.
 FEWEST_GROWN = 40
-# What squares of 32 pixels add to the variance of those of 8 is at most so many times what those of 16 add: sensors'
-# errors add up to 8.5 times as much, and most of them up to 3.8, which is the most where the squares are few.
+# Squares of 32 pixels add to the variance of those of 8 at most so many times as much as those of 16 do: sensors'
+# errors add up to 8.5 times as much, and most of them up to 3.8, which sets the limit where there are few squares.
 MOST_STEEPENING = 9.0
 FEW, MOST_OF_FEW = 100, 4.0
-# Share of the squares of a size: where fewer are clean, the low quantile of all is that of edges and outliers.
+# If a smaller share of the squares of a size is clean, the low quantile of all is that of edges and outliers.
 FEW_CLEAN = 0.25
-# Variance, as a share of the squared mean, up to which measurements are all the same, but for the rounding of sums.
+# Variance, as a share of the squared mean, up to which measurements are all the same, apart from the rounding of sums.
 CONSTANT = 1e-12
-# Share of the squares that are not constant: where fewer vary in each of their quarters, of which a straight edge
-# crosses three at most, these have corners in them.
+# If a smaller share of the squares that are not constant varies in each of their quarters, of which a straight edge
+# crosses at most three, these have corners in them.
 FEWEST_VARIED = 0.1
 
 
 @kernel()
 def nearest_surface(pyramid, nearest):
-    """The largest inverse depth of a surface, with some to spare; ``nearest`` is that of any pixel.
+    """The largest inverse depth of a surface, with a margin; ``nearest`` is that of any pixel.
 
-    Some sensors have pixels that are near without anything there: a single one at a millimetre is a thousand
-    times as near as the rest.
+    Some sensors have near pixels where there is nothing: a single one at a millimetre is a thousand times as near as
+    the rest.
     """
     moments, rss, offsets = pyramid.moments, pyramid.rss, pyramid.offsets
     for level in range(SOLID, -1, -1):  # smaller ones where no such square holds a surface
@@ -57,7 +57,7 @@ def nearest_surface(pyramid, nearest):
         largest = 0.0
         for i in range(offsets[level], offsets[level + 1]):
             n, sum_q = moments[0, i], moments[3, i]
-            # Of a square with such a pixel in it the mean says nothing.
+            # The mean of a square with such a pixel in it says nothing.
             if n >= least and n * rss[i] < (MIXTURE * sum_q) ** 2:
                 largest = max(largest, sum_q / n)
         if largest > 0.0:
@@ -67,18 +67,18 @@ def nearest_surface(pyramid, nearest):
 
 @kernel(inline=True)
 def is_constant(moments, i):
-    """Whether all measurements of square ``i`` are the same: three or more, for fewer say nothing."""
+    """Whether all measurements of square ``i`` are the same; it needs at least three, as fewer say nothing."""
     n, sum_q = moments[0, i], moments[3, i]
     return (n >= 3.0) & (n * moments[9, i] <= (1.0 + CONSTANT) * sum_q * sum_q)
 
 
 @kernel()
 def varied_squares(pyramid):
-    """The pyramid, where its low quantile of residuals is that of constant squares, without those that show no noise.
+    """The pyramid, without squares that show no noise if its low quantile of residuals would be theirs.
 
-    Where a sensor says the same of everything beyond its range, or its steps are larger than its noise, there is none
-    to see: a square up to 32 pixels with a constant quarter has no residual then. Where hardly one of the others is
-    left, things that show no noise end before each other.
+    Where a sensor gives one value for everything beyond its range, or its steps are larger than its noise, there is
+    none to see: a square of up to 32 pixels with a constant quarter then counts as without a plane. If hardly any of
+    the others are left, they are only the edges of things that show no noise, and all squares stay.
     """
     moments, rss, slope_square, offsets, shapes = pyramid
     count = constant = varied = 0
@@ -111,13 +111,13 @@ def varied_squares(pyramid):
 
 @kernel(inline=True)
 def is_measured(moments, rss, level, i):
-    """Whether square ``i`` of a level has enough pixels, and these a plane."""
+    """Whether square ``i`` of a level has enough pixels, and a plane."""
     return (moments[0, i] >= FULL * (BLOCK << level) ** 2) & (rss[i] >= 0.0)
 
 
 @kernel()
 def square_residuals(pyramid, level, sigma, mean_square, slope_square):
-    """Mean squared residual and squared slope of the squares of a level that have a plane; how many there are.
+    """Mean squared residual and squared slope of the squares of a level that have a plane; returns their number.
 
     Both in variances, where ``sigma`` says what these are: see `expected_variance`.
     """
@@ -135,7 +135,7 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
 
 @kernel()
 def typical_of_blocks(pyramid, sigma):
-    """Variance within blocks of 4 pixels, where hardly a square of 8 is measured; 0 where they do not say."""
+    """Variance within blocks of 4 pixels, where hardly any square of 8 is measured; 0 if they do not tell."""
     room = pyramid.offsets[1]
     values, slope_square = np.empty(room), np.empty(room)
     count = square_residuals(pyramid, 0, sigma, values, slope_square)
@@ -188,14 +188,14 @@ def lateral_of(mean_square, slope_square, typical):
 def estimate_noise(pyramid, sigma, growth, reach):
     """Estimate the noise of a frame from the residuals of its own squares of 8 to 64 pixels.
 
-    Where a frame has too few squares to say, blocks of 4 pixels say how large the noise is, which is taken to be
-    independent, and half a pixel across.
+    Where a frame has too few squares to tell, blocks of 4 pixels tell how large the noise is, which is taken to be
+    independent, and half a pixel laterally.
 
     Parameters
     ----------
     pyramid : Pyramid
     sigma : (K + 1,) float64
-        What is known of the noise: see `segment_noise.sensor_variance`. Empty where nothing is.
+        What is known of the noise: see `segment_noise.sensor_variance`. Empty if nothing is.
     growth : (3,) float64, written
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
     reach : see `segment_reach.mixture`
@@ -203,13 +203,12 @@ def estimate_noise(pyramid, sigma, growth, reach):
     Returns
     -------
     typical : float
-        Variance of inverse depth within squares of 8 pixels, or of 4, 1/m², or as a multiple of what ``sigma`` says;
-        0 where it is unknown.
+        Variance of inverse depth within squares of 8 pixels, or of 4, in 1/m² or as a multiple of what ``sigma`` says;
+        0 if unknown.
     lateral : float
         Standard deviation, in pixels, of where a measurement lies.
     by_32, together : float
-        Pixels that have one error between them, as far as squares of 32 pixels show it, and on the whole; 0 where it is
-        unknown.
+        Pixels that have one error between them, as far as squares of 32 pixels show it, and on the whole; 0 if unknown.
     """
     pyramid = varied_squares(pyramid)
     room = pyramid.offsets[2] - pyramid.offsets[1]

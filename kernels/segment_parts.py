@@ -36,7 +36,7 @@ def first_of_run(start, stop, row, inverse_depth):
 def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, parts):
     """Number the parts and share out what the regions own.
 
-    The largest part of a region gets its moments less those of the other parts, whose blocks are added up.
+    The largest part of a region gets the region's moments less those of the other parts, whose blocks are added up.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
                 squares[k] += share_sums[s, 10]
             else:
                 add_piece(run_pixels[i], row, run_start[i], inverse_depth, rays, moments, k)
-                # The residuals of a share are not told apart: pixels have their part of them.
+                # The residuals of a share are only known as a sum: its pixels have equal parts of it.
                 squares[k] += share_sums[s, 10] * how_many(run_pixels[i]) / share_sums[s, 0]
     for k in range(count):
         a = owner[k]
@@ -133,20 +133,20 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
 
 @kernel()
 def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number, kept):
-    """Say of each part whether it is a plane, and why not.
+    """Decide whether each part is a plane, and if not, why.
 
     Parameters
     ----------
     parts, count
-        Of `measure_parts`.
-    curved : (N,) bool
-        Of each region.
+        From `measure_parts`.
+        curved : (N,) bool
+            For each region.
     rules : Rules
-        A plane's runs have ``narrow`` pixels on average, and its pixels lie within ``rough`` deviations.
+        A plane's runs have at least ``narrow`` pixels on average, and its pixels lie within ``rough`` deviations.
     least : int
-        Pixels that a plane has.
+        Pixels that a plane must have.
     reasons : tuple of uint8
-        For a plane, and for what is small, rough, curved or narrow.
+        For a plane, and for a part that is small, rough, curved or narrow.
     why : (P,) uint8, written
     stray : (P,) bool, written
         Whether a part is so small or narrow that its pixels may be specks in another.
@@ -158,7 +158,7 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
     Returns
     -------
     int
-        How many planes there are.
+        Number of planes.
     """
     plane, small, uneven, bent, thin = reasons
     _, squares, size, across, down, first, region = parts

@@ -1,4 +1,4 @@
-"""Segmentation, in turns with the merging: every pixel goes to the plane it fits."""
+"""Segmentation, alternating with the merging: every pixel goes to the plane it fits."""
 
 import math
 
@@ -41,7 +41,7 @@ def own_pixels(
     rays : Rays
     pyramid : Pyramid
     sensor : (R·C,) float64
-        Of each block: see `segment_noise.sensor_variance`.
+        For each block: see `segment_noise.sensor_variance`.
     region : (R, C) int32
         Region of each block, or -1; a block becomes, on return, the region that owns most of its pixels.
     planes : Planes
@@ -52,19 +52,19 @@ def own_pixels(
         fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it
         within ``settled``. Squared residuals count as ``cut``² variances at most.
     is_first : bool
-        Whether there was no round before.
+        Whether this is the first round.
     before : (R, C) int32
         ``region`` before the last round; on return, before this one.
     number : (M,) int64
-        Which of the regions each region of the last round has become, or -1.
+        Number of the region that each region of the last round has become, or -1.
     last_alpha : (M, 3) float64
         ``planes.alpha`` in the last round.
     owners : Owners
-        Of the last round, at first EMPTY or UNSEEN.
+        From the last round; before the first, EMPTY or UNSEEN.
     shares : Shares
-        Of the last round.
+        From the last round.
     contended : Contended
-        Room to work in: for as many blocks as there are, and NEIGHBOURS regions for each.
+        Room for as many blocks as there are, and NEIGHBOURS regions for each.
     sums : Sums, written
 
     Returns
@@ -83,7 +83,7 @@ def own_pixels(
     for row in range(rows):
         copy(region[row], before[row])
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
-    # One place more than there are blocks: what comes after the last one is written, too.
+    # One place more than there are blocks: the one after the last is written to, too.
     opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
     open_count, same_count = list_blocks(tasks, opened, same)
     sparse_count, count, listed = decide(
@@ -117,9 +117,9 @@ def own_pixels(
 
 @kernel()
 def list_blocks(tasks, opened, same):
-    """Write which blocks are OPEN, and which are the SAME; how many of each.
+    """Write which blocks are OPEN, and which are the SAME; returns the number of each.
 
-    ``tasks`` (K,) int8 are of whole words, DONE after the last block.
+    ``tasks`` (K,) int8 fills whole words, with DONE after the last block.
     """
     words = tasks.view(np.uint64)
     open_count = same_count = 0
@@ -135,7 +135,7 @@ def list_blocks(tasks, opened, same):
 
 @kernel()
 def take_over(blocks, number, owners, shares, new):
-    """Take over the shares of blocks that stay the SAME, by their regions' new ``number``; returns how many."""
+    """Take over the shares of blocks that stay the SAME, by their regions' new ``number``; returns their count."""
     first, shares_of = owners.first.reshape(-1), owners.count.reshape(-1)
     region, pixels, sums = shares
     new_region, new_pixels, new_sums = new
@@ -165,12 +165,12 @@ def take_over(blocks, number, owners, shares, new):
 
 @kernel()
 def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners, contended):
-    """Give blocks whole to a region that no other contends for, if they fit it; list the others.
+    """Give blocks whole to a region without rivals, if they fit it; list the others.
 
     Parameters
     ----------
     blocks : (K,) int32
-        The first become those of which hardly a pixel is measured, and these go whole to a region: see `share_sparse`.
+        On return the first are those that went whole to a region with few measured pixels: see `share_sparse`.
     rays, before, pyramid, sensor, planes, rules, region, owners
         As in `own_pixels`.
     contended : Contended, written
@@ -178,7 +178,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     Returns
     -------
     tuple of int
-        How many blocks there are of the first and of the other kind, and how many contenders.
+        Numbers of these sparse blocks, of contended ones, and of contenders.
     """
     columns = region.shape[1]
     # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
@@ -224,13 +224,13 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
 
 @kernel(inline=True)
 def place(block, columns):
-    """Row and column of a block. By numbers without a sign, of half the size, which are divided in half the time."""
+    """Row and column of a block, by unsigned numbers of half the size, which are divided in half the time."""
     return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))
 
 
 @kernel()
 def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
-    """Make of whole blocks shares of what is measured in them: what is missing there are not only holes.
+    """Turn mostly missing whole blocks into shares of their measured pixels.
 
     The shares are added after the first ``put``; returns how many there are then.
     """
@@ -259,7 +259,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
 def contest(
     contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put
 ):
-    """Give each pixel of the first ``count`` blocks that are contended for to one of the contenders, or to none.
+    """Give each pixel of the first ``count`` contended blocks to one of the contenders, or to none.
 
     The shares are added after the first ``put``; returns how many there are then. Other arguments as in `own_pixels`.
     """
@@ -284,7 +284,7 @@ def contest(
     winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
     owned, pixels = np.empty((NEIGHBOURS * 11, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
     listed = np.empty(LANES, np.int64)
-    for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks that are worked on together
+    for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # numbers of contenders of blocks that are processed together
         contending = least
         lanes = 0
         for c in range(count + 1):
@@ -293,7 +293,7 @@ def contest(
                 row, column = place(here, columns)
                 gather(inverse_depth, tan_x, tan_y, row, column, lanes, q, u, v)
                 contending = max(contending, many[c])
-                for j in range(many[c], most):  # to contenders that there are not no pixel comes near
+                for j in range(many[c], most):  # unused slots get a plane that no pixel is near
                     plane[4 * j, lanes] = plane[4 * j + 1, lanes] = 0.0
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
                 for j in range(many[c]):
@@ -346,7 +346,8 @@ def contest(
                     for k in range(11):
                         share_sums[put, k] = owned[11 * j + k, n]
                     put += 1
-                    # A thin region may own most of no block: a block stays with a region that owns a quarter of it.
+                    # A thin region may not own most of any block: a block stays with a region that owns a quarter of
+                    # it.
                     of_own = owned[11 * j, n]
                     stays |= (a == own) & (of_own >= quarter) & (of_own > 2.0)
                     if of_own > most_pixels:

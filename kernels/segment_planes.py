@@ -1,4 +1,4 @@
-"""Segmentation: the planes of regions and of labels, how sure they are, and how well their pixels fit."""
+"""Segmentation: the planes of regions and of labels, how certain they are, and how well their pixels fit."""
 
 import math
 
@@ -37,7 +37,7 @@ def deviations(moments, planes, sigma, deviation):
 
 @kernel()
 def fit_planes(moments, alpha, rss):
-    """α and the sum of squared residuals of each plane from the moments of its pixels: 0 and -1 where there is none."""
+    """α and the sum of squared residuals of each plane from the moments of its pixels; 0 and -1 if there is none."""
     for i in range(len(moments)):
         rss[i] = fit(moments[i], alpha[i])
 
@@ -46,7 +46,7 @@ def fit_planes(moments, alpha, rss):
 def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
     """Write the covariance of α, (3, 3), about the pixels' middle: see `sandwich.sandwich`.
 
-    ``weighted`` (5,) is of `segment_unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
+    ``weighted`` (5,) comes from `segment_unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
     variances of a pixel, one for each part.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
@@ -74,22 +74,23 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
 def describe_planes(
     moments, weighted, alpha, rss, deviation, together, least, step, planes, covariance, rmse
 ):
-    """Describe the planes.
+    """Planes, their covariances and their residuals.
 
     Parameters
     ----------
     moments, weighted, alpha, rss, deviation : (N, 10), (N, 5), (N, 3), (N,), (N,) float64
-        ``weighted`` is of `segment_unevenness.weigh_rays`.
+        ``weighted`` comes from `segment_unevenness.weigh_rays`.
     together : float
         Pixels that have one error between them.
     least : (3, N) float64
-        Variances of a pixel that those of the slopes, along x and y, and of the mean are not to be below.
+        Lower bounds on the variance of a pixel, for the slopes along x and y and for the mean.
     step : (N,) float64
-        Between neighbouring raw values, 1/m; 0 where there is none.
+        Step between neighbouring raw values, in 1/m; 0 if there is none.
     planes : (N, 4) float64, written
         nx, ny, nz, d.
     covariance : (N, 3, 3) float64, written
-        Of α: from the residual or the noise, whichever is larger, and from what rounding does to all pixels alike.
+        Of α: from the residual or the noise, whichever is larger, and from the rounding error that all pixels have in
+        common.
     rmse : (N,) float64, written
     """
     for i in range(len(moments)):

@@ -1,7 +1,7 @@
-"""Segmentation: how many pixels have one error between them, by what squares of several sizes show.
+"""Segmentation: how many pixels have one error between them, as squares of several sizes show.
 
 Where pixels err independently, the mean of n of them has an n-th of their variance; where they go together it has more,
-by as many as go together. The means of a square's 4 x 4 parts scatter about the square's plane, and so show it.
+by the factor of how many do. The means of a square's 4 x 4 parts scatter about the square's plane, and so show it.
 """
 
 import math
@@ -15,25 +15,25 @@ from .segment_moments import solve
 from .segment_noise import expected_variance
 
 FULL = 0.5  # share of a square's pixels that must be measured
-FEWEST = 10  # squares that tell something
-FLAT = 4.0  # variances of a square that holds one surface
-# Of one of 64 pixels: a little of another surface looks like errors of a long reach there.
+FEWEST = 10  # squares that are needed to tell something
+FLAT = 4.0  # variances that a square with one surface has at most
+# The same for one of 64 pixels: a little of another surface looks like errors of a long reach there.
 FLAT_LARGE = 2.0
-# Levels of the squares: of 16, 32 and 64 pixels. The last is that of four of the pyramid's largest.
+# Levels of the squares: of 16, 32 and 64 pixels. The last are made of four of the pyramid's largest.
 SIZES = 3
 SMALLEST = 2
-# Share of its pixels that a small square may show to go together, to say how many do beyond it.
+# Largest share of its pixels that a small square may show to go together, to say how many do beyond it.
 MOST_SHOWN = 0.75
-# Variance of the logarithm of one square's ratio, by which the median of many is the more certain.
+# Variance of the logarithm of one square's ratio, whose median over many is more certain by their number.
 OF_ONE = 0.24
 
 
 @kernel()
 def shown(pyramid, level, sigma, most, step):
-    """By how much more the means of squares' parts scatter than those of independent pixels.
+    """By what factor the means of squares' parts scatter more than those of independent pixels.
 
-    The median, and of how many: of the flat squares of a ``level``, those of a residual of at most ``most`` variances,
-    in every row and column of them that is a multiple of ``step``. 0 of 0 where they are too few.
+    Returns the median over the flat squares of a ``level``, whose residual is at most ``most`` variances, in every
+    ``step``-th row and column of them, and their number; 0 and 0 if they are too few.
     """
     moments, _, _, offsets, shapes = pyramid
     pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]
@@ -56,7 +56,7 @@ def shown(pyramid, level, sigma, most, step):
             if rss <= 0.0 or rss > most * (n - 3.0) * expected_variance(m[3] / n, sigma):
                 continue
             total = 0.0
-            parts = -3.0  # the plane takes as many
+            parts = -3.0  # degrees of freedom that the plane takes
             for r in range(4 * row, 4 * row + 4):
                 for c in range(4 * column, 4 * column + 4):
                     k = offsets[fine] + r * shapes[fine, 1] + c
@@ -71,7 +71,7 @@ def shown(pyramid, level, sigma, most, step):
 
 @kernel()
 def beyond(ratio, level):
-    """How many pixels go together, if the parts of a level's squares show so many: no more than their own n.
+    """How many pixels go together, if the parts of a level's squares, of n pixels, show ``ratio``, at most n.
 
     1/shown = 1/n + 1/together, for errors of any reach.
     """
@@ -81,22 +81,23 @@ def beyond(ratio, level):
 
 @kernel()
 def mixture(ratios, counts, reach):
-    """How many pixels go together, of errors that are in part independent, in part of a short reach and of another.
+    """How many pixels go together, for errors partly independent, partly of a short reach and partly of another.
 
-    Of what fits about as well the least is taken: its logarithm counts like a squared error of one deviation.
+    Of numbers that fit about equally well the smallest is taken: its logarithm counts like a squared error of one
+    deviation.
 
     Parameters
     ----------
     ratios, counts : (SIZES,) float64 and int64
-        Of `shown`.
+        From `shown`.
     reach : (2·SIZES + 1, K) float64
-        Of K errors of different reach: for each size the scatter of the parts and the residual, those of independent
-        pixels being 1; then how many pixels go together. The first is the short one.
+        For K kinds of errors of different reach: for each size the scatter of the parts and the residual, those of
+        independent pixels being 1; then how many pixels go together. The first is the short one.
     """
     most = np.inf
     together = 1.0
     for k in range(1, reach.shape[1]):
-        # In the shares a of this reach and b of the short one each ratio is an equation, a·x + b·y = z.
+        # With shares a of this reach and b of the short one, each ratio gives an equation, a·x + b·y = z.
         xx = xy = yy = xz = yz = zz = 0.0
         for size in range(SIZES):
             if counts[size] > 0:
@@ -110,7 +111,7 @@ def mixture(ratios, counts, reach):
                 xz += weight * x * z
                 yz += weight * y * z
                 zz += weight * z * z
-        for case in range(4):  # both; one alone; both and nothing independent
+        for case in range(4):  # both; either alone; both and nothing independent
             a = b = 0.0
             if case == 0:
                 determinant = xx * yy - xy * xy
@@ -138,8 +139,8 @@ def mixture(ratios, counts, reach):
 def go_together(pyramid, sigma, typical, growth, reach):
     """How many pixels of a frame have one error between them, as squares of 32 pixels show it, and on the whole.
 
-    Both 0 where it is unknown. ``sigma`` and ``growth`` are those of `segment_noise_estimation.estimate_noise`, and so
-    is ``typical``; ``reach`` is of `mixture`.
+    Both are 0 if unknown. ``sigma``, ``typical`` and ``growth`` are those of `segment_noise_estimation.estimate_noise`,
+    ``reach`` that of `mixture`.
     """
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
     for size in range(SIZES):  # where errors reach far, residuals are larger than within squares of 8

@@ -13,7 +13,7 @@ Array = NDArray[Any]
 class Rules(NamedTuple):
     """The constants of the segmentation.
 
-    Deviations are standard deviations of the frame's own noise, so none of these knows a sensor, a unit or a
+    Deviations are standard deviations of the frame's own noise, so none of these depends on a sensor, a unit or a
     distance. `bench.segmentation` cross-validates them.
     """
 
@@ -21,25 +21,25 @@ class Rules(NamedTuple):
     steep_block: float = 0.6  # the same for the part that the block's own slope makes
     square_floor: float = 1.0  # when four squares are one plane: see `segment_joining.join_blocks`
     square_spread: float = 30.0
-    sure: float = 0.1  # share of what makes two regions one plane, that leaves no doubt: see `segment_growth`
-    most: float = 4096.0  # pixels that regions have which are joined so
+    sure: float = 0.1  # share of what one plane may add that leaves no doubt: see `segment_growth`
+    most: float = 4096.0  # pixels that two regions may have to be joined so
     region_floor: float = 4.5  # when two regions are one plane: see `segment_merge.merge`
     region_jump: float = 6.0
     region_crest: float = 3.0
     region_spread: float = 30.0
     reach: float = 8.0  # deviations within which a region contends for a pixel
     close: float = 3.0  # deviations within which two planes meet
-    settled: float = 3.0  # deviations of a block that is left in peace
+    settled: float = 3.0  # deviations of a block that is left alone
     cut: float = 4.0  # deviations: the most that a pixel counts for in a region's residual
     rough: float = 3.0  # deviations of a region that is several planes, or none
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
-    narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane has
+    narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane must have
     bent: float = 1.0  # variances per pixel that a region's own bend must make to be more than the sensor's
     trips: int = 3  # from planes to pixels and back
 
     def tolerating(self, share: float) -> "Rules":
-        """The rules for a sensor that bends planes less than most: the share of what is tolerated."""
+        """The rules for a sensor that bends planes less than most: with ``share`` of the tolerances."""
         return self._replace(
             square_floor=share * self.square_floor,
             region_floor=share * self.region_floor,
@@ -77,7 +77,7 @@ class Noise(NamedTuple):
 
     sigma: Array  # (K + 1,) float64: see `segment_noise.sensor_variance`
     lateral_variance: float  # in pixels², of where within its pixel a measurement lies
-    lateral_variance_x: float  # the same of tanθx, tanθy
+    lateral_variance_x: float  # the same in units of tanθx, and of tanθy
     lateral_variance_y: float
     lens: Array  # that of `Rays`
     growth: Array  # (S,) float64: see `segment_noise.waviness`
@@ -102,12 +102,12 @@ class Sums(NamedTuple):
 
 
 class Owners(NamedTuple):
-    """Which region has which blocks; of what several have a part of, see `Shares`."""
+    """Which region has which blocks; for blocks that several have parts of, see `Shares`."""
 
     block: Array  # (R, C) int32: region that has all measured pixels of a block; or EMPTY, MIXED or UNSEEN
     error: Array  # (R, C) float64: of a block with one region, the sum of its squared residuals in variances
     first: Array  # (R, C) int32: of a MIXED block its first share
-    count: Array  # (R, C) int32: how many shares it has; of its other pixels nobody is the owner
+    count: Array  # (R, C) int32: how many shares it has; its other pixels have no owner
     measured: Array  # (R, C) int32: its measured pixels, see `Shares`
 
 
@@ -120,7 +120,7 @@ class Shares(NamedTuple):
 
 
 class Contended(NamedTuple):
-    """Blocks that regions contend for; how many is said beside."""
+    """Blocks that regions contend for; their number is passed separately."""
 
     block: Array  # (K,) int32: row · C + column
     many: Array  # (K,) int32: how many regions contend for it
@@ -130,7 +130,7 @@ class Contended(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Regions that touch: the first rows are in use, how many is said beside."""
+    """Regions that touch: the first rows are in use, and their number is passed separately."""
 
     pairs: Array  # (K, 3) int32: two regions, smaller first, and what `segment_merge.row_of` needs
     where: Array  # (K, 3) float64: how many of their blocks touch, and the sum of the (u, v) in between
@@ -146,10 +146,10 @@ class Runs(NamedTuple):
     share: Array  # the share, or WHOLE
     pixels: Array  # its pixels in each of its blocks: see `Shares`
     label: Array
-    # Its pixels and the missing ones beside them in the same row, and in the same column; of whole blocks all.
+    # Its pixels and the missing ones beside them in the same row, and in the same column; all pixels, for whole blocks.
     filled_x: Array
     filled_y: Array
-    across: Array  # runs of pixels along the rows that begin in it, missing pixels between them aside
+    across: Array  # runs of pixels along the rows that begin in it, bridging missing pixels
     down: Array  # the same along the columns
     parent: Array  # roots stand for connected parts
     part: Array  # number of the part

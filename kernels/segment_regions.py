@@ -28,10 +28,10 @@ DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
 
 @kernel()
 def spread_out(region, owner, pyramid, sensor, planes, settled):
-    """Give the blocks that are of no region, being too rough, to a region beside them that they fit.
+    """Give the blocks without a region, which are too rough, to a neighbouring region that they fit.
 
-    One after the other from the regions' edges on: where rounds go on by one block each, this goes all the way.
-    A block fits within ``settled`` standard deviations, root mean square. The arguments are those of
+    One after the other from the regions' edges on: rounds advance by one block each, this goes all the way. A block
+    fits within ``settled`` standard deviations, root mean square. The arguments are those of
     `segment_pixels.own_pixels`, and ``owner`` that of the blocks; ``region`` is changed.
     """
     moments, alpha = pyramid.moments, planes.alpha
@@ -83,7 +83,7 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
 def find_regions(
     inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, sums
 ):  # fmt: skip
-    """Merge what is one plane, give the pixels to the planes, fit the planes anew to their pixels: in rounds.
+    """Merge what is one plane, give the pixels to the planes, fit the planes again to their pixels: in rounds.
 
     Parameters
     ----------
@@ -94,14 +94,14 @@ def find_regions(
         See `segment_joining.join_blocks`.
     noise : Noise
     rules : Rules
-        Regions of a residual above ``rough`` standard deviations are merged anew, by half the tolerance.
+        Regions with a residual above ``rough`` standard deviations are merged anew, with half the tolerance.
     least : float
         Pixels that a region must have after the first round.
     region : (R, C) int32, written
         Region that owns most of a block, or -1.
     owners : Owners, written
     contended : Contended
-        Room to work in: see `segment_pixels.own_pixels`.
+        Room: see `segment_pixels.own_pixels`.
     contacts : Contacts, written
         Of the regions in the end.
     sums : Sums, written
@@ -110,7 +110,7 @@ def find_regions(
     Returns
     -------
     number : (M,) int64
-        Region that the regions of ``owners`` and ``shares`` became in the end, or -1.
+        What the regions of ``owners`` and ``shares`` became in the end, or -1.
     count : int
         Regions in the end.
     shares : Shares
@@ -161,7 +161,7 @@ def find_regions(
         alpha = np.empty((count, 3))
         planes = Planes(alpha, np.empty(count), np.empty(count), np.empty(count), rays.stretch)
         fit_regions(moments[:count], noise, planes)
-        if trip == 1:  # before that it would spread over what becomes a region of its own
+        if trip == 1:  # earlier it would spread over what becomes a region of its own
             spread_out(region, owners.block, pyramid, sensor, planes, rules.settled)
         shares = own_pixels(
             inverse_depth, rays, pyramid, sensor, region, planes, noise.sigma, rules, trip == 0, before, number,

@@ -1,6 +1,6 @@
 """Segmentation: what each region owns, as runs of blocks along their rows and shares of MIXED ones, united into parts.
 
-No pixel is looked at: which ones a share has is one bit for each, and so is where it goes on in the next block.
+No pixel is read: the pixels of a share are one bit each, which also tells where it goes on in the next block.
 """
 
 import numpy as np
@@ -9,16 +9,16 @@ from ._jit import kernel
 from .disjoint_sets import unite
 from .segment_blocks import BLOCK, MIXED
 
-# Share of a run of whole blocks: none.
+# Share of a run of whole blocks, which has none.
 WHOLE = np.int32(-1)
 # Pixels of a block, of its upper row, and of its left column: bit BLOCK·y + x is pixel (y, x).
 ALL = np.int32((1 << BLOCK * BLOCK) - 1)
 TOP = np.int32((1 << BLOCK) - 1)
 LEFT = np.int32(sum(1 << BLOCK * y for y in range(BLOCK)))
-# By how many bits a pixel is from the one on its right, from the one below, and from one side of a block to the other.
+# Bits from a pixel to the one on its right, to the one below, and from one side of a block to the other.
 RIGHT_BY, DOWN_BY = np.int32(1), np.int32(BLOCK)
 ACROSS, DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
-# Pixels in a row, missing or of no label, that still are holes in a surface.
+# Pixels in a row, missing or without a label, that are still a hole in a surface.
 GAP = 3
 # Pieces that a share has at most: of any four pixels in a square only one can be alone.
 PIECES = (BLOCK // 2) ** 2
@@ -37,13 +37,13 @@ def how_many(pixels):
 
 @kernel(inline=True)
 def first_of(pixels):
-    """Which pixel of a block is the first one, BLOCK·y + x: of any, so that one can go from one to the next."""
+    """Index BLOCK·y + x of the first pixel, the lowest set bit; clear it and call again to visit all."""
     return how_many((pixels & -pixels) - np.int32(1))
 
 
 @kernel(inline=True)
 def in_squares(pixels):
-    """Those pixels of a share that are one of four in a square of 2x2: they are not alone."""
+    """The pixels of a share that belong to a square of 2x2 of it, and so are not alone."""
     corner = pixels & (pixels & ~LEFT) >> RIGHT_BY
     corner &= corner >> DOWN_BY
     across = corner | corner << RIGHT_BY
@@ -52,7 +52,7 @@ def in_squares(pixels):
 
 @kernel(inline=True)
 def spread_across(pixels, through):
-    """Pixels of a block, and those of the same row that one comes to from them ``through`` others."""
+    """Pixels of a block, and those of the same row that can be reached from them through pixels of ``through``."""
     right = left = pixels
     for _ in range(BLOCK - 1):
         right |= (right << RIGHT_BY) & ~LEFT & through
@@ -62,7 +62,7 @@ def spread_across(pixels, through):
 
 @kernel(inline=True)
 def spread_down(pixels, through):
-    """The same of columns."""
+    """Pixels of a block, and those of the same column that can be reached from them through pixels of ``through``."""
     lower = upper = pixels
     for _ in range(BLOCK - 1):
         lower |= (lower << DOWN_BY) & through
@@ -72,14 +72,14 @@ def spread_down(pixels, through):
 
 @kernel(inline=True)
 def beside(pixels):
-    """Pixels of a block, and those that touch them, corner to corner at least."""
+    """Pixels of a block, and those that touch them, if only at a corner."""
     across = pixels | ((pixels << RIGHT_BY) & ~LEFT) | ((pixels & ~LEFT) >> RIGHT_BY)
     return (across | (across << DOWN_BY) | (across >> DOWN_BY)) & ALL
 
 
 @kernel()
 def piece_of(pixels, free):
-    """Those pixels of a share that one comes to from its first one, in a row or a column also over ``free`` ones."""
+    """The connected piece with the share's first pixel; along a row or column, ``free`` pixels may lie between."""
     piece = pixels & -pixels
     grown = np.int32(0)
     while grown != piece:
@@ -91,13 +91,13 @@ def piece_of(pixels, free):
 
 @kernel(inline=True)
 def starts_across(pixels):
-    """How many runs along its rows a share has."""
+    """Number of runs along a share's rows."""
     return how_many(pixels & ~((pixels << RIGHT_BY) & ~LEFT))
 
 
 @kernel(inline=True)
 def starts_down(pixels):
-    """How many runs along its columns it has."""
+    """Number of runs along a share's columns."""
     return how_many(pixels & ~(pixels << DOWN_BY))
 
 
@@ -113,21 +113,21 @@ def is_one_piece(pixels, free):
 
 @kernel(inline=True)
 def meet_across(left, right):
-    """The pixels of a block's left column that have one of the block to the left beside them, or corner to corner."""
+    """The pixels of a block's left column that touch one of the block to the left, if only at a corner."""
     a = (left >> ACROSS) & LEFT
     return right & (a | (a << DOWN_BY) | (a >> DOWN_BY))
 
 
 @kernel(inline=True)
 def meet_down(above, below):
-    """The same of a block's upper row and the block above."""
+    """The pixels of a block's upper row that touch one of the block above, if only at a corner."""
     a = above >> DOWN
     return below & (a | (a << RIGHT_BY) | (a >> RIGHT_BY)) & TOP
 
 
 @kernel(inline=True)
 def meet_at_corner(above, below, side):
-    """The same of blocks corner to corner; ``side`` is -1 if the one above is to the left, 1 to the right."""
+    """Whether blocks corner to corner touch; ``side`` is -1 if the one above is to the left, 1 to the right."""
     if side < 0:
         return (above >> (DOWN + ACROSS)) & below & np.int32(1)
     return (above >> DOWN) & (below >> ACROSS) & np.int32(1)
@@ -135,7 +135,7 @@ def meet_at_corner(above, below, side):
 
 @kernel()
 def meet_over_gap(one, free_one, other, free_other, side):
-    """Whether pixels of two blocks meet over at most GAP free ones: side by side if ``side``, or down."""
+    """Whether pixels of two blocks meet over at most GAP free ones: side by side if ``side``, or one above the other."""
     for step in range(GAP + 1):
         a, b = one, other
         for _ in range(step):
@@ -152,14 +152,14 @@ def list_runs(
     owner, first_share, shares_of, measured, share_region, share_pixels, number, top, height, width, count, start, stop,
     share, pixels, label, filled_x, filled_y, across, down, parent, at, many, taken, loose, loose_count,
 ):  # fmt: skip
-    """Write the runs of a row of blocks after the first ``count``, and its loose pixels; how many there are of each.
+    """Write the runs of a row of blocks after the first ``count``, and its loose pixels; returns the numbers of both.
 
     ``at``, ``many`` and ``taken`` (C,) int32 are written: the first run of each block, how many it has, and the pixels
     that these have. ``top`` is the first row of pixels; the other arguments are fields of `Owners`, of that row,
     `Shares` and `Runs`.
     """
     columns = len(owner)
-    # Of whole blocks that reach beyond the image, the pixels that are in it.
+    # The pixels within the image of whole blocks that reach beyond it.
     rows = min(height - top, BLOCK)
     inside = ALL >> np.int32(BLOCK * (BLOCK - rows))
     column = 0
@@ -208,7 +208,7 @@ def list_runs(
                     for k in range(first, count):
                         if label[k] != a or share[k] == s:
                             continue
-                        # Regions that have become one: together they have fewer runs than each for itself.
+                        # Regions that have become one: together they have fewer runs than apart.
                         both = piece | pixels[k]
                         if piece_of(both, free) == both:
                             unite(parent, count, k)
@@ -246,7 +246,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     height, width : int
         Of the image.
     runs : Runs, written
-        But for ``part``. With room for as many as there are blocks, and PIECES for each share.
+        Except ``part``. With room for one for each block, and PIECES for each share.
     loose : (L,) int32, written
         Measured pixels without a label in blocks that are not whole: row · W + column.
 
@@ -276,7 +276,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
             row * BLOCK, height, width, count, start, stop, share, pixels, label, filled_x, filled_y, across, down,
             parent, here[1:-1], many_here[1:-1], taken_here[1:-1], loose, loose_count,
         )  # fmt: skip
-        # Where a block's runs and those above are those of the block before, there is nothing new.
+        # Where a block's runs and those above are the same as at the block before, there is nothing new.
         for c in range(columns):
             changes[c] = (
                 (here[c] != here[c + 1]) | (many_here[c + 1] > 1) | (above[c] != above[c + 1])

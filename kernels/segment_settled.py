@@ -14,10 +14,10 @@ from .segment_blocks import BLOCK, CHUNK, EMPTY, MIXED
 from .segment_moments import rows_of
 from .segment_noise import about_plane, sensor_variance
 
-# What is to be done with a block: nothing; look at it; give it to its own region if it fits that, for no other is
-# around; take over what regions have of it.
+# What is to be done with a block: nothing; look at it; give it to its own region, the only one around, if it fits that;
+# take over what regions have of it.
 DONE, OPEN, ALONE, SAME = 0, 1, 2, 3
-# No region, above all that there are.
+# No region, as a number above those of all regions.
 NO_REGION = np.int32(np.iinfo(np.int32).max)
 # A block with more measured pixels than this is a solid one: what is missing there are holes.
 SPARSE = BLOCK * BLOCK // 2
@@ -57,7 +57,7 @@ def look_around(region, owner, task):
 
 @kernel()
 def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays, moments, owner, task):
-    """Let blocks be around which no region has changed since the last round, and no plane has moved.
+    """Leave alone the blocks around which no region has changed since the last round, and no plane has moved.
 
     Their ``task`` becomes DONE, or SAME if they are MIXED; the rest is as in `segment_pixels.own_pixels`.
     """
@@ -71,7 +71,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         a = number[b]
         became[b] = a
         if a < 0:
-            moved[2, b] = math.inf  # it is given up, and what it had is anybody's
+            moved[2, b] = math.inf  # it is dropped, and what it had is anybody's
             continue
         sensor = sensor_variance(moments[a, 3] / moments[a, 0], sigma)
         deviation = math.sqrt(about_plane(sensor, planes, a))
@@ -84,7 +84,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         for c in range(columns):
             b = last[c] if last[c] >= 0 else regions
             d = moved[0, b] * u[c] + moved[1, b] * v[c] + moved[2, b]
-            # Where there was no plane d is not a number.
+            # Where there was no plane d is NaN.
             line[c] = (own[c] != became[b]) | (not abs(d) <= STILL)
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
@@ -148,7 +148,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
                     + a_v * (a_v * s_vv[c] + 2.0 * a_1 * s_v[c])
                     + a_1 * a_1 * n[c]
                 )  # fmt: skip
-                work[5, c] = max(square / total, 0.0)  # rounding may leave less than nothing
+                work[5, c] = max(square / total, 0.0)  # rounding may make it negative
                 work[6, c] = allowed * n[c] if n[c] > SPARSE else -1.0
             copy(work[5], owners.error[row, start:stop])
             for c in range(count):
@@ -162,7 +162,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
 
 @kernel()
 def add_up(pyramid, owners, shares, count, sums):
-    """Sum up what each region has: of whole blocks, and of the first ``count`` shares."""
+    """Sum up what each region has: in whole blocks, and in the first ``count`` shares."""
     every = slice(0, pyramid.moments.shape[1])
     b_n, b_u, b_v, b_q, b_uu = rows_of(pyramid.moments, 0, every)
     b_uv, b_uq, b_vv, b_vq, b_qq = rows_of(pyramid.moments, 5, every)
