@@ -41,7 +41,7 @@ def inverse_depths(a, b, scale, offset):
 
 @kernel(reduction=True, inline=True)
 def range_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_q):
-    """Σq, Σqv, Σqq and summed codes of two pixels of a column, or of the first alone, as far as they are valid."""
+    """Σq, Σqv, Σqq and codes of the valid ones among two pixels of a column, or of the first alone."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
@@ -135,7 +135,7 @@ def add_range_rows(
 
 @kernel(reduction=True, inline=True)
 def fold_range_columns(sums, u, tiles, span, moments):
-    """Add columns, ``span`` a tile, to the sums of their tiles."""
+    """Add columns, ``span`` per tile, to the sums of their tiles."""
     sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
     for tile in range(tiles):
         s_q = s_qu = s_qv = s_qq = 0.0
@@ -208,7 +208,7 @@ def range_strip_separable(
 def range_pair_of_rays(
     a, b, is_pair, lowest, highest, scale, offset, tan_xa, tan_xb, tan_ya, tan_yb, u0, v0, q0
 ):  # fmt: skip
-    """The ten sums of two pixels of a column, or of the first alone, as far as they are valid."""
+    """The ten sums of the valid ones among two pixels of a column, or of the first alone."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)

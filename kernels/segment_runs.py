@@ -135,7 +135,7 @@ def meet_at_corner(above, below, side):
 
 @kernel()
 def meet_over_gap(one, free_one, other, free_other, side):
-    """Whether pixels of two blocks meet over at most GAP free ones: side by side if ``side``, or one above the other."""
+    """Whether pixels of two blocks meet over at most GAP free ones: side by side if ``side``, else stacked."""
     for step in range(GAP + 1):
         a, b = one, other
         for _ in range(step):

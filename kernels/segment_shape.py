@@ -1,9 +1,9 @@
-"""Segmentation, what is left to ask of the regions: are they planes, or parts of something curved?
+"""Segmentation: are the regions planes, or parts of something curved?
 
 A curved surface breaks into planes that fit it within the noise. Two such neighbours are told from two real
-planes by comparing models with as many parameters: two planes, six, and one quadric, six:
-q = α·(u, v, 1) + a u² + b uv + c v². Where planes meet in an edge, two planes leave less; on a surface that goes
-on smoothly, one quadric does. The blocks' means are enough for that, so no pixel is touched.
+planes by comparing models with equally many parameters: two planes, with six, and one quadric, with six:
+q = α·(u, v, 1) + a u² + b uv + c v². Where planes meet in an edge, two planes leave smaller residuals; on a surface
+that goes on smoothly, one quadric does. The blocks' means are enough for that, so no pixel is touched.
 """
 
 import math
@@ -19,14 +19,14 @@ from .segment_noise import about_plane, sensor_variance
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
-# What two planes are better than one, a quadric is better by 1/15 of that on a parabola, worse by 1/16 on an edge.
+# Of what two planes gain over one, a quadric gains 1/15 more on a parabola, and 1/16 less on an edge.
 MARGIN = 1.0 / 32.0
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
-# Blocks across a region whose own shape can be told, and of which it can be told that it goes on beyond its edge.
+# Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST = 3
 FEWEST_BESIDE = 2
-ENOUGH = 256  # blocks along which a shape shows
+ENOUGH = 256  # blocks that are enough to show a shape
 
 
 @kernel(inline=True)
@@ -62,7 +62,7 @@ def owned_means(owners, shares, number, region, pyramid, means):
     owners : Owners
     shares : Shares
     number : (N,) int64
-        What became of the regions there, below 0 for nothing.
+        What the regions in them became, below 0 for nothing.
     region : (R, C) int32
         Region of each block, below 0 for none.
     pyramid : Pyramid
@@ -117,7 +117,7 @@ def add_blocks(region, means, a, reference, deviation, window, step, centre, sca
     float
         Pixels of the blocks that were added.
     """
-    # Sums over all that is fitted of n·xⁱ·yʲ, of n·xⁱ·yʲ·e, and of n·e²: each of them once.
+    # Sums of n·xⁱ·yʲ, of n·xⁱ·yʲ·e, and of n·e² over the blocks: each of them once.
     n_00 = n_10 = n_01 = n_20 = n_11 = n_02 = n_30 = n_21 = n_12 = n_03 = n_40 = n_31 = n_22 = n_13 = n_04 = (
         0.0
     )
@@ -175,9 +175,9 @@ def add_row(products, row, values):
 
 @kernel()
 def eliminate(products, first, stop):
-    """Regress what is left on terms ``first`` to ``stop``; returns the sum of squares that then is left.
+    """Regress the remainder on terms ``first`` to ``stop``; returns the sum of squares that is left.
 
-    Only the upper triangle is used. A term that the others already span is passed over.
+    Only the upper triangle is used. A term that the others already span is skipped.
     """
     last = TERMS
     for k in range(first, stop):
@@ -194,7 +194,7 @@ def eliminate(products, first, stop):
 
 @kernel()
 def second_derivatives(products, scale, deviation, h):
-    """Of the quadric, after `eliminate`: h[0], h[1], h[2] = q_uu, q_uv, q_vv."""
+    """Write the quadric's second derivatives, after `eliminate`: h[0], h[1], h[2] = q_uu, q_uv, q_vv."""
     c = np.zeros(TERMS)
     for k in range(TERMS - 1, PLANE_TERMS - 1, -1):
         if products[k, k] > 0.0:
@@ -233,14 +233,14 @@ def turn(m, alpha, h):
 
 @kernel()
 def step_of(window):
-    """Every how many rows and columns of blocks are enough."""
+    """Step between the rows, and the columns, of blocks that are enough."""
     area = (window[1] - window[0]) * (window[3] - window[2])
     return max(1, int(math.sqrt(area / ENOUGH)))
 
 
 @kernel()
 def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent):
-    """How far the normals of each region turn within it: mean squared angle, 0 where noise would do it.
+    """How far the normals of each region turn within it: mean squared angle, 0 where noise explains it.
 
     ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
     """
@@ -284,7 +284,7 @@ def extent(m):
 def continues(region, means, a, b, region_moments, planes, sigma, box):
     """Whether one quadric fits two neighbouring regions better than two planes do.
 
-    ``a`` is the smaller one; of ``b`` only what is no farther from ``a`` than ``a`` is wide is looked at.
+    ``a`` is the smaller one; ``b`` is looked at only as far from ``a`` as ``a`` is wide.
 
     Returns
     -------
@@ -330,8 +330,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
 
     Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread``
     variances, form groups. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square:
-    less than that, and it is the sensor that bends a plane. Also curved are the groups of
-    `segment_facets.find_faceted`.
+    if by less, it is the sensor that bends a plane. Also curved are the groups of `segment_facets.find_faceted`.
 
     Parameters
     ----------
@@ -343,7 +342,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
     rules : Rules
     rays : Rays
     contacts, count
-        Of `segment_merge.neighbours`; overwritten.
+        From `segment_merge.neighbours`; overwritten.
     curved : (N,) bool, written
     """
     alpha = planes.alpha

@@ -1,4 +1,4 @@
-"""Segmentation: on which of its pixels a plane's errors are larger, as far away or at the edges of the image."""
+"""Segmentation: where among its pixels a plane's errors are larger, as far away or at the edges of the image."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from .segment_blocks import BLOCK
 from .segment_moments import misfit
 
 SIDE = 2 * BLOCK  # of the squares that are looked at, the pyramid's second level
-# Squares that a plane has at least: of fewer chance says more than the noise.
+# Squares that a plane needs: with fewer, chance says more than the noise.
 ENOUGH = 32
-# Times its plane's mean that a square's variance counts as at most: there may be an edge in it.
+# Multiple of its plane's mean at which a square's variance is cut off: there may be an edge in it.
 MOST = 25.0
 
 
@@ -20,13 +20,13 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     Parameters
     ----------
     label : (H, W) int32
-        0 for none; plane i is of label i + 1.
+        0 for none; plane i has label i + 1.
     pyramid : Pyramid
     moments, alpha, rss : (N, 10), (N, 3), (N,) float64
         Of the planes.
     weighted : (N, 5) float64, written
         Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SIDE pixels. Where there are fewer than
-        ENOUGH, all pixels count as much.
+        ENOUGH, all pixels count equally.
     """
     height, width = label.shape
     first, columns = pyramid.offsets[1], pyramid.shapes[1, 1]

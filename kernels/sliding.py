@@ -7,10 +7,10 @@ and y count from the window's centre.
 Along a row a window of w columns is put together from two of k and one of 1 or 3 between them, w = k + c +
 k, and those of k in the same way: a few steps for any w. Down the columns the sums move with the window,
 one row in and one out. Without lens distortion x and y are whole pixels, and the sums over the valid pixels
-whole numbers, exact in float32 for windows of up to 31: none reaches 2**24. Those of the inverse depth are
-made anew from the window's rows at every BAND-th row of the frame, and when a row with a wild value leaves
-the window, so that rounding errors cannot pile up. Threads share out bands, so every window's sums are
-added in the same order for any number of threads.
+whole numbers, exact in float32 for windows of up to 31: none reaches 2**24. Those of the inverse depth are recomputed
+from the window's rows at every BAND-th row of the frame, and when a row with a wild value leaves the window, so that
+rounding errors cannot pile up. Threads share out bands, so every window's sums are added in the same order for any
+number of threads.
 
 The frame is handled in strips of columns. The channels of a strip's row (q, q·x, ...) lie one after the
 other at a fixed PITCH, so that the compiler sees their distance and vectorises every loop. Rows and columns
@@ -24,7 +24,7 @@ from .depth import inverse_depth
 
 # Columns of a strip with the margins of its windows: the sums of its rows stay in the nearest caches.
 PITCH = 704
-# Rows between which sums are made anew.
+# Rows after which sums are recomputed.
 BAND = 64
 # Inverse depths (1/m) above this, nearer than a millimetre, would leave rounding errors behind when they leave a sum.
 WILD = 1000.0
@@ -32,7 +32,7 @@ WILD = 1000.0
 
 @kernel()
 def strip_width(width, window):
-    """Number of columns of a strip: as many as can be, and about equally many in each."""
+    """Number of columns of a strip: as many as possible, and about equally many in each."""
     widest = PITCH - (window - 1)
     strips = -(-width // widest)
     return -(-width // strips)

@@ -22,8 +22,8 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
-# Second moments may be off by this share of what they were summed up from: what is smaller is no scatter. Those about a
-# tile's own centre never come near it before COLLINEAR: their kernels leave it out.
+# Second moments may be off by this share of what they were summed from: anything smaller is not scatter. Those about a
+# tile's own centre reach COLLINEAR long before: their kernels omit this test.
 ROUNDING = 128 * 2.0**-53
 
 # The methods in (X, Y, Z) by number.
@@ -43,8 +43,8 @@ def explicit(moments, reference, total, count, solution, residual, lost):
     Parameters
     ----------
     total : float or None
-        Of moments that are differences of sums over the frame: Σuu + Σvv of the frame; 0 for other moments about a
-        point that may be far away. For None Numba compiles nothing of that.
+        For moments that are differences of sums over the frame, Σuu + Σvv of the frame; 0 for other moments about a
+        point that may be far away. With None Numba compiles none of this.
     solution : (3, N) float64, written
         a, b, c of w = a·u + b·v + c.
     residual : (N,) float64, written
@@ -90,14 +90,14 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     Parameters
     ----------
     implicit : True or None
-        Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). For None Numba compiles
-        nothing of that.
+        Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). With None Numba compiles none
+        of this.
     total
         As in `explicit`.
     needed : (N,) float64
         Number of valid pixels that a tile needs.
     work : (WORK, TILES) float64
-        On return rows 0 to 2 are α, 3 the residual in the method's own units, 4 that in metres along the normal, NaN
+        On return rows 0 to 2 are α, 3 the residual in the method's own units, 4 the one in metres along the normal, NaN
         where there is no plane, and 5 the distance below which a plane passes through the camera centre.
     """
     solution, own, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
@@ -124,7 +124,7 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
 
 @kernel(inline=True)
 def standard_planes(method, moments, reference, total, count, work):
-    """Planes from the moments of (X, Y, Z): as `range_planes`.
+    """Planes from the moments of (X, Y, Z); results as in `range_planes`.
 
     ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. implicit_plane_fitting_error: smallest eigenvector of
     eq. XYZ_scattermatrix, all four coefficients of norm 1) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3
@@ -160,7 +160,7 @@ def standard_planes(method, moments, reference, total, count, work):
         mean[0, i] = reference[0, i] + s_x * inverse
         mean[1, i] = reference[1, i] + s_y * inverse
         mean[2, i] = reference[2, i] + s_z * inverse
-        # λ₂λ₃ and λ₂ + λ₃ or more, so this bounds λ₂ against λ₃.
+        # At least λ₂λ₃, and at least λ₂ + λ₃: this bounds λ₂ against λ₃.
         minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
         trace = c_xx + c_yy + c_zz
         rounding = 0.0
@@ -196,7 +196,7 @@ def write_planes(
     Parameters
     ----------
     work
-        What `range_planes` and `standard_planes` return.
+        As `range_planes` and `standard_planes` leave it.
     valid, needed : (N,) float64
         Numbers of valid pixels; fewer than ``needed`` give TOO_FEW.
     max_error : float
@@ -244,14 +244,14 @@ def fit_moments(
     implicit, standard, moments, reference, total, needed, max_error, start, stop,
     planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
-    """Planes from moments that are there: entries ``start`` to ``stop`` of (10, T). Results as in `write_planes`.
+    """Planes from given moments: entries ``start`` to ``stop`` of (10, T). Results as in `write_planes`.
 
     Parameters
     ----------
     implicit : True or None
-        Of moments in range space, see `range_planes`.
+        For moments in range space, see `range_planes`.
     standard : int or None
-        Of moments in (X, Y, Z), see `standard_planes`; None for those in range space.
+        For moments in (X, Y, Z), see `standard_planes`; None for those in range space.
     total : float
         See `explicit`.
     """

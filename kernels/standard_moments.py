@@ -23,7 +23,7 @@ from .strips import (
 
 @kernel(inline=True)
 def depths(a, b, scale, offset):
-    """Depths of two raw values, for one division at most."""
+    """Depths of two raw values, with one division at most."""
     if offset is None:
         metres = 1.0 / scale
         return metres * a, metres * b
@@ -35,7 +35,7 @@ def depths(a, b, scale, offset):
 
 @kernel(inline=True)
 def standard_pair(a, b, is_pair, lowest, highest, scale, offset, va, vb, code_a, code_b, reference_z):
-    """Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv and the codes of the valid ones of two pixels of a column, or of the first."""
+    """Σz, Σzv, Σzvv, Σzz, Σzzv, Σzzvv and codes of the valid ones among two pixels of a column, or of the first."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     za, zb = depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
@@ -180,7 +180,7 @@ def standard_strip_separable(
 
     As `range_moments.range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every
     entry depends on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the camera terms, and ``tile_sums``
-    (12, N) the sums of which `standard_from_sums` makes the rest.
+    (12, N) the sums from which `standard_from_sums` makes the rest.
     """
     sums, columns, codes, counts = room
     tiles = tile_stop - tile_start
@@ -217,7 +217,7 @@ def standard_strip_separable(
 def standard_pair_of_rays(
     a, b, is_pair, lowest, highest, scale, offset, tan_xa, tan_xb, tan_ya, tan_yb, x0, y0, z0
 ):  # fmt: skip
-    """The ten sums of the valid ones of two pixels of a column, or of the first alone."""
+    """The ten sums of the valid ones among two pixels of a column, or of the first alone."""
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     za, zb = depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
@@ -276,7 +276,7 @@ def standard_strip(
 ):  # fmt: skip
     """Moments of (X, Y, Z) of a strip of tiles, for any camera: tan_x, tan_y are (H, W).
 
-    ``centre`` (2, N) are the central rays of the tiles; ``reference`` (3, N) is written, all of it.
+    ``centre`` (2, N) holds the central rays of the tiles; ``reference`` (3, N) is written, all of it.
     """
     sums, columns = room[:2]
     tiles = tile_stop - tile_start

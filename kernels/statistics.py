@@ -1,8 +1,8 @@
 """How good a plane is: the chi-square of its residual and the covariance of its coefficients.
 
 Everything follows from a tile's moments and the noise of the inverse depth. Tiles come in blocks that stay in the
-nearest cache, one quantity a row of a small room. All loops but those that read and write go over whole blocks,
-whatever they hold: so they vectorise, without anything left over.
+nearest cache, one quantity per row of a small room. All loops but those that read and write go over whole blocks,
+whatever these hold, and so vectorise without a remainder.
 """
 
 import math
@@ -22,7 +22,7 @@ U_0, V_0, W_0 = 10, 11, 12
 N_X, N_Y, N_Z, D, ERROR = 13, 14, 15, 16, 17
 SHARE, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
 OF_COUNT, COLUMNS = 22, 6
-# What is written in the end, of which the covariances' rows are used for other things before.
+# What is written in the end; until then the covariances' rows are used for other things.
 P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
 RATIO, ROOT = P, P + 1
 POSITION, FOUND = P, P + 1
@@ -32,20 +32,19 @@ WEIGHTED = 47
 ROWS = 52
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
-# What ``noise`` holds. Of errors that are independent from pixel to pixel: variances across the ray in tanθx and
-# tanθy, which count times the squared slopes of q, and of rounding in depth and in disparity. One over the degrees of
-# freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the variance of q of
-# the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
-# Within a tile it is a power of q; where that would be a higher one than STEEPEST the table jumps.
+# What ``noise`` holds. For errors that are independent from pixel to pixel: variances across the ray in tanθx and
+# tanθy, to be multiplied by the squared slopes of q, and those of rounding in depth and in disparity. One over the
+# degrees of freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the
+# variance of q by the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for
+# all q. Within a tile it is taken as a power of q, of at most STEEPEST: where the table is steeper, it jumps.
 LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, SCALE = 0, 1, 2, 3, 4, 5
 VARIANCES = np.uintp(6)
 STEEPEST = 8.0
 ONE = np.uintp(1)
-# Rows of what may be known of each tile's pixels beyond their moments, means over them. Where a lens makes rays differ
-# over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place of
-# those in ``noise``. And of a part of many depths: variances of q along the ray and of rounding; how uneven both
-# together are, the root of their mean square over their mean; and means, weighted by both together, of u, v, u², uv
-# and v², with (u, v) = (tanθx, tanθy).
+# Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
+# differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
+# of those in ``noise``. And for a part of many depths: variances of q along the ray and of rounding; how uneven their
+# sum is, its root mean square over its mean; and means, weighted by that sum, of u, v, u², uv and v².
 OF_LENS, OF_DEPTHS = 3, 11
 
 # Rows of the results.
@@ -65,9 +64,9 @@ def assess(
     moments, reference, planes, rmse_metric, counts, tables, in_range_space, noise, growth, of_pixels, limits, start,
     stop, status, results,
 ):  # fmt: skip
-    """Give status ROUGH to tiles whose residual is larger than noise explains; what noise makes of the planes.
+    """Give status ROUGH to tiles whose residual is larger than noise explains; write how uncertain the planes are.
 
-    Of tiles ``start`` to ``stop`` of a frame, counted row by row.
+    For tiles ``start`` to ``stop`` of a frame, counted row by row.
 
     Parameters
     ----------
@@ -78,24 +77,24 @@ def assess(
     tables : (K, COLUMNS) float64
         By number of pixels. With the covariance C of errors that neighbours share, of variance 1, and the projection P
         on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x, on the covariance of
-        the slopes, on the variance of the slope along y and on that of the mean inverse depth. Without any row pixels
-        are independent.
+        the slopes, on the variance of the slope along y and on that of the mean inverse depth. Without rows, pixels are
+        independent.
     noise : (7 or more,) float64
         See LATERAL_X.
     growth : (R·C,) float64, or empty
-        How many times those of ``noise`` the variances of q along the ray are at each tile's place in the image.
-    of_pixels : (OF_LENS or OF_DEPTHS, R·C) float64, or without any row
+        Factors on the variances of q along the ray in ``noise``, at each tile's place in the image.
+    of_pixels : (OF_LENS or OF_DEPTHS, R·C) float64, or without rows
         See OF_LENS.
     limits : (LIMITS,) float64
-        The largest permitted sum of squared residuals over its expected value, by powers of 1/√(degrees of freedom);
-        with a spread of the variance the normal deviate of the level; empty for no test.
+        The largest permitted sum of squared residuals over its expected value, as a polynomial in 1/√(degrees of
+        freedom); with a spread of the variance, the normal deviate of the level; empty for no test.
     status : (R, C) uint8, written
     results : (RESULTS, R, C) float64, written
         P-values of the residuals, covariances of α and of (n, d), and deviations, from row P_VALUE, ALPHA_COVARIANCE,
-        PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres). NaN where there is no plane. Without any row only
+        PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres). NaN where there is no plane. Without rows, only
         the test is made.
     """
-    # Made first: what is released on the way keeps the compiler from seeing the room's shape.
+    # Allocated first: later deallocations would hide its shape from the compiler.
     room = np.empty((ROWS, BLOCK))
     tails = room[RATIO : RATIO + normal_distribution.WORK]
     tiles = status.size
@@ -189,7 +188,7 @@ def store(room, results, first, last):
 
 @kernel(inline=True)
 def mean_inverse_depth(in_range_space, room):
-    """Mean inverse depth of each tile of a block, and one over its pixels."""
+    """Mean inverse depth of each tile of a block, and one over its number of pixels."""
     for i in range(BLOCK):
         share = 1.0 / room[0, i]
         room[SHARE, i] = share
@@ -209,7 +208,7 @@ def pixel_variance(noise, count, room):
         scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
         for i in range(BLOCK):
             position = room[MEAN_Q, i] * scale
-            inside = position if position > 0.0 else 0.0  # also of NaN
+            inside = position if position > 0.0 else 0.0  # also for NaN
             inside = inside if inside < last else last
             room[SHARED, i] = np.floor(inside)
             room[POSITION, i] = position
@@ -224,7 +223,7 @@ def pixel_variance(noise, count, room):
             variance, step = found[2 * i], found[2 * i + 1] - found[2 * i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
-            # Averaged over the tile as this power of q is.
+            # Averaged over the tile, as this power of q.
             power = min(max(position * step / max(variance, 1e-300), -STEEPEST), STEEPEST)
             mean_w = room[3, i] * room[SHARE, i]
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
@@ -243,7 +242,7 @@ def pixel_variance(noise, count, room):
 
 @kernel(inline=True)
 def lateral_variance(noise, room):
-    """Add what an error across the ray makes of q to rounding: the variance of errors that are independent."""
+    """Variance of the errors that are independent: rounding, and what errors across the ray make of q."""
     x, y = noise[LATERAL_X], noise[LATERAL_Y]
     if x > 0.0:
         for i in range(BLOCK):
@@ -256,7 +255,7 @@ def lateral_variance(noise, room):
 
 @kernel(inline=True)
 def lateral_variance_of_lens(room):
-    """The same where a lens makes rays differ over the image."""
+    """As `lateral_variance`, where a lens makes rays differ over the image."""
     for i in range(BLOCK):
         n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
         xx, xy, yy = room[LATERAL, i], room[LATERAL + 1, i], room[LATERAL + 2, i]
@@ -266,7 +265,7 @@ def lateral_variance_of_lens(room):
 
 @kernel(inline=True)
 def by_count(counts, tables, room):
-    """What follows of each tile from its number of pixels: see `assess`."""
+    """What follows for each tile from its number of pixels: see ``tables`` of `assess`."""
     if tables.shape[0] == 0:
         for i in range(BLOCK):
             freedom = room[0, i] - 3.0
@@ -309,7 +308,7 @@ def residual_ratio(room):
         half_variance = shared * shared * room[OF_COUNT + 1, i] + independent * (
             2.0 * of_shared + of_independent
         )
-        # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly. One division for two.
+        # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly. One division instead of two.
         square = room[D, i] * room[D, i]
         inverse = 1.0 / (expected * square)
         error = room[ERROR, i] * room[MEAN_Q, i]
@@ -323,8 +322,8 @@ def residual_ratio(room):
 def ray_scatter(in_range_space, room):
     """Mean ray and centred scatter of the rays, ū, v̄, Suu, Suv, Svv, in place of the moments.
 
-    From the moments of (X, Y, Z) the scatter of the rays u = X/Z is that to first order: noise along the ray drops
-    out of it.
+    From the moments of (X, Y, Z) the scatter of the rays u = X/Z is taken to first order: noise along the ray drops out
+    of it.
     """
     for i in range(BLOCK):
         share = room[SHARE, i]
@@ -352,7 +351,7 @@ def ray_scatter(in_range_space, room):
 
 @kernel(inline=True)
 def rounded_alike(noise, count, room):
-    """Add what rounding does to all pixels of a tile alike to the factors on the variance that neighbours share."""
+    """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share."""
     for i in range(count):
         n, d = room[0, i], room[D, i]
         rounding = noise[DEPTH_STEP] * room[MEAN_Q, i] ** 4 + noise[DISPARITY_STEP]
@@ -391,9 +390,9 @@ def covariances(room):
 
 @kernel(reduction=True, inline=True)
 def uneven_covariances(room):
-    """The same where some pixels are noisier than others: see `sandwich.sandwich`.
+    """As `covariances`, where some pixels are noisier than others: see `sandwich.sandwich`.
 
-    Errors that neighbours share raise it as they do where all variances are alike.
+    Errors that neighbours share raise them by the same factors as if all variances were alike.
     """
     for i in range(BLOCK):
         w = WEIGHTED
@@ -418,7 +417,7 @@ def uneven_covariances(room):
 def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room):
     """Covariances of α = (a, b, c) and of (n, d), and deviations, from those of a, b and the mean inverse depth.
 
-    Of (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
+    Those of (n, d), to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
     σd² = d⁴nᵀΣn.
     """
     mean_u, mean_v = room[1, i], room[2, i]

@@ -17,16 +17,16 @@ TILES = 328
 
 @kernel(inline=True)
 def tiles_in_strip(tile_width):
-    """How many tiles make a strip: eight or a multiple where possible, for whole vectors of tiles and columns."""
+    """Number of tiles in a strip: a multiple of eight where possible, for whole vectors of tiles and columns."""
     tiles = max(1, COLUMNS // tile_width)
     return tiles if tiles < 8 else tiles // 8 * 8
 
 
 @kernel(inline=True)
 def columns_in_strip(left, last, tile_width, width):
-    """Columns of each tile from ``left`` on, and how many of the image to read for those up to ``last``."""
+    """Columns of each tile from ``left`` on, and the number of the image's to read for those up to ``last``."""
     right = min(left + COLUMNS, last)
-    # Whole vectors: the sums of a few columns more are not looked at.
+    # Whole vectors: the sums of a few extra columns are not used.
     return tile_width if tile_width <= COLUMNS else right - left, min(
         (right - left + 7) // 8 * 8, width - left
     )
@@ -34,7 +34,7 @@ def columns_in_strip(left, last, tile_width, width):
 
 @kernel(inline=True)
 def step_of_columns(u, start, last, tile_width):
-    """How much tanθx differs between neighbouring columns, from those of one tile."""
+    """Step of tanθx between neighbouring columns, from those of one tile."""
     size = min(tile_width, last - start)
     return (u[start + size - 1] - u[start]) / max(size - 1, 1)
 
@@ -68,12 +68,12 @@ def find_references(
     raw, lowest, highest, scale, offset, in_range, row_start, row_stop, tile_start, tile_stop, tile_width,
     references,
 ):  # fmt: skip
-    """Take a valid pixel of each tile for its reference.
+    """Take a valid pixel of each tile as its reference.
 
     Parameters
     ----------
     in_range : bool
-        Whether inverse depths are wanted, or depths.
+        Whether inverse depths are wanted, not depths.
     references : (TILES,) float64, written
         Their (inverse) depths.
     """
@@ -92,14 +92,14 @@ def find_references(
 
 @kernel(inline=True)
 def clip(value, lowest, highest):
-    """The nearest valid raw value, for NaN the lowest: a value is valid if and only if it is its own."""
+    """The nearest valid raw value, for NaN the lowest: a value is valid exactly if clipping leaves it unchanged."""
     above = value if value > lowest else lowest
     return above if above < highest else highest
 
 
 @kernel(inline=True)
 def sums_of_pair(valid_a, valid_b, xa, xb, ya, yb, za, zb):
-    """Σ1, Σx, Σy, Σz, Σxx, Σxy, Σxz, Σyy, Σyz, Σzz of the valid ones of two points."""
+    """Σ1, Σx, Σy, Σz, Σxx, Σxy, Σxz, Σyy, Σyz, Σzz of the valid ones among two points."""
     one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
     xa, xb = xa if valid_a else 0.0, xb if valid_b else 0.0
     ya, yb = ya if valid_a else 0.0, yb if valid_b else 0.0
@@ -142,6 +142,6 @@ def fold(columns, tiles, span, sums):
 
 @kernel(inline=True)
 def fold_columns(sums, tiles, span, moments):
-    """Add columns, ``span`` a tile, to the ten sums of their tiles."""
+    """Add columns, ``span`` per tile, to the ten sums of their tiles."""
     for entry in range(10):
         fold(sums[entry], tiles, span, moments[entry])

@@ -12,7 +12,7 @@ import numpy as np
 from ._jit import kernel
 from .depth import depth, inverse_depth
 
-# Differences of sums that are a smaller share of these are off by a thousandth of the root mean square and more.
+# Differences that are a smaller share of the sums are off by a thousandth of the root mean square or more.
 LOST = 2.0**-31
 
 
@@ -29,7 +29,7 @@ def count_missing(raw, lowest, highest):
 
 @kernel()
 def inverse_depth_row(values, lowest, highest, scale, offset, is_disparity, q):
-    """Inverse depths of an image row, 0 where missing: apart, so that the divisions vectorise."""
+    """Inverse depths of an image row, 0 where missing: in a loop of its own, so that the divisions vectorise."""
     for column in range(values.shape[0]):
         value = values[column]
         inverse = inverse_depth(value, scale, offset, is_disparity)
@@ -53,7 +53,7 @@ def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y
     or (H + 1, W + 1, 3): all that the explicit solution needs (Mᵗb of the paper).
 
     Two image rows at a time: the table's row above them is read half as often, and their sums do not wait for
-    each other. An odd first row is the lower one of a pair whose upper one is all missing.
+    each other. Where the height is odd, the first row is the lower one of a pair whose upper one is all missing.
     """
     squares = tables.shape[2] == 4
     height, width = raw.shape
@@ -232,17 +232,17 @@ def missing_table(raw, lowest, highest, table):
 
 @kernel()
 def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
-    """The camera terms of the missing pixels, which `camera_tables` have too many where a frame has holes.
+    """The camera terms of the missing pixels, to subtract from those of `camera_tables` where a frame has holes.
 
-    They are few, so instead of five more tables there is a list of them, summed up in the order of the pixels:
-    a part of an image row is the difference of two of its entries.
+    They are few, so instead of five more tables there is a list of their running sums in the order of the pixels: a
+    part of an image row is the difference of two of its entries.
 
     Parameters
     ----------
     before : (H, W + 1) int32, written
-        Number of missing pixels before a column of a row, in all earlier rows too.
+        Number of missing pixels before a column of a row, those in all earlier rows included.
     sums : (missing + 1, 5) float64, written
-        tanθx, tanθy, tanθx², tanθx·tanθy, tanθy² summed over so many missing pixels.
+        tanθx, tanθy, tanθx², tanθx·tanθy, tanθy² summed over the first 0, 1, 2, ... missing pixels.
     """
     sums[0] = 0.0
     missing = 0
@@ -292,8 +292,8 @@ def range_window_moments(tables, before, sums, windows, full, start, stop, momen
 
     ``full`` is what `camera_window_moments` gives, so only the 4 sums that depend on the frame are looked up.
     ``before`` and ``sums`` are those of `missing_rays`, empty for a frame without holes; with them a window
-    costs two look-ups for each of its rows. Where ``tables`` have no q², Σqq is NaN. Where hardly a digit is left of
-    it, Σuu is NaN, which makes the window DEGENERATE.
+    costs two look-ups for each of its rows. Where ``tables`` have no q², Σqq is NaN. Where hardly a digit of it is
+    left, Σuu is NaN, which makes the window DEGENERATE.
     """
     squares = tables.shape[2] == 4
     for i in range(start, stop):
@@ -326,10 +326,10 @@ def range_window_moments(tables, before, sums, windows, full, start, stop, momen
 
 @kernel()
 def standard_window_moments(tables, missing, windows, full, start, stop, moments):
-    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; the arguments as above.
+    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; arguments as in `range_window_moments`.
 
-    ``missing`` is that of `missing_table`, empty for a frame without holes. All but the number of pixels
-    depends on the frame: nothing of ``full`` is of use. Where hardly a digit is left, ΣXX is NaN.
+    ``missing`` is that of `missing_table`, empty for a frame without holes. All but the number of pixels depends on the
+    frame: ``full``, which the other form needs, is not used. Where hardly a digit is left, ΣXX is NaN.
     """
     moments[9, start:stop] = math.nan
     for i in range(start, stop):

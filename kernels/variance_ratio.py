@@ -1,8 +1,8 @@
-"""The distribution of a ratio of two variances, Fisher's F: of a residual where noise differs from place to place.
+"""The distribution of a ratio of two variances, Fisher's F: for a residual where noise differs from place to place.
 
 By Paulson's approximation (Annals of Mathematical Statistics 13, 1942): the cube roots of both variances are nearly
 normal (Wilson and Hilferty 1931). Its small p-values err to the safe side: for a spread of up to 0.6 those of 0.01 by
-up to 8 %, those of 0.001 by up to 35 %. Only with one degree of freedom those of 0.01 are too small, by 3 %.
+up to 8 %, those of 0.001 by up to 35 %. Only with one degree of freedom are those of 0.01 too small, by 3 %.
 """
 
 import math
@@ -12,19 +12,19 @@ import numpy as np
 from ._jit import kernel
 from .normal_distribution import WHOLE, WHOLE_BITS
 
-# The bits of a double, from the exponent on, as a number: a third of it, and this, is nearly that of the cube root.
+# The upper half of a double's bits, as a number: a third of it, plus this, is nearly that of the cube root.
 OF_ROOT = 1023.0 * 2.0**20 * (2.0 / 3.0) - 37000.0
 
 
 @kernel(inline=True)
 def two_ninths(inverse_freedom, root):
-    """2/9 of one over the degrees of freedom of either variance: of the residual's, 1/root², and of the noise's."""
+    """2/9 over the degrees of freedom of both variances: the residual's, 1/root², and the noise's."""
     return (2.0 / 9.0) * root * root, (2.0 / 9.0) * inverse_freedom
 
 
 @kernel(inline=True)
 def limits(deviate, inverse_freedom, work, count):
-    """The ratios that are exceeded as often as a normal deviate, written to ``work[2]``; otherwise as `deviates`."""
+    """Write to ``work[2]`` the ratios exceeded with the probability of a normal deviate; arguments as in `deviates`."""
     limit = work[2]
     for i in range(count):
         v, w = two_ninths(inverse_freedom, work[1, i])
@@ -37,14 +37,14 @@ def limits(deviate, inverse_freedom, work, count):
 
 @kernel(reduction=True, inline=True)
 def deviates(inverse_freedom, work, count):
-    """Normal deviates, into ``work[4]``, that are exceeded as often as ``work[0]`` by a residual over its mean.
+    """Write to ``work[4]`` normal deviates exceeded with the probabilities of a residual over its mean at ``work[0]``.
 
     Parameters
     ----------
     inverse_freedom : float
         One over ν, where the variance of the noise is distributed as (ν - 2) / χ²(ν).
     work : (normal_distribution.WORK, N) float64
-        Its second row is 1/√(degrees of freedom), of at least 1.
+        Its second row is 1/√(degrees of freedom), for degrees of freedom of at least 1.
     count : int
         Number of values.
     """
@@ -61,7 +61,7 @@ def deviates(inverse_freedom, work, count):
         guess_bits[i] = guess_bits[i] << 32
     for i in range(count):
         x, c = cube_root[i], guess[i]
-        # Twice Halley's step, which leaves a share ε of the error as 2/3·ε³.
+        # Halley's step twice, each of which turns a relative error ε into 2/3·ε³.
         for _ in range(2):
             cube = c * c * c
             c *= (cube + 2.0 * x) / (2.0 * cube + x)

@@ -9,7 +9,7 @@ from ._jit import kernel
 
 @kernel()
 def calmer(other, place, smallest, best):
-    """Take the windows of smaller variance: ``place`` counts those of ``other`` in the frame."""
+    """Take the windows of ``other`` with a smaller variance; ``place`` is the first one's index in the frame."""
     for i in range(other.shape[0]):
         is_calmer = other[i] < smallest[i]
         smallest[i] = other[i] if is_calmer else smallest[i]
@@ -23,11 +23,11 @@ def choose_windows(
 ):  # fmt: skip
     """Give each valid pixel its window, or one of the eight that are moved by ``reach`` but still hold it.
 
-    A moved window is taken, the one with the smallest residual variance, if its own window's is more than
-    ``ratio`` times as large: an edge runs through it. The same idea as Kuwahara's filter of means (1976).
-    Not so where rounding to raw values makes as much: the moved windows may lie on terraces, which have none.
-    At the border windows are moved less. A plane that the pixel's ray does not meet is none. Missing pixels
-    get NaN.
+    Of the moved windows the one with the smallest residual variance is taken if the variance of the pixel's own window
+    is more than ``ratio`` times as large: an edge runs through it. The idea is that of Kuwahara's filter of means
+    (1976). Not so where rounding to raw values explains as much: the moved windows may lie on terraces, which have
+    none. At the border windows are moved less. A plane that the pixel's ray does not meet does not count. Missing
+    pixels get NaN.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def choose_windows(
             own = variance[row, column]
             square = np.float64(raw[row, column]) ** 2
             rounded = rounding if is_disparity else rounding / (square * square)
-            # Not a number, where the pixel's own window has no plane, is larger than everything.
+            # NaN, where the pixel's own window has no plane, counts as larger than everything.
             smallest[column] = math.inf if own != own else own / ratio if own > ratio * rounded else 0.0
             best[column] = row * width + column
         for y in range(-reach, reach + 1, reach):

@@ -16,8 +16,8 @@ from .solve import COLLINEAR
 def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
     """Normals of a row of windows from their sums, for a camera without lens distortion.
 
-    Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one
-    division and one square root a pixel.
+    Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one division and
+    one square root per pixel.
     """
     for i in range(needed.shape[0]):
         n = np.float64(valid_sums[i])
@@ -53,15 +53,15 @@ def surface_row(
     """Normal, residual variance and surface variation of a row of windows.
 
     With C the covariance of the rays m in the window, m̄ and q̄ the means and s² the mean squared residual, the
-    points X = m/q of the fitted plane spread by tr(J C Jᵀ), J = (I - m̄αᵀ/q̄)/q̄, to first order, and those
-    measured leave the plane by s²d²/q̄².
+    points X = m/q of the fitted plane spread by tr(J C Jᵀ), J = (I - m̄αᵀ/q̄)/q̄, to first order, and the measured ones
+    scatter about the plane by s²d²/q̄².
 
     Parameters
     ----------
     sums, squares, valid_sums
-        Σq, Σqx, Σqy; Σq²; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy but for a constant.
+        Σq, Σqx, Σqy; Σq²; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy, up to a constant.
     wanted : (N,) float32
-        1, or 0 for NaN.
+        1, or 0 to write NaN.
     needed : (N,) float32
         Fewer valid pixels give NaN.
     x_pixel, y_pixel : (N,) float64
