@@ -157,13 +157,13 @@ def of_independent_pixels(sigma):
     return sigma**2 * np.linalg.inv(rays @ rays.T)
 
 
-@pytest.mark.parametrize("measured", [3e-4, 2e-3])
-def test_the_residual_or_the_noise_counts_whichever_is_larger(measured, rng):
+@pytest.mark.parametrize(("measured", "off"), [(0.0, 0.4), (3e-4, 0.15), (2e-3, 0.15)])
+def test_the_residual_or_the_noise_counts_whichever_is_larger(measured, off, rng):
     q = 0.5 + 0.05 * CAMERA.tan_x + measured * rng.standard_normal(CAMERA.shape)
     found = segment(1.0 / q, CAMERA, noise=1e-3)
     wanted = of_independent_pixels(max(measured, 1e-3))
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    np.testing.assert_allclose(found.alpha_covariance[0] / scale, wanted / scale, atol=0.15)
+    np.testing.assert_allclose(found.alpha_covariance[0] / scale, wanted / scale, atol=off)
 
 
 def test_one_square_of_outliers_says_little_of_where_a_plane_is_noisier(rng):
