@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats, distortion
-from rgbd_planes.checks import check_not_a_maker, check_whole, number, numbers, plain_array, warn_caller
+from rgbd_planes.checks import check_not_a_maker, check_whole, number, numbers, real_array, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.noise_model import NoiseModel
@@ -274,22 +274,27 @@ class Camera:
         Returns
         -------
         (..., 2) ndarray of float64
-            Column x and row y in pixels; NaN behind the camera and where the distortion has no image of the
-            ray.
+            Column x and row y in pixels; NaN behind the camera, where the distortion has no image of the ray, and
+            for points that are not finite or whose image is not.
 
         Raises
         ------
         TypeError, ValueError
-            The points are masked, or of another shape.
+            The points are masked, no numbers, or of another shape.
         """
-        array = plain_array("points", points).astype(np.float64, copy=False)
+        array = real_array("points", points)
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ValueError(f"expected points of shape (..., 3), got {array.shape}")
         z = np.where(array[..., 2] > 0, array[..., 2], np.nan)
-        x, y = array[..., 0] / z, array[..., 1] / z
-        if self.is_distorted:
-            x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
-        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
+        with np.errstate(over="ignore", invalid="ignore"):  # very near the camera's plane, and at infinity
+            x, y = array[..., 0] / z, array[..., 1] / z
+            if self.is_distorted:
+                x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
+            pixels = np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
+        finite = np.isfinite(array).all(axis=-1, keepdims=True) & np.isfinite(pixels).all(
+            axis=-1, keepdims=True
+        )
+        return np.where(finite, pixels, np.nan)
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as a dict that JSON takes, with "noise" where there is a model.

@@ -69,9 +69,10 @@ def check_error(max_error: float | None) -> float:
     """Return the largest permitted residual in metres: infinity for None."""
     if max_error is None:
         return math.inf
-    if not number("max_error", max_error, finite=False) > 0.0:
+    metres = number("max_error", max_error, finite=False)
+    if not metres > 0.0:
         raise ValueError(f"max_error must be a positive length in metres, or None, got {max_error!r}")
-    return float(max_error)
+    return metres
 
 
 def plain_array(name: str, values: Any) -> NDArray[Any]:
@@ -80,6 +81,17 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
     return np.asarray(values)
+
+
+def real_array(name: str, values: Any) -> NDArray[np.float64]:
+    """Return numbers, in what is no masked array, as an array of floats."""
+    array = plain_array(name, values)
+    if array.dtype.kind not in "biufO":  # NumPy makes numbers of texts, and drops a part of complex ones
+        raise TypeError(f"expected {name} as numbers, got an array of {array.dtype}")
+    try:
+        return array.astype(np.float64, copy=False)
+    except (OverflowError, TypeError, ValueError):
+        raise TypeError(f"expected {name} as numbers, got {array.flat[0]!r}") from None
 
 
 def check_labels(labels: NDArray[Any], most: int) -> None:
@@ -91,7 +103,7 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
         )
 
 
-LARGEST_NOISE = 1e150  # 1/m: what a square leaves finite
+LARGEST_NOISE = 1e60  # 1/m: what the square of a square leaves finite, summed over a frame
 
 
 def check_noise(

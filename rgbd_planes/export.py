@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, plain_array
+from rgbd_planes.checks import check_camera, real_array
 from rgbd_planes.colours import in_image, normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
@@ -159,7 +159,7 @@ def write_ply(
     Raises
     ------
     TypeError
-        Masked arrays.
+        Masked arrays, or none of numbers.
     ValueError
         Arrays of other shapes, colours outside 0..1, or a face of a point that there is not.
     """
@@ -204,7 +204,7 @@ def write_ply(
 
 def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
     """(N, 3) float64 of (..., 3) numbers: so many, if that is known."""
-    array = plain_array(name, values).astype(np.float64, copy=False)
+    array = real_array(name, values)
     if array.shape[-1:] != (3,) or count not in (None, array.size // 3):
         expected = "(..., 3)" if count is None else f"(..., 3), {count} in all, as many as points"
         raise ValueError(f"expected {name} of shape {expected}, got {array.shape}")

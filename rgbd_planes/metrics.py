@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import number, plain_array
+from rgbd_planes.checks import number, plain_array, real_array
 
 LARGEST_TABLE = 1 << 22
 
@@ -344,15 +344,21 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
     Raises
     ------
     TypeError, ValueError
-        The shapes differ, or are others, or an array is masked.
+        The shapes differ, or are others, or an array is masked or none of numbers; or a normal has no length.
     """
-    first, second = plain_array("predicted", predicted), plain_array("truth", truth)
-    first, second = first.astype(np.float64, copy=False), second.astype(np.float64, copy=False)
+    first, second = real_array("predicted", predicted), real_array("truth", truth)
     if first.ndim != 2 or first.shape[1] != 4 or first.shape != second.shape:
         raise ValueError(f"predicted and truth must both be (K, 4), got {first.shape} and {second.shape}")
-    first = first / np.linalg.norm(first[:, :3], axis=1, keepdims=True)
-    second = second / np.linalg.norm(second[:, :3], axis=1, keepdims=True)
+    first, second = _with_unit_normals("predicted", first), _with_unit_normals("truth", second)
     # The arctangent keeps its digits near 0 and 180 degrees, where the arccosine loses them.
     sine = np.linalg.norm(np.cross(first[:, :3], second[:, :3]), axis=1)
     cosine = (first[:, :3] * second[:, :3]).sum(axis=1)
     return PlaneErrors(np.degrees(np.arctan2(sine, cosine)), first[:, 3] - second[:, 3])
+
+
+def _with_unit_normals(name: str, planes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, 4) planes with normals of length 1."""
+    length = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    if (length == 0.0).any():
+        raise ValueError(f"expected planes with a normal in {name}, got {planes[length.argmin()].tolist()}")
+    return np.asarray(planes / length)

@@ -6,11 +6,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.checks import number
+
 Floats = NDArray[np.float64]
 
 
 def ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
     """std_msgs/Header; a time that is not known is 0."""
+    if not isinstance(frame_id, str):
+        raise TypeError(f"expected frame_id as a str, got {frame_id!r}")
+    stamp = number("stamp", stamp, finite=False)
     nanoseconds = round(stamp * 1e9) if math.isfinite(stamp * 1e9) else 0
     time = {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
     return {"stamp": time, "frame_id": frame_id}

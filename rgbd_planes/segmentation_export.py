@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,14 +18,13 @@ from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plotting_segments import NO_PLANE, label_colours
+from rgbd_planes.polygons import PlanePolygon
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
 from rgbd_planes.segmentation_result import Segmentation
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     import open3d
-
-    from rgbd_planes.polygons import PlanePolygon
 
 
 def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None = None) -> dict[str, Any]:
@@ -86,7 +85,7 @@ def write_json(
     Raises
     ------
     TypeError
-        It is no `Segmentation`.
+        It is no `Segmentation`, or the polygons are none.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     OSError
@@ -218,7 +217,7 @@ def to_ros_polygons(
         header; polygons, one a part of a plane, without its holes, which the message has no place for;
         labels, of each part its plane's; likelihood, empty.
     """
-    parts = [(polygon.label, part[0]) for polygon in polygons for part in polygon.rings()]
+    parts = [(polygon.label, part[0]) for polygon in _all_polygons(polygons) for part in polygon.rings()]
     return ros_polygons([ring for _, ring in parts], [label for label, _ in parts], frame_id, stamp)
 
 
@@ -254,9 +253,17 @@ def _check(segmentation: Segmentation) -> None:
         raise TypeError(f"expected a Segmentation, got {type(segmentation).__name__}")
 
 
+def _all_polygons(polygons: Iterable[PlanePolygon]) -> list[PlanePolygon]:
+    listed = list(polygons) if isinstance(polygons, Iterable) else [polygons]
+    for polygon in listed:
+        if not isinstance(polygon, PlanePolygon):
+            raise TypeError(f"expected a sequence of PlanePolygon, got {polygons!r}")
+    return listed
+
+
 def _by_label(segmentation: Segmentation, polygons: Sequence[PlanePolygon]) -> list[PlanePolygon]:
     """The polygons of a segmentation in the order of its planes."""
-    ordered = sorted(polygons, key=lambda polygon: polygon.label)
+    ordered = sorted(_all_polygons(polygons), key=lambda polygon: polygon.label)
     planes = np.array([polygon.plane for polygon in ordered]).reshape(-1, 4)
     if not np.array_equal(planes, segmentation.planes):
         others = " of other planes" if len(planes) == len(segmentation) else ""
@@ -269,6 +276,7 @@ def _by_label(segmentation: Segmentation, polygons: Sequence[PlanePolygon]) -> l
 
 def _mesh(polygons: Sequence[PlanePolygon]) -> tuple[Floats, Floats, Floats]:
     """Three points for each triangle of the outlines, with their normals and colours."""
+    polygons = _all_polygons(polygons)
     # The colours of their labels, as points have them, also where only some of the planes are here.
     labels = np.array([polygon.label for polygon in polygons], dtype=np.intp)
     colours = label_colours(int(labels.max(initial=0)))[labels - 1]

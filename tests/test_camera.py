@@ -507,6 +507,27 @@ def test_from_ros_models():
         Camera.from_ros({"width": 1, "height": 1})
 
 
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {},
+        {"distortion": (0.1, -0.05, 0.001, 0.0, 0.02)},
+        {"distortion": (0.1, -0.05, 0.001, 0.0, 0.02), "distortion_model": "inverse_brown_conrady"},
+        {"distortion": (0.1, 0.0, 0.0, 0.0), "distortion_model": "fisheye"},
+    ],
+)
+def test_points_without_an_image(lens):
+    """At infinity, in the camera's plane and very near it; without a warning, which would be an error here."""
+    camera = Camera(64, 48, 50.0, 50.0, 31.5, 23.5, **lens)
+    nowhere = [
+        [math.inf, math.inf, math.inf], [math.inf, 0.0, 1.0], [0.0, 0.0, math.nan], [1.0, 1.0, 0.0],
+        [1e200, 1.0, 1e-200],
+    ]  # fmt: skip
+    assert np.isnan(camera.project(nowhere)).all()
+    near = camera.project([[1.0, 1.0, 1e-100], [1.0, 1.0, 1e-300], [0.0, 0.0, 1.0]])
+    assert np.isfinite(near[2]).all()
+
+
 def test_from_open3d(tmp_path):
     values = {"width": 640, "height": 480, "intrinsic_matrix": [525.0, 0, 0, 0, 520.0, 0, 319.5, 239.5, 1]}
     expected = Camera(640, 480, 525.0, 520.0, 319.5, 239.5, depth_scale=1000.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import export, images, metrics, noise, scenes, sequences
+from rgbd_planes import export, images, metrics, noise, scenes, segmentation_export, sequences
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
@@ -86,6 +86,18 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.fit_tiles(DEPTH, CAMERA, max_missing="a"), TypeError, "max_missing as a number, got 'a'"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, max_missing=np.nan), ValueError, "between 0 and 1, got nan"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, max_error="a"), TypeError, "max_error as a number, got 'a'"),
+        (lambda: noise.NoiseModel((1e61,)), ValueError, r"noise of 0 to 1e\+60 1/m at all inverse depths, got 1e\+61"),
+        (lambda: metrics.plane_errors([[0, 0, 1, 1]], [[0, 0, 0, 1]]), ValueError, r"in truth, got \[0.0, 0.0, "),
+        (lambda: metrics.plane_errors([[0, 0, 1j, 1]], [[0, 0, 1, 1]]), TypeError, "predicted as .*complex128"),
+        (lambda: metrics.plane_errors([[0, 0, 1, 1]], [list("0011")]), TypeError, "truth as numbers, .* of <U1"),
+        (lambda: CAMERA.project(["1", "2", "3"]), TypeError, "points as numbers, got an array of <U1"),
+        (lambda: CAMERA.project([{}, 2, 3]), TypeError, "points as numbers, got {}"),
+        (lambda: segmentation_export.to_dict(rp.segment(DEPTH, CAMERA), "a"), TypeError, "of PlanePolygon, got 'a'"),
+        (lambda: segmentation_export.to_dict(rp.segment(DEPTH, CAMERA), (1, 2)), TypeError, r"got \(1, 2\)"),
+        (lambda: segmentation_export.to_ros_polygons(3), TypeError, "of PlanePolygon, got 3"),
+        (lambda: export.to_ros_points(DEPTH, CAMERA, stamp=None), TypeError, "stamp as a number, got None"),
+        (lambda: export.to_ros_points(DEPTH, CAMERA, stamp={}), TypeError, "stamp as a number, got {}"),
+        (lambda: export.to_ros_points(DEPTH, CAMERA, 1.5), TypeError, "frame_id as a str, got 1.5"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, significance="a"), TypeError, "significance as a number, got 'a'"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, num_threads=1.5), TypeError, "whole number, or None, got 1.5"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, num_threads=True), TypeError, "whole number, or None, got True"),
@@ -154,6 +166,23 @@ def test_numbers_of_other_kinds(kind):
     (found,) = rp.plane_polygons(segmented, tolerance=kind(0.5), min_part=kind(20.0))
     (wanted,) = rp.plane_polygons(segmented, tolerance=0.5, min_part=20.0)
     assert found.image.equals(wanted.image)
+
+
+def test_an_error_that_is_larger_than_any_float():
+    unlimited = rp.fit_tiles(DEPTH, CAMERA, max_error=10**400)
+    assert np.array_equal(unlimited.status, rp.fit_tiles(DEPTH, CAMERA).status)
+
+
+def test_p_values_of_the_largest_noise():
+    """They are numbers: the square of a variance is one."""
+    noisy = replace(
+        CAMERA, noise=noise.NoiseModel((1e60,), correlation=((0.5, 2.0),), floor=2.0, falloff=50.0)
+    )
+    tiles = rp.fit_tiles(DEPTH, noisy)
+    assert (tiles.p_value == 1.0).all()
+    assert (rp.merge(tiles, np.ones(tiles.shape, int)).p_value == 1.0).all()
+    assert (rp.fit_labels(DEPTH, noisy, DEPTH > 0).p_value == 1.0).all()
+    assert (rp.fit_windows(DEPTH, noisy, [[0, 0, 48, 48]]).p_value == 1.0).all()
 
 
 def test_whole_numbers_of_numpy():
