@@ -6,7 +6,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def needs(library: str, extra: str | None) -> Iterator[None]:
-    """Say how to install the library whose import in the block fails, by itself if there is no extra."""
+    """Say how to install the library whose import in the block fails, by itself if there is no extra.
+
+    Or, where it is installed, why it cannot be imported: mostly for want of another file of the system's.
+    """
     try:
         yield
     except ModuleNotFoundError as error:
@@ -14,3 +17,5 @@ def needs(library: str, extra: str | None) -> Iterator[None]:
         raise ModuleNotFoundError(
             f"this needs {library}: pip install {what} ({error})", name=error.name
         ) from None
+    except (ImportError, OSError) as error:
+        raise ImportError(f"this needs {library}, which cannot be imported: {error}") from error

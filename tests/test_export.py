@@ -154,7 +154,7 @@ def test_colours_of_points_are_shares(tmp_path):
 
 
 def test_open3d_gets_the_same_mesh_and_points(tiles, depth, tmp_path):
-    open3d = pytest.importorskip("open3d")
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
     mesh = export.to_open3d(tiles)
     polygons, planes = export.tile_polygons(tiles), tiles.planes[export.exported(tiles)]
     np.testing.assert_array_equal(np.asarray(mesh.vertices).reshape(-1, 4, 3), polygons)
@@ -294,3 +294,14 @@ def test_what_cannot_be_exported(tiles, depth, tmp_path, monkeypatch):
         export.to_open3d(tiles)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "rgbd-planes\[viewer\]"'):
         recording.record([], tmp_path / "a.rrd")
+
+
+@pytest.mark.parametrize("error", [ImportError, OSError])
+def test_a_library_that_is_installed_and_broken(tiles, tmp_path, monkeypatch, error):
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "open3d.py").write_text(f"raise {error.__name__}('libusb-1.0.so.0: cannot open')")
+    with pytest.raises(
+        ImportError, match=r"needs open3d, which cannot be imported: libusb-1.0.so.0: cannot open$"
+    ):
+        export.to_open3d(tiles)

@@ -212,7 +212,7 @@ def test_a_segmentation_shows_itself(depth):
 
 def test_open3d_mesh(depth, tmp_path):
     pytest.importorskip("shapely")
-    open3d = pytest.importorskip("open3d")
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
     from rgbd_planes import plane_polygons
 
     polygons = plane_polygons(segment(depth, CAMERA))
