@@ -30,7 +30,17 @@ def check_camera(camera: Any) -> None:
     if not isinstance(camera, Camera):
         reads = next((name for kind, name in _CAMERA_FROM if isinstance(camera, kind)), None)
         reason = "" if reads is None else f": Camera.{reads}"
+        if isinstance(camera, np.ndarray) and max(camera.shape, default=0) > 4:
+            reason = f" of shape {camera.shape}: is it the depth? The camera comes after it"
         raise TypeError(f"expected a Camera, got {type(camera).__name__}{reason}")
+
+
+def check_figure(figure: Any) -> None:
+    """Raise TypeError unless it is a figure of Matplotlib's, or None for a new one."""
+    from matplotlib.figure import FigureBase
+
+    if figure is not None and not isinstance(figure, FigureBase):
+        raise TypeError(f"expected a Figure, got {type(figure).__name__}")
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -103,6 +113,8 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
         )
 
 
+# Share of 1/Z that no sensor's noise is, between what is nearest in a frame and twice as far away.
+TOO_LARGE = 0.2
 LARGEST_NOISE = 1e60  # 1/m: what the square of a square leaves finite, summed over a frame
 
 
@@ -181,6 +193,15 @@ def warn_caller(message: str) -> None:
         warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
     else:
         _collected.messages.append(message)
+
+
+def warn_of_large_noise(sigma: float, inverse_depth: float, result: str) -> None:
+    """Warn of a noise that most likely is in other units."""
+    if sigma > TOO_LARGE * inverse_depth:
+        warn_caller(
+            f"the noise that is given is {sigma:.2g} 1/m where 1/Z is {inverse_depth:.2g} 1/m: most likely it "
+            f"is not in 1/m. With it {result}"
+        )
 
 
 @contextmanager

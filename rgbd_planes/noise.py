@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import number
+from rgbd_planes.checks import number, warn_caller
 from rgbd_planes.noise_model import KINECT_V1 as KINECT_V1
 from rgbd_planes.noise_model import Floats
 from rgbd_planes.noise_model import NoiseModel as NoiseModel
+
+_LONGEST_BASELINE = 5.0  # metres, of a stereo camera
 
 
 def kinect_v1() -> NoiseModel:
@@ -60,8 +62,17 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
     ------
     TypeError, ValueError
         One of them is no positive number.
+
+    Warns
+    -----
+    UserWarning
+        The baseline is longer than any sensor's: most likely in other units.
     """
     baseline = _positive("baseline", baseline)
+    if baseline > _LONGEST_BASELINE:
+        warn_caller(
+            f"the baseline is in metres, but {baseline:g} m is longer than any sensor's: millimetres?"
+        )
     focal_length = _positive("focal_length", focal_length)
     return NoiseModel((_positive("disparity_noise", disparity_noise) / (focal_length * baseline),))
 

@@ -19,6 +19,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import check_figure
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
@@ -97,6 +98,7 @@ def panels_with_legends(
     count: int, camera: Camera, figure: Figure | None
 ) -> tuple[Figure, list[Axes], list[Axes]]:
     """A figure, a new one for None, with so many panels for images, and the places below them for legends."""
+    check_figure(figure)
     if figure is None:
         height = panel_height(PANEL_INCHES, camera) + _LEGEND_INCHES + 0.35
         figure = NotebookFigure((count * PANEL_INCHES, height), layout="constrained")

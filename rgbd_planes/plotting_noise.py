@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.checks import check_figure
 from rgbd_planes.noise_samples import REFERENCE
 from rgbd_planes.plotting import NotebookFigure
 from rgbd_planes.wording import two_digits
@@ -33,6 +34,7 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     matplotlib Figure or SubFigure
         Noise against depth, residual against the size of the tile, p-values; noise and bias over the image.
     """
+    check_figure(figure)
     figure = NotebookFigure((15.0, 8.2), layout="constrained") if figure is None else figure
     upper, lower = cast(Any, figure.subfigures(2, 1))
     panels = upper.subplots(1, 3)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.checks import check_figure
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.wording import counted, percent
 
@@ -111,6 +112,7 @@ def plot_segments(
     """
     from rgbd_planes.plotting import NotebookFigure, panel_height
 
+    check_figure(figure)
     if figure is None:
         size = 8.0, panel_height(8.0, segmentation.camera) + 0.4
         figure = NotebookFigure(size, layout="constrained")

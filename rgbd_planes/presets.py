@@ -133,7 +133,10 @@ def realsense_d435(width: int = 1280, height: int = 720) -> Camera:
     `Camera.from_realsense` takes the device's own. The depth stream is rectified: no distortion.
     """
     if (width, height) not in ((1280, 720), (848, 480), (640, 360)):
-        raise ValueError(f"expected a mode of 1280x720, 848x480 or 640x360, got {width}x{height}")
+        raise ValueError(
+            f"expected a mode of 1280x720, 848x480 or 640x360, got {width}x{height}: "
+            "Camera.from_realsense takes what the device says of any"
+        )
     focal_length = 1.93 / 0.003 * width / 1280
     return Camera(
         width, height, focal_length, focal_length, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_noise, warn_caller
+from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segment_noise_estimation import estimate_noise, nearest_surface
 from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
@@ -21,9 +21,6 @@ FLATNESS = 4e-4
 
 FORMLESS = 0.03
 """A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
-
-TOO_LARGE = 0.2
-"""Share of 1/Z that no sensor's noise is, between what is nearest in a frame and twice as far away."""
 
 INDEPENDENT = 1.0 / 3.0
 """Share of what segments tolerate of a sensor, where the errors of neighbouring pixels are independent."""
@@ -97,11 +94,8 @@ def noise_of(
         table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
         if not np.isfinite(table[0]):
             table[0] = table[1]
-        if not given.at_large and table[middle] > TOO_LARGE * q[middle]:
-            warn_caller(
-                f"the noise that is given is {table[middle]:.2g} 1/m where 1/Z is {q[middle]:.2g} 1/m: most likely it "
-                "is not in 1/m. With it nearly all things are one plane, or none"
-            )
+        if not given.at_large:
+            warn_of_large_noise(table[middle], q[middle], "nearly all things are one plane, or none")
         if given.at_large:
             known = np.concatenate([step, table])
     typical, own_lateral, by_32, together = estimate_noise(pyramid, known, growth, reach_table())

@@ -46,6 +46,7 @@ def test_what_is_no_camera_is_refused(use):
         (Path("camera.json"), "Camera.load reads a file"),
         (CAMERA.to_dict(), "got dict: Camera.from_dict takes one"),
         (np.eye(3), "got ndarray: Camera.from_opencv takes a matrix"),
+        (DEPTH, r"got ndarray of shape \(48, 64\): is it the depth\? The camera comes after it$"),
         (None, "got NoneType$"),
     ],
 )
@@ -98,6 +99,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: export.to_ros_points(DEPTH, CAMERA, stamp=None), TypeError, "stamp as a number, got None"),
         (lambda: export.to_ros_points(DEPTH, CAMERA, stamp={}), TypeError, "stamp as a number, got {}"),
         (lambda: export.to_ros_points(DEPTH, CAMERA, 1.5), TypeError, "frame_id as a str, got 1.5"),
+        (lambda: rp.presets.realsense_d435(640, 480), ValueError, "got 640x480: Camera.from_realsense takes"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, significance="a"), TypeError, "significance as a number, got 'a'"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, num_threads=1.5), TypeError, "whole number, or None, got 1.5"),
         (lambda: rp.fit_tiles(DEPTH, CAMERA, num_threads=True), TypeError, "whole number, or None, got True"),
@@ -166,6 +168,11 @@ def test_numbers_of_other_kinds(kind):
     (found,) = rp.plane_polygons(segmented, tolerance=kind(0.5), min_part=kind(20.0))
     (wanted,) = rp.plane_polygons(segmented, tolerance=0.5, min_part=20.0)
     assert found.image.equals(wanted.image)
+
+
+def test_a_baseline_in_millimetres():
+    with pytest.warns(UserWarning, match="in metres, but 55 m is longer than any sensor's: millimetres"):
+        noise.stereo(55, 640)
 
 
 def test_an_error_that_is_larger_than_any_float():

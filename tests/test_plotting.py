@@ -4,6 +4,7 @@ import io
 import os
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 import rgbd_planes as rp
 from rgbd_planes import plotting, plotting_segments, scenes
+from rgbd_planes.noise_evidence import NoiseEvidence
 from rgbd_planes.plotting_quadtree import OUTLINES
 from rgbd_planes.plotting_surfaces import plot_surfaces
 
@@ -242,6 +244,16 @@ def test_drawn_into_a_part_of_a_figure():
     tiles.plot(None, lower)
     figure.canvas.draw()
     assert len(upper.axes) == len(lower.axes) > 0
+
+
+def test_axes_in_the_place_of_a_figure():
+    tiles, depth = fitted()
+    axes = Figure().add_subplot()
+    evidence = NoiseEvidence.__new__(NoiseEvidence)  # which is not looked at
+    found = rp.segment(depth, tiles.camera)
+    for plot in (partial(tiles.plot, depth), partial(found.plot, depth), evidence.plot):
+        with pytest.raises(TypeError, match=r"^expected a Figure, got Axes$"):
+            plot(axes)
 
 
 def test_a_notebook_shows_it_without_pyplot():
