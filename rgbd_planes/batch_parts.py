@@ -23,6 +23,7 @@ from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tile_grid import check_tile, grid_shape
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
+from rgbd_planes.wording import one_line
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ def kind_of(message: str) -> str:
 
 def _reason(error: Exception, name: str) -> str:
     """What an error says, in one line, without the path of the frame, whose name is beside it."""
-    text = " ".join(str(error).split()) or type(error).__name__
+    text = one_line(error) or type(error).__name__
     folder, _, rest = text.partition(f"{name}: ")
     return rest if rest and folder[-1:] in ("", "/") else text
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import check_choice, check_whole, number
+from rgbd_planes.files import no_folder
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ _ROS_FILE = {  # what a calibration file of ROS calls the matrices of the messag
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
-    with Path(path).open(encoding="utf-8-sig") as file:  # some editors begin a file with a mark
+    with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors begin a file with a mark
         try:
             values = json.load(file)
         except UnicodeDecodeError:

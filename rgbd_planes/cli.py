@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 from rgbd_planes import __version__
 from rgbd_planes.commands import COMMANDS
 from rgbd_planes.commands.arguments import CommandError
+from rgbd_planes.wording import one_line
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -66,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (CommandError, ImportError, MemoryError, OSError, TypeError, ValueError) as error:
-        print(f"rgbd-planes {arguments.command}: {_one_line(error) or 'not enough memory'}", file=sys.stderr)
+        print(f"rgbd-planes {arguments.command}: {one_line(error) or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -106,16 +107,9 @@ def _show_each_once() -> Callable[..., None]:
     shown: set[str] = set()
 
     def show(message: Warning | str, *where: object, **more: object) -> None:
-        text = _one_line(message)
+        text = one_line(message)
         if text not in shown:
             shown.add(text)
             print(f"rgbd-planes: warning: {text}", file=sys.stderr)
 
     return show
-
-
-def _one_line(message: object) -> str:
-    """The text of an error: of the system's own, the file and the reason without the number."""
-    if isinstance(message, OSError) and message.strerror is not None:
-        message = f"{message.filename}: {message.strerror}" if message.filename else message.strerror
-    return " ".join(str(message).split())

@@ -96,15 +96,21 @@ def readable(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
     """The path, if it is a file: to open a pipe would wait for what may never come."""
+    file = no_folder(path)
+    if not file.is_file():
+        raise ValueError(f"{path}: expected a file, got a device or a pipe")
+    with file.open("rb"):  # what may not be read is not damaged
+        return file
+
+
+def no_folder(path: str | os.PathLike[str]) -> Path:
+    """The path, if there is something, and it is no folder."""
     file = Path(path)
     if not file.exists():
         raise FileNotFoundError(f"{path}: there is no such file")
-    if not file.is_file():
-        raise ValueError(
-            f"{path}: expected a file, got {'a folder' if file.is_dir() else 'a device or a pipe'}"
-        )
-    with file.open("rb"):  # what may not be read is not damaged
-        return file
+    if file.is_dir():
+        raise ValueError(f"{path}: expected a file, got a folder")
+    return file
 
 
 def identity(path: Path) -> tuple[tuple[int, ...], ...]:

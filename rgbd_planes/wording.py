@@ -16,3 +16,10 @@ def percent(share: SupportsFloat) -> str:
 def counted(count: int, what: str) -> str:
     """So many of something, whose plural ends in s."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def one_line(message: object) -> str:
+    """The text of an error: of the system's own, the file and the reason without the number."""
+    if isinstance(message, OSError) and message.strerror is not None:
+        message = f"{message.filename}: {message.strerror}" if message.filename else message.strerror
+    return " ".join(str(message).split())

@@ -203,6 +203,15 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
 
 
+def test_a_frame_that_may_not_be_read_is_said_in_words(recording, tmp_path):
+    def read(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    sequence = FrameSequence(rp.open_sequence(recording).entries[:1], read)
+    (problem,) = rp.fit_sequence(sequence, tmp_path / "out").problems
+    assert problem.reason == "Permission denied"
+
+
 def test_frames_that_were_skipped_are_tried_again_where_asked_for(recording, tmp_path):
     sequence, out = rp.open_sequence(recording), tmp_path / "out"
     bad = [recording / "depth" / f"{i}.png" for i in (3, 20)]

@@ -97,7 +97,7 @@ def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
     assert "fit into the frame" in fails(capsys, "demo", "--out", tmp_path / "new", "--tile", "481")
     assert not (tmp_path / "new").exists()
     (tmp_path / "file").touch()
-    assert "file: File exists" in fails(capsys, "demo", "--out", tmp_path / "file")
+    assert "file: expected a folder, got a file" in fails(capsys, "demo", "--out", tmp_path / "file")
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -274,7 +274,12 @@ def camera(**changes):
 
 BAD_INPUT = {
     "missing depth": (lambda folder: os.remove("depth.png"), [], r"depth\.png: there is no such file"),
-    "missing camera": (lambda folder: os.remove("camera.json"), [], r"camera\.json: No such file"),
+    "missing camera": (lambda folder: os.remove("camera.json"), [], r"camera\.json: there is no such file"),
+    "camera is a folder": (
+        lambda folder: (os.remove("camera.json"), os.mkdir("camera.json")),
+        [],
+        r"camera\.json: expected a file, got a folder",
+    ),
     "truncated depth": (cut("depth.png"), [], r"depth\.png: damaged or truncated PNG"),
     "empty depth": (cut("depth.png", 0.0), [], r"depth\.png: not a PNG"),
     "truncated camera": (cut("camera.json"), [], r"camera\.json"),
@@ -361,6 +366,17 @@ def test_warnings_are_one_line(folder, capsys):
     assert err.count("\n") == 1
 
 
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("command", ["fit", "segment"])
+def test_noise_in_other_units(folder, capsys, command):
+    assert cli.main([command, "depth.png", "--camera", "camera.json", "--noise", "5"]) == 0
+    err = capsys.readouterr().err
+    assert err.startswith("rgbd-planes: warning: the noise that is given is 5 1/m where 1/Z is 0.")
+    assert "most likely it is not in 1/m" in err
+    assert cli.main([command, "depth.png", "--camera", "camera.json", "--noise", "0.0014"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_a_seed_that_is_none(tmp_path, capsys):
     assert "seed must be at least 0, got -1" in fails(capsys, "demo", "--out", tmp_path, "--seed", "-1")
 
@@ -400,7 +416,7 @@ def test_python_m_and_version():
     assert (ran.returncode, ran.stdout) == (0, rp.__version__ + "\n")
     ran = run_module("fit", "gone.png", "--camera", "gone.json")
     assert ran.returncode == 2
-    assert ran.stderr == "rgbd-planes fit: gone.json: No such file or directory\n"
+    assert ran.stderr == "rgbd-planes fit: gone.json: there is no such file\n"
 
 
 def test_help_needs_no_heavy_import():
