@@ -42,7 +42,7 @@ def _announce(takes: str) -> None:
     token = object()
     if _announced.setdefault(takes, token) is not token:
         return
-    often = "once for this installation and each kind of frame"
+    often = "once for this installation and each kind of frame and camera"
     if not _jit.has_cache:
         often = "again in each process: set NUMBA_CACHE_DIR to a folder that can be written to keep them"
     _logger.warning(f"compiling kernels: {takes}, {often}")

@@ -245,12 +245,12 @@ def _warn_of_the_nearest(
     if depth_range is not None and depth_range[1] <= _NEARER_THAN_ANY:
         return
     said = (
-        "float depth is in metres"
+        "float depth is in metres, but"
         if dtype.kind == "f"
         else f"with a depth_scale of {depth_scale:g} per metre"
     )
     warn_caller(
-        f"{said}, but all of this frame is nearer than {_NEARER_THAN_ANY:g} m: is it in other units, "
+        f"{said} all of this frame is nearer than {_NEARER_THAN_ANY:g} m: is it in other units, "
         "or metres that were divided by 1000 or made integers?"
     )
 

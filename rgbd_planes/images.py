@@ -47,7 +47,7 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     if reader is None:
         raise ValueError(
             f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}: "
-            "numpy.save writes what another library has read as .npy"
+            "read other formats with another library and write them with numpy.save"
         )
     frame = reader(file)
     if frame.ndim != 2 or 0 in frame.shape:

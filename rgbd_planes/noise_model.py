@@ -92,14 +92,15 @@ class NoiseModel:
         coefficients = numbers("coefficients", self.coefficients)
         if not 1 <= len(coefficients) <= 3:
             raise ValueError(f"expected 1 to 3 coefficients, got {self.coefficients!r}")
-        object.__setattr__(self, "coefficients", coefficients)
         if self.samples is not None:
+            coefficients = (KINECT_V1,)  # which are not looked at, and not saved
             samples = _pairs("samples", self.samples, "inverse depth, sigma")
             if not (samples.size and (np.diff(samples[:, 0]) > 0.0).all() and (samples[:, 1] > 0.0).all()):
                 raise ValueError(
                     f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}"
                 )
             object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
+        object.__setattr__(self, "coefficients", coefficients)
         for name in ("step", "disparity_step", "floor", "floor_length", "spread", "lateral", "falloff"):
             value = number(name, getattr(self, name))
             if value < 0.0:
@@ -246,11 +247,12 @@ class NoiseModel:
         """
         if self.formula is not None:
             raise ValueError("expected a noise model of numbers, got one of a function: make a table of it")
-        return {
+        made = {
             f.name: getattr(self, f.name)
             for f in fields(self)
             if f.name not in ("formula", "evidence") and getattr(self, f.name) != f.default
-        } | {"coefficients": self.coefficients}
+        }
+        return made if self.samples is not None else made | {"coefficients": self.coefficients}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:

@@ -507,6 +507,19 @@ def test_from_ros_models():
         Camera.from_ros({"width": 1, "height": 1})
 
 
+def test_samples_of_noise_are_saved_without_coefficients(tmp_path):
+    """Which are not looked at; files that have both are read."""
+    samples = ((0.2, 1e-3), (2.0, 2e-3))
+    for model in (noise.table(*zip(*samples, strict=True)), noise.NoiseModel((5e-3,), samples)):
+        assert model.to_dict() == {"samples": samples}
+        camera = Camera(64, 48, 50.0, 50.0, 31.5, 23.5, noise=model)
+        camera.save(tmp_path / "camera.json")
+        assert Camera.load(tmp_path / "camera.json") == camera
+        before = model.to_dict() | {"coefficients": [1.425e-3]}
+        assert noise.NoiseModel.from_dict(before) == model
+    assert noise.NoiseModel((5e-3,)).to_dict() == {"coefficients": (5e-3,)}
+
+
 @pytest.mark.parametrize(
     "lens",
     [

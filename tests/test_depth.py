@@ -278,8 +278,10 @@ def test_metres_that_are_taken_for_millimetres_draw_a_warning(dtype):
     metres = np.linspace(1.0, 9.5, 480 * 640).reshape(480, 640)
     metres[::3] = 0.0
     divided = metres / 1000.0 if dtype in (np.float32, np.float64) else metres
-    said = "float depth is in metres" if divided is not metres else "with a depth_scale of 1000 per metre"
-    with pytest.warns(UserWarning, match=f"{said}, but all of this frame is nearer than 0.02 m") as caught:
+    said = (
+        "float depth is in metres, but" if divided is not metres else "with a depth_scale of 1000 per metre"
+    )
+    with pytest.warns(UserWarning, match=f"{said} all of this frame is nearer than 0.02 m") as caught:
         as_depth_frame(divided.astype(dtype), camera((480, 640), depth_scale=1000.0))
     assert (len(caught), caught[0].filename) == (1, __file__)
     with warnings.catch_warnings():

@@ -71,7 +71,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         print(
             f"{len(frames)} of {len(sequence)} frames, {evidence.windows} flat windows of {WINDOW} x {WINDOW} pixels."
         )
-        print(f"Noise: {found._summary()}.")
+        print(f"Noise: {found._summary()}.".replace("; ", ";\n  "))
         print(f"By it {evidence._rejected()} of the flat tiles have a p-value below 1 %; 1 % should.")
         if arguments.out is not None:
             replace(camera, noise=found).save(arguments.out)
