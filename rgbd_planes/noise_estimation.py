@@ -35,11 +35,12 @@ from rgbd_planes.noise_samples import (
     all_samples,
     bins_of,
     flat_windows,
+    mean_depth,
     unevenness,
 )
 from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tiles import TileFitter
-from rgbd_planes.wording import two_digits
+from rgbd_planes.wording import counted, two_digits
 
 Floats = npt.NDArray[np.float64]
 
@@ -64,6 +65,9 @@ _FRAMES = 4  # from which on it must do without each of them, too
 _SURE = 3.0  # standard errors of a falloff, from which on there is one
 _TURNS, _CLOSE = 10, 0.02  # of fitting depth and falloff: most; and a relative change that is none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms, and steps that find their least sum
+_NO_NOISE = (
+    "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"
+)
 _ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
 
 
@@ -131,21 +135,22 @@ def estimate_noise(
         warn_of_distances(frame, bare)
         steps.append(step_of(frame))
     if count < FEWEST_WINDOWS:
-        whole = tiles[WINDOW].valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
+        windows = tiles[WINDOW]
+        exact = windows.rmse * mean_depth(windows) < EXACT
+        if np.count_nonzero(exact) > 0.5 * np.count_nonzero(windows.fitted):
+            raise ValueError(_NO_NOISE)
+        whole = windows.valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
         missing = np.mean(whole < (1.0 - most_missing) * WINDOW * WINDOW)
         most = two_digits(100.0 * most_missing)
         reason = f": of most windows more than {most} % of the pixels are missing"
         raise ValueError(
             f"expected frames with at least {FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
-            f"found {count} in {len(opened)} frames{reason if missing > 0.5 else ''}"
+            f"found {count} in {counted(len(opened), 'frame')}{reason if missing > 0.5 else ''}"
         )
     samples = all_samples(tiles, flat, most_missing)
     for some in samples.values():
         if np.median(some.rss / (some.count * some.q**2)) < EXACT**2:
-            raise ValueError(
-                "expected frames with noise, got flat tiles without any residual but that of rounding: "
-                "rendered without noise?"
-            )
+            raise ValueError(_NO_NOISE)
     # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
     reaching = samples
     if 2 * WINDOW in tiles:

@@ -148,6 +148,9 @@ def test_noise_writes_the_camera_with_what_estimate_noise_finds(tmp_path, monkey
 def test_noise_says_what_is_wrong(folder, capsys):
     assert "depth images need --camera" in fails(capsys, "noise", "depth.png")
     assert "there is no such file" in fails(capsys, "noise", "nowhere")
+    os.mkdir("other")
+    message = fails(capsys, "noise", "depth.png", "other", "--camera", "camera.json")
+    assert "expected depth images, or one folder, got 2 paths with the folder other" in message
     for option in ("--format", "--topic"):
         message = fails(capsys, "noise", "depth.png", "--camera", "camera.json", option, "tum")
         assert f"{option} is for a data set or a recording, got depth images" in message

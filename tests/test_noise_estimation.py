@@ -273,7 +273,7 @@ def test_what_may_be_outliers_is_doubted(rng, share):
 def test_missing_pixels_are_named():
     depth = rendering(*VIEWS[0]).measure(holes=0.6)
     with pytest.raises(
-        ValueError, match="found 0 in 1 frames: of most windows more than 50 % of the pixels are missing"
+        ValueError, match="found 0 in 1 frame: of most windows more than 50 % of the pixels are missing"
     ):
         rp.estimate_noise(depth, CAMERA)
 
@@ -294,6 +294,8 @@ def test_frames_without_noise():
     """What rounding leaves of flat tiles is no noise to make a model of."""
     with pytest.raises(ValueError, match="expected frames with noise"):
         rp.estimate_noise([rendering(*VIEWS[0]).depth], CAMERA)
+    with pytest.raises(ValueError, match="expected frames with noise"):
+        rp.estimate_noise(np.full(CAMERA.shape, 1500, np.uint16), CAMERA)  # a wall
 
 
 def test_one_depth_for_all_that_is_beyond_the_range_is_no_measure_of_noise():

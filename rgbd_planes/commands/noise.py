@@ -92,6 +92,11 @@ def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
     paths: list[Path] = arguments.frames
     if len(paths) == 1 and paths[0].suffix.lower() not in DEPTH_SUFFIXES:
         return read_sequence(arguments, paths[0])
+    folder = next((path for path in paths if path.is_dir()), None)
+    if folder is not None:
+        raise CommandError(
+            f"expected depth images, or one folder, got {len(paths)} paths with the folder {folder}"
+        )
     for option in ("format", "topic"):
         if getattr(arguments, option) is not None:
             raise CommandError(f"--{option} is for a data set or a recording, got depth images")
