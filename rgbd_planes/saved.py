@@ -31,8 +31,15 @@ def saved_arrays(path: str | os.PathLike[str], writer: str) -> Iterator[tuple[di
         There is none, or it is another file than ``writer``, such as "TilePlanes.save", wrote, or damaged.
     """
     wrote = readable(path, f"a file that {writer} wrote")
-    with Path(path).open("rb") as opened, wrote, np.load(opened, allow_pickle=False) as file:
-        yield json.loads(str(file["about"])), {name: np.ascontiguousarray(file[name]) for name in file.files}
+    with Path(path).open("rb") as opened, wrote:
+        if opened.read(2) != b"PK":  # NumPy would take it for a pickle, and say so
+            raise ValueError("not an NPZ file")
+        opened.seek(0)
+        with np.load(opened, allow_pickle=False) as file:
+            yield (
+                json.loads(str(file["about"])),
+                {name: np.ascontiguousarray(file[name]) for name in file.files},
+            )
 
 
 def check_alike(arrays: Arrays, expected: Arrays) -> None:

@@ -70,6 +70,9 @@ def test_load_of_something_else(tiles, tmp_path):
     for name in names:
         with pytest.raises(ValueError, match=rf"{name}: not a file that TilePlanes.save wrote"):
             rp.TilePlanes.load(tmp_path / name)
+    for name in ("other.npy", "other.txt"):
+        with pytest.raises(ValueError, match=r"wrote, or damaged \(not an NPZ file\)$"):
+            rp.TilePlanes.load(tmp_path / name)
 
 
 def test_load_of_arrays_in_another_order(tiles, tmp_path):
