@@ -188,7 +188,9 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     elif array.ndim == 3 and array.shape[1:] == expected:
         reason = ": TileFitter.fit_batch takes several frames"
     elif array.shape == expected[1:]:
-        reason = ": is it a row of a frame, in the place of several? TileFitter.fit takes one frame"
+        reason = (
+            ": is it a row of a frame, in the place of several? TileFitter.fit and rp.segment take one frame"
+        )
     elif array.shape == expected[::-1]:
         reason = ": is it transposed, or are the camera's width and height swapped?"
     elif array.ndim == 2 and array.size and array.shape[0] * expected[1] == array.shape[1] * expected[0]:

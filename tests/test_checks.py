@@ -72,6 +72,7 @@ def test_what_would_make_a_camera_is_named(camera, message):
         (DEPTH[None], ValueError, "squeeze it$"),
         ([DEPTH, DEPTH], ValueError, "TileFitter.fit_batch takes several frames$"),
         (DEPTH.T, ValueError, "is it transposed, or are the camera's width and height swapped"),
+        (DEPTH[0], ValueError, r"of several\? TileFitter\.fit and rp\.segment take one frame$"),
         (DEPTH[::2, ::2], ValueError, "is the calibration that of another resolution"),
         (DEPTH[1:], ValueError, r"got \(47, 64\)$"),
     ],
