@@ -1,9 +1,9 @@
 """Fit every frame of a sequence into a table of planes on disk.
 
-The table is a folder of Parquet files, one for each some frames, and each appears whole or not at all: what is
-there after an interruption is done, and the same call does the rest. Threads share the frames, since reading
-an image, fitting it and writing a table all let go of Python's lock; a Dask cluster does where one machine is
-not enough. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
+The table is a folder of Parquet files, each of which holds some of the frames and appears whole or not at all: after an
+interruption the files that are there are done, and the same call does the rest. Threads share the frames, since reading
+an image, fitting it and writing a table all release Python's lock; where one machine is not enough, the workers of a
+Dask cluster do. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
 """
 
 import json
@@ -33,9 +33,9 @@ from rgbd_planes.files import alone_in, write_beside
 from rgbd_planes.sequences.frames import FrameSequence
 from rgbd_planes.threads import num_cores
 
-# Of a part: what is lost by an interruption, and what each thread holds in memory.
+# The size of a part: how much an interruption loses, and what each thread holds in memory.
 MOST_FRAMES = 512
-MOST_SEGMENTED = 64  # each takes tens of times as long as the tiles of one
+MOST_SEGMENTED = 64  # segmenting a frame takes tens of times as long as fitting its tiles
 FEWEST_FRAMES = 4
 MOST_ROWS = 600_000
 CONNECT_SECONDS = 30.0
@@ -47,22 +47,22 @@ Task = tuple[int, int, int]  # number of the part, first frame, one after the la
 
 @dataclass
 class BatchReport:
-    """What a batch has come to.
+    """The outcome of a batch.
 
     Attributes
     ----------
     out : Path
         The folder of the table.
     frames, resumed : int
-        Frames of the sequence, and those among them that an earlier call had done.
+        Number of frames of the sequence, and of those that an earlier call had done.
     rows : int
         Rows of the table.
     status : Counter of str
         Rows by status.
     problems : list of Problem
-        Frames that could not be read or fitted; the table has no row of them.
+        Frames that could not be read or fitted; the table has no rows for them.
     seconds : Counter of str
-        Time spent on "read", "fit" and "write", all threads together, by this call.
+        Time that this call spent on "read", "fit" and "write", summed over threads.
     """
 
     out: Path
@@ -82,12 +82,13 @@ class BatchReport:
 
 
 class Progress(NamedTuple):
-    """Some frames are done.
+    """Frames that have been done since the last call.
 
     Attributes
     ----------
     frames : int
-        How many, since the last call: fitted, if by threads here, though not in the table before their part is.
+        Their number: threads here count them when they are fitted, though they are in the table only when their part
+        is.
     problems : tuple of Problem
         Those that could not be read or fitted, of a part that is in the table.
     """
@@ -106,14 +107,13 @@ def fit_sequence(
     retry: bool = False,
     progress: Callable[[Progress], object] | None = None,
 ) -> BatchReport:
-    """Fit every frame of a sequence and write a Parquet table of the planes, one row a tile or a segment.
+    """Fit every frame of a sequence and write a Parquet table of the planes, one row per tile or segment.
 
-    Where `out` holds a part of this very table, from a call that was interrupted, the rest is done: of the
-    same frames, read from the same files at the same paths, by the same function, with the same cameras and
-    settings. What is lost is at most the part that each thread is at: up to 512 frames, or 64 of segments. A
-    table with a noise model that is a function, or of a sequence that cannot be pickled, is not resumed. A
-    frame that cannot be read or fitted is skipped and reported, and tried again with `retry` only. Memory
-    does not grow with the sequence.
+    If `out` holds part of this very table, from a call that was interrupted, only the rest is done. It must be of the
+    same frames, read from the same files at the same paths, by the same function, with the same cameras and settings.
+    At most the part that each thread is at is lost: up to 512 frames, or 64 of segments. A table with a noise model
+    that is a function, or of a sequence that cannot be pickled, is not resumed. A frame that cannot be read or fitted
+    is skipped and reported, and tried again with `retry` only. Memory does not grow with the sequence.
 
     Parameters
     ----------
@@ -121,10 +121,9 @@ def fit_sequence(
     out : folder
         Made if need be; `pandas.read_parquet` and others read the folder as one table. Columns: frame, name,
         timestamp; row and column of a tile, label of a segment; top, left, height, width in pixels; status,
-        valid_count; nx, ny, nz, d; rmse, rmse_metric; of tiles, where the cameras have a noise model,
-        p_value; then, and of segments always, the covariance of the plane, cov_nx_nx, cov_nx_ny, ...,
-        cov_d_d. All floats but timestamp are in single precision. A segment's place is the rectangle around
-        it, its valid_count its pixels.
+        valid_count; nx, ny, nz, d; rmse, rmse_metric; for tiles, if the cameras have a noise model, p_value; then, and
+        for segments always, the covariance of the plane, cov_nx_nx, cov_nx_ny, ..., cov_d_d. All floats but timestamp
+        are in single precision. A segment's place is the rectangle around it, its valid_count its pixels.
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles` or `segment`.
     num_threads : int, optional
@@ -133,8 +132,7 @@ def fit_sequence(
         Address of a Dask scheduler, tcp://host:port, instead of threads here. Its workers must see the
         sequence's files at the same paths; `out` is written here.
     retry : bool
-        Whether frames that an earlier call has skipped are tried again, and with them those that were written into
-        the same files.
+        Whether frames that an earlier call has skipped are tried again, together with the others in the same files.
     progress : callable, optional
         Called with a `Progress` from the calling thread.
 
@@ -159,8 +157,8 @@ def fit_sequence(
     Warns
     -----
     UserWarning
-        What `fit_tiles` or `segment` warns of, or that surfaces, without noise, are bent as depth and flat as
-        distances along the ray: each once, of one of the frames of which it is to be said.
+        What `fit_tiles` or `segment` warns of, or, without noise, that surfaces are bent when taken as depth and flat
+        when taken as distances along the ray: each once, for one of the frames concerned.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
@@ -215,7 +213,7 @@ def fit_sequence(
 
 
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
-    """Begin a table in an empty folder, or check the one that is there; the number of frames of a part."""
+    """Begin a table in an empty folder, or check the one that is there; returns the number of frames of a part."""
     chosen = asdict(settings) | {"tile": np.broadcast_to(settings.tile, 2).tolist()}  # 16 is (16, 16)
     about = {"frames": len(sequence), **digests(sequence), "settings": chosen}
     about = json.loads(json.dumps(about))
@@ -240,13 +238,13 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
                 f"{folder} holds a table that cannot be told from one of another sequence or camera: "
                 f"{'; '.join(unknown)}; remove it, or choose another folder"
             )
-        for leftover in folder.glob(".part-*"):  # of a process that was killed while it wrote
+        for leftover in folder.glob(".part-*"):  # by a process that was killed while it wrote
             leftover.unlink(missing_ok=True)
         parts = {_file(folder, number) for number in range(-(-len(sequence) // size))}
         others = sorted(p for p in folder.iterdir() if p not in parts and not p.name.startswith((".", "_")))
         if others:
             raise ValueError(
-                f"{others[0]}: no part of the table that was begun here; who reads the folder would take it for one"
+                f"{others[0]}: not part of this table, but readers of the folder would take it for one: move it away"
             )
         return size
     if any(not path.name.startswith(".") for path in folder.iterdir()):
@@ -271,9 +269,9 @@ def _file(folder: Path, number: int) -> Path:
 
 
 class _Threads:
-    """Parts by threads of this process.
+    """Fits parts in threads of this process.
 
-    `run` gives the number of frames that were fitted since it last did, and a part, if one is done.
+    `run` yields the number of frames that were fitted since it last did, and a part, if one is done.
     """
 
     def __init__(self, num_threads: int | None) -> None:
@@ -302,7 +300,7 @@ class _Threads:
             except RuntimeError:
                 if threading.main_thread().is_alive():
                     raise
-                future = Future()  # once the main thread has ended, others that go on get no more threads
+                future = Future()  # once the main thread has ended, no new thread can be started
                 future.set_result(work())
             running[future] = task
 
@@ -320,7 +318,7 @@ class _Threads:
                 done = wait(running, PROGRESS_SECONDS, FIRST_COMPLETED).done
                 if not done:
                     yield newly_fitted(), None
-                for future in sorted(done, key=running.__getitem__):  # one thread's are said in order
+                for future in sorted(done, key=running.__getitem__):  # one thread's are reported in order
                     del running[future]
                     yield newly_fitted(), future.result()
                     for task in islice(waiting, 1):
@@ -331,7 +329,7 @@ class _Threads:
 
 
 class _Cluster:
-    """Parts by the workers of a Dask cluster, as `_Threads` gives them."""
+    """Fits parts in the workers of a Dask cluster; `run` is as that of `_Threads`."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -352,7 +350,7 @@ class _Cluster:
         running: dict[Any, Task] = {}
 
         def submit(task: Task) -> Any:
-            # Dask runs it again elsewhere when a worker dies. Not pure: another call is another task.
+            # Dask runs it again elsewhere when a worker dies. Not pure: another call must run again.
             future = self._client.submit(
                 fit_part, sequence[task[1] : task[2]], task[1], settings, columns, pure=False, retries=2
             )

@@ -1,4 +1,4 @@
-"""What a table on disk was made of, in a few characters: by this a call knows a table that it may resume."""
+"""Digests of what a table on disk was made from: by them a call recognises a table that it may resume."""
 
 import functools
 import hashlib
@@ -17,17 +17,17 @@ UNKNOWN = {
     "locations": "the function that reads the frames, or where they are, cannot be pickled",
     "cameras": "the noise model is a function, not numbers: rgbd_planes.noise.table makes a table of it",
 }
-"""Why there is no digest, by its key."""
+"""Why there may be no digest, by its key."""
 
 
 def digests(sequence: FrameSequence) -> dict[str, str | None]:
-    """Digests of a sequence, which differ where what is fitted may differ.
+    """Digests of a sequence, which differ wherever what is fitted may differ.
 
     Returns
     -------
     dict
         "sequence", of the names and times of the frames; "locations", of where they are read from and by what;
-        "cameras". None where two that differ cannot be told apart: `UNKNOWN` says why.
+        "cameras". None where different ones could not be told apart: `UNKNOWN` says why.
     """
     entries = sequence.entries
     return {
@@ -45,32 +45,32 @@ def _digest(texts: Iterable[bytes | memoryview]) -> str:
 
 
 def _of_locations(sequence: FrameSequence) -> str | None:
-    # Kept for this call only: what a link leads to may change.
+    # Kept for this call only: the target of a link may change.
     folder = functools.cache(os.path.realpath)
 
     @functools.cache
     def resolved(path: Path) -> str:
-        """What `os.path.realpath` gives, which follows each folder of each path anew."""
+        """As `os.path.realpath`, which would follow each folder of each path anew."""
         place = os.path.join(folder(path.parent), path.name)
         return os.path.realpath(place) if os.path.islink(place) else place
 
     class Pickler(pickle.Pickler):
         def persistent_id(self, thing: Any) -> str | None:
-            """A path by the place that it leads to, from whatever folder and over whatever links."""
+            """Pickle a path as the place that it leads to, from whatever folder and over whatever links."""
             return resolved(thing) if isinstance(thing, Path) else None
 
     stream = io.BytesIO()
     pickler = Pickler(stream, protocol=5)
-    pickler.fast = True  # what is equal is written equally, whether or not it is one object
+    pickler.fast = True  # equal objects are written alike, whether or not they are the same one
     try:
         pickler.dump((sequence._read, [entry.location for entry in sequence.entries]))
-    except Exception:  # whatever an object says that cannot be pickled
+    except Exception:  # whatever an object raises that cannot be pickled
         return None
     return _digest([stream.getbuffer()])
 
 
 def _of_cameras(cameras: list[Camera]) -> str | None:
-    different = {id(camera): camera for camera in cameras}  # few, faster than to compare all
+    different = {id(camera): camera for camera in cameras}  # few: faster than comparing all
     if any(camera.noise is not None and camera.noise.formula is not None for camera in different.values()):
         return None
     texts = {key: json.dumps(camera.to_dict()).encode() for key, camera in different.items()}

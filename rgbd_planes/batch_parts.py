@@ -1,4 +1,4 @@
-"""Some frames of a sequence, fitted, as a Parquet file: what a worker does."""
+"""The work of a worker: some frames of a sequence, fitted and written as a Parquet file."""
 
 import json
 import os
@@ -33,11 +33,11 @@ class FitSettings:
     Attributes
     ----------
     segments : bool
-        The planes of `rgbd_planes.segment`, one row a plane, instead of one row a tile.
+        The planes of `rgbd_planes.segment`, one row per plane, instead of one row per tile.
     tile, method, max_missing, max_error, significance
-        Of tiles, as `rgbd_planes.fit_tiles` takes them.
+        For tiles, as `rgbd_planes.fit_tiles` takes them.
     min_size : int
-        Of segments, as `rgbd_planes.segment` takes it.
+        For segments, as `rgbd_planes.segment` takes it.
     """
 
     segments: bool = False
@@ -49,7 +49,7 @@ class FitSettings:
     min_size: int = SMALLEST
 
     def __post_init__(self) -> None:
-        # Of Python's own types, whatever fit_tiles takes: to find a fitter by, and to be written to a file.
+        # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
         tile = np.asarray(self.tile).tolist()
         plain = {
             "segments": bool(self.segments),
@@ -69,7 +69,7 @@ class FitSettings:
         Raises
         ------
         TypeError, ValueError
-            Settings that cannot be used; or some of tiles with `segments`, or of segments without it.
+            The settings cannot be used, or some are for tiles with `segments`, or for segments without it.
         """
         fitted, others = ("segments", "tiles") if self.segments else ("tiles", "segments")
         of_segments = ("segments", "min_size")
@@ -81,7 +81,7 @@ class FitSettings:
         if of_others:
             raise ValueError(f"{fitted} take no options of {others}, got {', '.join(of_others)}")
         if not self.segments:
-            _fitter.__wrapped__(camera, self)  # settings that cannot be used may not do for a cache
+            _fitter.__wrapped__(camera, self)  # invalid settings may not be hashable
 
     def rows_of_frame(self, camera: Camera) -> int:
         """Number of tiles of a frame; 1 for segments, of which there are few."""
@@ -110,9 +110,9 @@ class Problem(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some frames' rows: the content of a Parquet file, unless that is written already, and what is in it.
+    """Some frames' rows: the content of a Parquet file, unless that is already written, and a summary of it.
 
-    And what is to be warned of, by `kind_of`: the first frame of each, and what was said of it.
+    `warnings` has, for each `kind_of` warning, the first frame that it is about and the message.
     """
 
     content: bytes
@@ -123,7 +123,7 @@ class Part(NamedTuple):
 
     @classmethod
     def of_file(cls, path: Path) -> "Part | None":
-        """What a file that was written earlier has, but the rows; None if there is none, or no whole one."""
+        """Return all but the rows of a file that was written earlier; None if there is none, or it is damaged."""
         import pyarrow
         import pyarrow.parquet
 
@@ -135,7 +135,7 @@ class Part(NamedTuple):
 
 
 class StoppedError(Exception):
-    """The caller has no more use for the part."""
+    """The caller no longer needs the part."""
 
 
 def fit_part(
@@ -152,13 +152,13 @@ def fit_part(
     Parameters
     ----------
     sequence : FrameSequence
-        These frames only.
+        Of these frames only.
     first : int
         Number of the first of them in the whole sequence.
     settings : FitSettings
     columns : Columns
     where : path, optional
-        Of the file, which appears whole or not at all; without it the part has its content.
+        Path of the file, which appears whole or not at all; without it the returned part holds the file's bytes.
     stopped : callable
         Whether to give up, asked before each frame.
     fitted : callable
@@ -187,7 +187,7 @@ def fit_part(
             asked = True
         except (ImportError, MemoryError):
             raise
-        except Exception as error:  # whatever is wrong with one frame, the others are worth having
+        except Exception as error:  # whatever is wrong with one frame, the others are still wanted
             problems.append(Problem(first + i, entry.name, _reason(error, entry.name)))
         for message in said:
             warnings.setdefault(kind_of(message), (entry.name, message))
@@ -212,12 +212,12 @@ def fit_part(
 
 
 def kind_of(message: str) -> str:
-    """What a warning says without its numbers, which differ from frame to frame."""
+    """A warning's text without its numbers, which differ from frame to frame."""
     return re.sub(r"\d+(\.\d+)?", "#", message)
 
 
 def _reason(error: Exception, name: str) -> str:
-    """What an error says, in one line, without the path of the frame, whose name is beside it."""
+    """An error's text, in one line, without the path of the frame, whose name is given beside it."""
     text = one_line(error) or type(error).__name__
     folder, _, rest = text.partition(f"{name}: ")
     return rest if rest and folder[-1:] in ("", "/") else text
@@ -232,12 +232,12 @@ def _fitter(camera: Camera, settings: FitSettings) -> TileFitter:
         max_missing=settings.max_missing,
         max_error=settings.max_error,
         significance=settings.significance,
-        num_threads=1,  # the frames are shared between threads, not each frame's tiles
+        num_threads=1,  # threads share out the frames, not each frame's tiles
     )
 
 
 class _TileAdder:
-    """Adds the tiles of frames, each fitted into the arrays of the one before."""
+    """Adds the tiles of frames, fitting each frame into the arrays of the one before."""
 
     def __init__(self, settings: FitSettings) -> None:
         self._settings = settings

@@ -13,19 +13,19 @@ from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.segmentation_result import Segmentation
 from rgbd_planes.tile_planes import TilePlanes
 
-KEY = b"rgbd_planes"  # of what a file says about its rows
+KEY = b"rgbd_planes"  # of the file's metadata about its rows
 STATUSES = [status.name for status in TileStatus]
 PLANE = ("nx", "ny", "nz", "d")
-WRITTEN_AT_ONCE = 1 << 20  # bytes: the system takes a few large pieces faster than many small ones
+WRITTEN_AT_ONCE = 1 << 20  # bytes: a few large pieces are written faster than many small ones
 COVARIANCES = {f"cov_{PLANE[i]}_{PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
-# Which of a tile's statistics a table has, in the order of its columns.
+# A tile's statistics that a table has, in the order of its columns.
 _STATISTICS = np.array([P_VALUE, *(PLANE_COVARIANCE + 4 * i + j for i, j in COVARIANCES.values())])
 _UPPER = tuple(np.array(list(COVARIANCES.values())).T)  # where the covariances are in (4, 4)
 _NO_STATISTICS = np.empty((0, 0, 0)), np.empty(0, np.int64)
 
 
 class Grid(NamedTuple):
-    """The places of the tiles of a frame: how many (rows, columns), and the sizes of frame and tile."""
+    """The places of the tiles of a frame: numbers of rows and columns, and the sizes of frame and tile."""
 
     shape: tuple[int, int]
     frame: tuple[int, int]
@@ -33,7 +33,7 @@ class Grid(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """What decides on the columns of a table: the same for all its parts.
+    """What determines the columns of a table: the same for all its parts.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Columns(NamedTuple):
     noise : bool
         The sensor's noise is known.
     timed : bool
-        So is the time of every frame.
+        The time of every frame is known.
     """
 
     segments: bool
@@ -50,7 +50,7 @@ class Columns(NamedTuple):
     timed: bool
 
 
-@lru_cache(maxsize=2)  # of full parts and the last one: what is in each row again need not be made again
+@lru_cache(maxsize=2)  # full parts and the last one: places are the same in every part
 def _grid_places(grid: Grid, frames: int) -> NDArray[np.int32]:
     """(6, N) int32: row, column, top, left, height and width of each tile, frame after frame."""
     place = np.indices(grid.shape, np.int32).reshape(2, -1)
@@ -73,11 +73,11 @@ class Rows:
         self._count = 0
         self._status = np.empty(0, np.int8)
         self._valid_count = np.empty(0, np.int32)
-        # Finer than any sensor, and half as much to write as what was fitted.
+        # Single precision is finer than any sensor, and half as much to write.
         self._floats = np.empty((len(self._float_names), 0), np.float32)
 
     def clear(self, expected: int) -> None:
-        """Begin again, with memory for so many rows at least."""
+        """Begin again, with memory for at least ``expected`` rows."""
         self._count = 0
         self._frames.clear()
         self._reserve(expected)
@@ -116,7 +116,7 @@ class Rows:
         self._floats[:, here] = [*segments.planes.T, segments.rmse, segments.rmse_metric, *covariances]
 
     def _begin(self, frame: int, count: int, places: Grid | NDArray[np.int32]) -> int:
-        """Make room for so many rows of a frame; the first of them."""
+        """Make room for ``count`` rows of a frame; returns the index of the first."""
         start, self._count = self._count, self._count + count
         if self._count > len(self._status):
             self._reserve(max(self._count, 2 * len(self._status)))
@@ -151,24 +151,24 @@ class Rows:
         names, timestamps
             Of the part's frames.
         about : str
-            What the file says about its rows.
+            The file's metadata about its rows.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         def dictionary(index: NDArray[Any], values: list[str]) -> Any:
-            # Not checked, which takes as long as to write it: whatever is made here is in range.
+            # Not checked, which takes as long as writing: the indices made here are in range.
             return pa.DictionaryArray.from_arrays(pa.array(index), pa.array(values, pa.string()), safe=False)
 
         numbers = np.array([number for number, _, _ in self._frames], np.int32)
         counts: Any = [count for _, count, _ in self._frames]
         if len(set(counts)) == 1:
-            counts = counts[0]  # which NumPy repeats several times as fast
+            counts = counts[0]  # a single number, which NumPy repeats several times faster
         here = slice(self._count)
         columns = {
             "frame": pa.array(np.repeat(numbers + np.int32(first), counts)),
             "name": dictionary(np.repeat(numbers, counts), list(names)),
-            # Parquet has a mark of its own for what is not known.
+            # Parquet has its own mark for missing values.
             "timestamp": pa.array(np.repeat(timestamps[numbers], counts), from_pandas=not self._timed),
             **{
                 name: pa.array(values) for name, values in zip(self._place_names, self._places(), strict=True)
@@ -177,10 +177,10 @@ class Rows:
             "valid_count": pa.array(self._valid_count[here]),
             **{n: pa.array(values[here]) for n, values in zip(self._float_names, self._floats, strict=True)},
         }
-        # Of what may be null Parquet writes for each value whether it is: that takes longer than the value.
+        # For each nullable value Parquet writes whether it is null: that takes longer than the value.
         null = set() if self._timed else {"timestamp"}
         fields = [pa.field(name, values.type, nullable=name in null) for name, values in columns.items()]
-        # All the bits of fits differ, but where a tile is, is said again and again.
+        # The bits of fits all differ, but a tile's place repeats in every frame.
         compressed = {"frame", "timestamp", *self._place_names}
         with pa.BufferedOutputStream(stream, WRITTEN_AT_ONCE) as buffered:
             pq.write_table(
@@ -188,13 +188,13 @@ class Rows:
                 buffered,
                 use_dictionary=["name", "status"],
                 compression={name: "snappy" if name in compressed else "none" for name in columns},
-                write_statistics=["frame", "timestamp"],  # what one selects by
+                write_statistics=["frame", "timestamp"],  # the columns that rows are selected by
                 write_batch_size=1 << 16,
             )
 
 
 class _Kept(threading.local):
-    """One `Rows` for each thread: to get its memory anew for each part costs as much as to fill it."""
+    """One `Rows` for each thread: allocating its memory anew for each part costs as much as filling it."""
 
     columns: Columns | None = None
     rows: Rows
@@ -204,7 +204,7 @@ _kept = _Kept()
 
 
 def empty_rows(columns: Columns, expected: int) -> Rows:
-    """`Rows` that this thread may use until it asks for others, with memory for as many as are expected."""
+    """Return a `Rows` that this thread may use until it asks for another, with memory for ``expected`` rows."""
     if _kept.columns != columns:
         _kept.columns, _kept.rows = columns, Rows(columns)
     _kept.rows.clear(expected)

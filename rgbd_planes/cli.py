@@ -20,7 +20,7 @@ from rgbd_planes.wording import one_line
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command; what goes wrong is one line on stderr.
+    """Run a command; an error is one line on stderr.
 
     Returns
     -------
@@ -28,11 +28,11 @@ def main(argv: list[str] | None = None) -> int:
         0; 1 if a frame has no measurement or frames of a batch were skipped; 2 after an error; 130 after Ctrl-C.
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed: what is said to nobody must not fail, nor go to the other
+        if getattr(sys, name) is None:  # closed: printing to nobody must not fail, nor go to the other
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for good)
     if sys.stdout is sys.__stdout__ and isinstance(sys.stdout, io.TextIOWrapper):
-        # Of a name that its encoding lacks the rest is worth saying. A pipe gets all at the end, with PYTHONUNBUFFERED,
-        # too: by then the work is done, even if its reader has left.
+        # If the encoding lacks a name's character, the rest is still printed. A pipe gets all at the end, even with
+        # PYTHONUNBUFFERED: by then the work is done, even if its reader has left.
         sys.stdout.reconfigure(
             errors="backslashreplace", line_buffering=sys.stdout.isatty(), write_through=False
         )
@@ -60,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
     status: int | None = 0
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module=r"PIL\.")  # of a damaged file, the error says enough
+            warnings.filterwarnings("ignore", module=r"PIL\.")  # for a damaged file the error says enough
             warnings.showwarning = _show_each_once()
             status = arguments.run(arguments)
             print(end="", flush=True)
@@ -103,7 +103,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _show_each_once() -> Callable[..., None]:
-    """Shows a warning; what two steps of a command have to say, only once."""
+    """Show each warning once, even if two steps of a command raise it."""
     shown: set[str] = set()
 
     def show(message: Warning | str, *where: object, **more: object) -> None:

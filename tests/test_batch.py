@@ -336,7 +336,7 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
     (out / ".hidden").touch()
     for stranger in ("part-999999.parquet", "planes.txt"):
         shutil.copy(next(out.glob("part-*")), out / stranger)
-        with pytest.raises(ValueError, match=f"{stranger}: no part of the table"):
+        with pytest.raises(ValueError, match=f"{stranger}: not part of this table"):
             rp.fit_sequence(sequence, out)
         (out / stranger).unlink()
     rp.fit_sequence(sequence, out)

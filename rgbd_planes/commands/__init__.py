@@ -1,6 +1,6 @@
 """The commands of ``rgbd-planes``, one file each; `rgbd_planes.cli` runs them.
 
-A command is a function that declares its arguments on the parser it is given and returns what runs them. Its
+A command is a function that declares its arguments on the parser it is given and returns a function that runs it. Its
 docstring is its help. It imports what it needs when it runs, so that ``--help`` is instant.
 """
 

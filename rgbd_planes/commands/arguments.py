@@ -1,4 +1,4 @@
-"""What commands share: arguments, checks of what is to be written, and what is said about tiles."""
+"""Shared by the commands: arguments, checks of files to be written, and the summary of tiles."""
 
 import argparse
 import math
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from rgbd_planes.sequences import FrameSequence
     from rgbd_planes.tile_planes import TilePlanes
 
-Run = Callable[[argparse.Namespace], int | None]  # what the process exits with, 0 for None
+Run = Callable[[argparse.Namespace], int | None]  # returns the exit status, 0 for None
 
 
 class CommandError(Exception):
-    """What the user can mend: one line on stderr."""
+    """An error that the user can mend: one line on stderr."""
 
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
@@ -99,9 +99,9 @@ def tile_size(text: str) -> tuple[int, int]:
 
 
 def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffixes: tuple[str, ...]) -> None:
-    """Refuse now what could not be written after the work, or over what is read or written already.
+    """Refuse, before the work, files that cannot be written, or that are read or written already.
 
-    Of a folder that is read no file is written over.
+    In a folder that is read, no existing file is overwritten.
     """
     from rgbd_planes.files import check_writable
 
@@ -137,7 +137,7 @@ def add_frame(parser: argparse.ArgumentParser) -> None:
 
 
 def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, int]":
-    """The depth image, the camera, and what the command exits with: 1 if there is nothing measured, said on stderr."""
+    """The depth image, the camera, and the exit status: 1, with a line on stderr, if nothing is measured."""
     from rgbd_planes.camera import Camera
     from rgbd_planes.depth import as_depth_frame
     from rgbd_planes.distances import warn_of_distances
@@ -198,7 +198,7 @@ def write_figure(figure: Any, path: Path) -> None:
 
 
 def describe_tiles(tiles: "TilePlanes") -> str:
-    """How many tiles there are of which status, and how well the fitted ones fit: one line."""
+    """One line: how many tiles have which status, and how well the fitted ones fit."""
     import numpy as np
 
     from rgbd_planes import TileStatus

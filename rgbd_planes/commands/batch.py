@@ -18,7 +18,7 @@ _LISTED = 10  # ranges of skipped frames
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
-    """Fit every frame of a data set or a recording into a Parquet table, one row a tile or a segment.
+    """Fit every frame of a data set or a recording into a Parquet table, one row per tile or segment.
 
     example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet
 
@@ -68,8 +68,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             max_error=arguments.max_error,
             min_size=arguments.min_size,
         )
-        bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: not where nobody looks
-        skipped: dict[str, list[int]] = {}  # frames by the reason, which is said once, and again at the end
+        bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: only on a terminal
+        skipped: dict[str, list[int]] = {}  # frames by the reason, which is printed once, and again at the end
 
         def progress(done: Progress) -> None:
             for frame, name, reason in done.problems:
@@ -120,7 +120,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
 
 
 def _ranges(frames: list[int]) -> str:
-    """Numbers in words: "0 to 4, 7", the first ranges of many."""
+    """Frame numbers as ranges, "0 to 4, 7"; of many only the first ones."""
     there = set(frames)
     starts = sorted(frame for frame in there if frame - 1 not in there)
     ends = sorted(frame for frame in there if frame + 1 not in there)

@@ -84,7 +84,7 @@ def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") 
     from rgbd_planes.metrics import plane_errors
 
     height, width = tiles.tile
-    middle = np.s_[height // 2 :: height, width // 2 :: width]  # of each tile, a pixel
+    middle = np.s_[height // 2 :: height, width // 2 :: width]  # one pixel of each tile
     x, y = rendering.camera.tan_x[middle], rendering.camera.tan_y[middle]
 
     def line(name: str, fits: "TilePlanes", chosen: Any) -> str:

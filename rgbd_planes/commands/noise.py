@@ -84,7 +84,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
 
 
 def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
-    """The depth images that are named, or what the one data set or recording has."""
+    """The depth images that are named, or the frames of the one data set or recording."""
     from rgbd_planes import Camera
     from rgbd_planes.images import DEPTH_SUFFIXES
     from rgbd_planes.sequences.frames import image_sequence
