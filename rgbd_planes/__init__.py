@@ -7,7 +7,7 @@
     tiles.planes  # (R, C, 4): nx, ny, nz, d
 
 Implements Papadakis and Willis, "Real-Time Surface Fitting to RGBD Sensor Data", IEEE SoutheastCon 2017,
-and goes on from there. Names load on first use, so that importing this takes no time.
+and goes on from there. Names load on first use, so that importing the package takes no time.
 """
 
 import importlib

@@ -25,12 +25,12 @@ TOLERANCE = 1e-10
 
 _MAX_ITERATIONS = 50
 _CHUNK = 32768  # points at a time, so that the temporaries stay in the cache
-_WAY = np.linspace(0.0, 1.0, 17)[1:]  # of steps from the optical axis to a place that is not found at once
-_SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is looked at for folds
+_WAY = np.linspace(0.0, 1.0, 17)[1:]  # steps from the optical axis to a place that is not found at once
+_SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is checked for folds
 
 
 def coefficients8(coefficients: Sequence[float]) -> Floats:
-    """Coefficients k1 k2 p1 p2 k3 k4 k5 k6, zero where fewer were given."""
+    """Coefficients k1 k2 p1 p2 k3 k4 k5 k6, with zeros where fewer were given."""
     padded = np.zeros(8)
     padded[: len(coefficients)] = coefficients
     return padded
@@ -97,8 +97,8 @@ def undistort(
     """The ray (x, y, 1) that the lens puts at the given place: the inverse of `distort`.
 
     A Newton iteration with the analytic Jacobian, started at the inverse of the radial part. A step is halved
-    until the residual falls and the Jacobian stays positive, so that no iterate crosses a fold. Where strong
-    tangential coefficients make it miss, the place is approached from the optical axis.
+    until the residual falls and the Jacobian stays positive, so that no iterate crosses a fold. Where strong tangential
+    coefficients make this fail, the place is approached from the optical axis.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def undistort(
 
 
 def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tuple[Floats, Floats]:
-    """Radii and what the radial part makes of them, as far as the given distorted radius or the fold."""
+    """Radii and their distorted radii by the radial part, as far as the given distorted radius or the fold."""
     zero = np.zeros(1)
     fold = fold_radius(coefficients)
     radial = [c if i not in (2, 3) else 0.0 for i, c in enumerate(coefficients)]
@@ -164,7 +164,7 @@ def _invert(
 def _newton(
     target_x: Floats, target_y: Floats, coefficients: Sequence[float], x: Floats, y: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """`undistort` from places to start at, which are overwritten."""
+    """`undistort` from the given starting points, which are overwritten."""
     found = np.zeros(x.shape, bool)
     active = np.arange(len(x))
     with np.errstate(all="ignore"):
@@ -213,7 +213,7 @@ def _residual(
 
 
 def unfolded(x: Floats, y: Floats, coefficients: Sequence[float]) -> NDArray[np.bool_]:
-    """Whether `distort` stays one-to-one on the way from the optical axis to each (x, y)."""
+    """Whether `distort` is one-to-one all the way from the optical axis to each (x, y)."""
     k4, k5, k6 = coefficients8(coefficients)[5:]
     along_x, along_y = x[..., None] * _SEGMENT, y[..., None] * _SEGMENT
     r2 = along_x**2 + along_y**2

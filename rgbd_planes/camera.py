@@ -21,7 +21,7 @@ from rgbd_planes.noise_model import NoiseModel
 Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
 
-_FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; of other lenses none sees more
+_FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; only fisheye lenses see farther
 
 
 @dataclass(frozen=True)
@@ -39,20 +39,20 @@ class Camera:
     cx, cy : float
         Principal point in pixels; may lie outside the image.
     distortion : sequence of 0, 4, 5 or 8 floats
-        k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order. Those left out are zero; it keeps as many as are needed of
-        0, 5 and 8. Of a fisheye lens k1 k2 k3 k4.
+        k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order. Those left out are zero; of 0, 5 and 8 as many are kept as are
+        needed. For a fisheye lens k1 k2 k3 k4.
     distortion_model : {"brown_conrady", "inverse_brown_conrady", "fisheye"}
-        What the coefficients do: OpenCV's model takes the ray to the image, RealSense's inverse (five
-        coefficients) takes the image to the ray. A fisheye is that of `cv2.fisheye`, ROS's equidistant and
-        Kannala-Brandt: it bends rays also where all coefficients are zero. Pixels that see 85 degrees from the
-        optical axis or more, as in the corners of a circular image, are missing in every frame.
+        What the coefficients do: OpenCV's model maps the ray to the image, RealSense's inverse (five coefficients) maps
+        the image to the ray. The fisheye is that of `cv2.fisheye`, ROS's equidistant and Kannala-Brandt: it bends rays
+        even if all coefficients are zero. Pixels that see 85 degrees from the optical axis or more, as in the corners
+        of a circular image, are missing in every frame.
     depth_scale : float, optional
         Raw units per metre of integer frames (1000: millimetres).
     disparity : (scale, offset), optional
         For disparity images: 1/Z = scale * raw + offset, in 1/m. Either this or `depth_scale`, not both.
     depth_range : (nearest, farthest), optional
-        Depths in metres that are measurements, both included, as a frame of floats rounds them; infinity for no
-        farthest.
+        Depths in metres that are measurements, both limits included, rounded as the values of a frame of floats are;
+        infinity for no farthest.
     invalid_values : sequence of float
         Raw values that mean "no measurement", besides 0, negative, NaN and infinite depths.
     noise : NoiseModel, optional
@@ -61,7 +61,7 @@ class Camera:
     Raises
     ------
     TypeError, ValueError
-        For a value that cannot be, saying what was expected and what came.
+        For an invalid value, saying what was expected and what came.
 
     Warns
     -----
@@ -112,10 +112,10 @@ class Camera:
         object.__setattr__(self, name, value)
 
     def _warn_of_intrinsics(self) -> None:
-        """Warn of what can be, but most likely is a focal length in millimetres, or as a share of the width."""
+        """Warn of what is possible, but most likely is a focal length in millimetres, or as a share of the width."""
         if (
             self.distortion_model == "fisheye"
-        ):  # sees as far; an image of which it sees hardly anything is an error
+        ):  # does see that far; if it sees hardly anything of the image, that is an error
             return
         for size, focal, centre, names in (
             (self.width, self.fx, self.cx, ("fx", "cx", "width")),
@@ -160,7 +160,7 @@ class Camera:
             self._set("depth_range", pair)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Without the tables: they are quick to make again, and a copy of them would come back writable.
+        # Without the tables: they are quickly made again, and a copy of them would come back writable.
         return type(self), tuple(getattr(self, f.name) for f in fields(self))
 
     @property
@@ -204,7 +204,7 @@ class Camera:
         Raises
         ------
         ValueError
-            The distortion cannot be inverted everywhere inside the image; of a fisheye hardly anywhere.
+            The distortion cannot be inverted everywhere inside the image; for a fisheye, hardly anywhere.
         """
         return self._tables[0]
 
@@ -223,8 +223,8 @@ class Camera:
     def _tables(self) -> Tables:
         tables: Tables | None = self.__dict__.get("_tables_made")
         if tables is None:
-            # Threads that come at once may each make them, and all get the same. A lock would make cameras wait
-            # for each other, and for ever in a process that is forked meanwhile.
+            # Threads that come at the same time may each make them, but all get the same ones. A lock would make
+            # cameras wait for each other, and for ever in a process that is forked meanwhile.
             tables = self.__dict__.setdefault("_tables_made", self._make_tables())
         return tables
 
@@ -237,7 +237,8 @@ class Camera:
         without_ray = np.isnan(x)
         if not without_ray.any():
             return _read_only(x), _read_only(y), None
-        # Numbers, for sums over all pixels, of which the missing ones are taken out again, and for corners of outlines.
+        # Finite ones, for sums over all pixels, from which missing ones are then subtracted, and for corners of
+        # outlines.
         ratio = np.hypot(x, y)[~without_ray].max() / np.hypot(image_x, image_y)[without_ray]
         x[without_ray], y[without_ray] = image_x[without_ray] * ratio, image_y[without_ray] * ratio
         return _read_only(x), _read_only(y), without_ray
@@ -258,7 +259,7 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            As `rgbd_planes.fit_tiles`, for a frame that is none of this camera's.
+            As `rgbd_planes.fit_tiles`, for a frame that is not this camera's.
         """
         z = as_depth_frame(depth, self).metres
         return np.stack([z * self.tan_x, z * self.tan_y, z], axis=-1)
@@ -297,7 +298,7 @@ class Camera:
         return np.where(finite, pixels, np.nan)
 
     def to_dict(self) -> dict[str, Any]:
-        """The camera as a dict that JSON takes, with "noise" where there is a model.
+        """The camera as a dict that JSON can hold, with "noise" if there is a model.
 
         Raises
         ------
@@ -317,12 +318,12 @@ class Camera:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Make a camera from the keys of `to_dict`: the six of the pinhole are needed, the others are not.
+        """Make a camera from the keys of `to_dict`: the six of the pinhole are required, the others are not.
 
         Raises
         ------
         TypeError, ValueError
-            Naming the keys that are unknown or missing, or the value that cannot be.
+            Naming the keys that are unknown or missing, or the invalid value.
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
@@ -408,14 +409,15 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            The matrix has a skew or is none, or there are coefficients of a thin prism or of a tilted sensor.
+            The matrix has a skew or is not a camera matrix, or there are coefficients of a thin prism or of a tilted
+            sensor.
         """
         made = camera_formats.from_opencv(camera_matrix, distortion, size, distortion_model, pixel_center)
         return cls(**made, **depth)
 
     @classmethod
     def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Any) -> Self:
-        """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo, or from what a calibration file of ROS holds.
+        """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo, or from the content of a ROS calibration file.
 
         Parameters
         ----------
@@ -431,9 +433,8 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            Something that is needed is missing, or cannot be; or the distortion model is another than plumb_bob,
-            rational_polynomial and equidistant, with coefficients other than zero: where all are zero, the
-            lens is taken for a pinhole.
+            Something required is missing or invalid; or the distortion model is none of plumb_bob, rational_polynomial
+            and equidistant, with coefficients other than zero: if all are zero, the lens is taken for a pinhole.
 
         Notes
         -----
@@ -457,7 +458,7 @@ class Camera:
         Raises
         ------
         OSError, TypeError, ValueError
-            The file cannot be read, or something that is needed is missing, or cannot be.
+            The file cannot be read, or something required is missing or invalid.
         """
         if not isinstance(source, str | os.PathLike):
             return cls(**camera_formats.from_open3d(source), **depth)
@@ -481,8 +482,8 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            Something that is needed is missing, or cannot be; or the model is one that `Camera` has not, with
-            coefficients other than zero.
+            Something required is missing or invalid; or the model is one that `Camera` does not have, with coefficients
+            other than zero.
 
         Notes
         -----

@@ -1,4 +1,4 @@
-"""Other systems' descriptions of a camera, each made into the arguments of `Camera`."""
+"""Other systems' descriptions of a camera, turned into the arguments of `Camera`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
     "brown_conrady",
     "kannala_brandt4",
 )
-_OTHERS = (  # a key of other files, and what takes their camera
+_OTHERS = (  # a key of other files, and the method that takes their camera
     ("intrinsic_matrix", "open3d"),
     ("K", "ros"),
     ("k", "ros"),
@@ -32,12 +32,12 @@ _OTHERS = (  # a key of other files, and what takes their camera
     ("mtx", "opencv"),
 )
 _ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
-_REALSENSE_COEFFICIENTS = {  # what `Camera` calls the model, and how many of the five numbers it has
+_REALSENSE_COEFFICIENTS = {  # `Camera`'s name for the model, and how many of the five numbers it uses
     "brown_conrady": ("brown_conrady", 5),
     "inverse_brown_conrady": ("inverse_brown_conrady", 5),
     "kannala_brandt4": ("fisheye", 4),
 }
-_ROS_FILE = {  # what a calibration file of ROS calls the matrices of the message
+_ROS_FILE = {  # a ROS calibration file's names for the matrices of the message
     "camera_matrix": "K",
     "distortion_coefficients": "D",
     "projection_matrix": "P",
@@ -46,7 +46,7 @@ _ROS_FILE = {  # what a calibration file of ROS calls the matrices of the messag
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
-    with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors begin a file with a mark
+    with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors begin a file with a byte order mark
         try:
             values = json.load(file)
         except UnicodeDecodeError:
@@ -84,7 +84,7 @@ def from_opencv(
 
 
 def whose(keys: list[str]) -> str:
-    """Which other format has such keys, as the end of a message; nothing if none is known."""
+    """The end of a message that says which other format has such keys; empty if none is known."""
     for key, other in _OTHERS:
         if key in keys:
             return f": Camera.from_{other} takes that, Camera.save writes it as here"
@@ -131,7 +131,7 @@ def _region(roi: Any, first: str, size: str, whole: int) -> tuple[int, int]:
 
 
 def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
-    """The message that a calibration file, as camera_calibration writes it, stands for."""
+    """The message that a calibration file, as camera_calibration writes it, corresponds to."""
     info = {
         "width": file["image_width"],
         "height": _get(file, "image_height"),
@@ -197,7 +197,7 @@ def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]
 
 
 def depth_scale_of(depth_units: float) -> float:
-    """Raw units per metre, of metres per raw unit."""
+    """Raw units per metre, from metres per raw unit."""
     units = number("depth_units", depth_units)
     if not units > 0:
         raise ValueError(f"expected depth_units > 0 (metres per raw unit), got {depth_units!r}")

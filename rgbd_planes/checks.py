@@ -1,6 +1,6 @@
-"""What many doors check of an argument: it can be used, or an error says what was expected and what came.
+"""Checks of arguments shared by the public functions: an error says what was expected and what came.
 
-What can be used, but most likely is a mistake, is warned of.
+They warn of what can be used, but is most likely a mistake.
 """
 
 import math
@@ -58,12 +58,12 @@ def check_share(name: str, value: float) -> float:
 
 
 def check_whole(name: str, value: int, least: int, kind: str = "whole number", bits: int = 63) -> int:
-    """Return a whole number of at least ``least`` as an int: small integers of NumPy's would overflow."""
+    """Return a whole number of at least ``least`` as an int: NumPy's small integers would overflow."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name} must be a {kind}, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value!r}")
-    if value >= 2**bits:  # of 64 no kernel takes it
+    if value >= 2**bits:  # no kernel takes one of 64 bits
         raise ValueError(f"{name} must be below 2**{bits}, got {value!r}")
     return int(value)
 
@@ -86,7 +86,7 @@ def check_error(max_error: float | None) -> float:
 
 
 def plain_array(name: str, values: Any) -> NDArray[Any]:
-    """Return what is no masked array as an array: what is masked would count as if it were not."""
+    """Return anything but a masked array as an array: masked entries would otherwise be used as data."""
     # Without their module, which takes time to import, there are no masked arrays.
     if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
@@ -115,13 +115,13 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
 
 # Share of 1/Z that no sensor's noise is, between what is nearest in a frame and twice as far away.
 TOO_LARGE = 0.2
-LARGEST_NOISE = 1e60  # 1/m: what the square of a square leaves finite, summed over a frame
+LARGEST_NOISE = 1e60  # 1/m: the square of its square is finite, and so are sums of these over a frame
 
 
 def check_noise(
     sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True
 ) -> NDArray[np.float64]:
-    """Return a standard deviation at inverse depths, one for each, as floats: 0 or more, except where q is 0."""
+    """Return standard deviations at inverse depths, one for each, as floats: 0 or more, except where q is 0."""
     made = for_each(sigma, inverse_depth)
     bad = ~(made >= 0.0) | (finite & (made > LARGEST_NOISE))
     bad &= inverse_depth > 0.0  # no function need be defined at 0
@@ -135,14 +135,14 @@ def check_noise(
 
 
 def check_not_a_maker(noise: Any) -> None:
-    """Raise a TypeError for a function of `rgbd_planes.noise` in the place of the model that it makes."""
+    """Raise a TypeError for a function of `rgbd_planes.noise` given in place of the model that it makes."""
     if getattr(noise, "__module__", "") == "rgbd_planes.noise" and hasattr(noise, "__name__"):
         name = noise.__name__
         raise TypeError(f"expected noise as a NoiseModel, got the function {name}: {name}(...) makes one")
 
 
 def for_each(sigma: Any, inverse_depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what a function gave for inverse depths as floats, one for each; a single number is that of all."""
+    """Return what a function gave for inverse depths as floats, one for each; a single number counts for all."""
     made = np.asarray(sigma, np.float64)
     try:
         return np.broadcast_to(made, inverse_depth.shape)
@@ -158,7 +158,7 @@ def number(name: str, value: Any, *, finite: bool = True) -> float:
         raise TypeError(f"expected {name} as a number, got {value!r}")
     try:
         made = float(value)
-    except OverflowError:  # of a whole number that no float holds
+    except OverflowError:  # a whole number that no float holds
         made = math.inf if value > 0 else -math.inf
     except (TypeError, ValueError):
         raise TypeError(f"expected {name} as a number, got {value!r}") from None
@@ -175,11 +175,11 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     return tuple(number(name, value, finite=finite) for value in values)
 
 
-_INSIDE = "rgbd_planes", "contextlib"  # whose stack of callbacks waits for threads
+_INSIDE = "rgbd_planes", "contextlib"  # the latter's ExitStack waits for threads
 
 
 class _Collected(threading.local):
-    """In a thread of this library's: what it will have to say."""
+    """In a thread of this library: the warnings that it passes on."""
 
     messages: list[str] | None = None
 
@@ -206,7 +206,7 @@ def warn_of_large_noise(sigma: float, inverse_depth: float, result: str) -> None
 
 @contextmanager
 def collected_warnings(messages: list[str]) -> Iterator[None]:
-    """Put what is to be warned of into a list, in a thread that was not called by the line that it is for."""
+    """Collect warnings in a list, in a thread that was not called by the line that they are for."""
     before, _collected.messages = _collected.messages, messages
     try:
         yield

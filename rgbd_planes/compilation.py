@@ -18,8 +18,8 @@ _NOTHING = nullcontext()
 def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextManager[None]:
     """Log one line if the first call for ``key`` takes long; later calls cost nothing.
 
-    Once in a process for all that ``takes`` the same time. A kernel that Numba's cache on disk holds loads in
-    less than the time waited for.
+    Once in a process for all calls of the same ``takes``. A kernel that Numba's cache on disk holds loads before the
+    line would be logged.
     """
     return _NOTHING if key in _compiled or takes in _announced else _first_call(key, takes)
 
@@ -28,7 +28,7 @@ def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextMana
 def _first_call(key: Hashable, takes: str) -> Iterator[None]:
     timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce, [takes])
     timer.daemon = True
-    with suppress(RuntimeError):  # no more threads, by a limit or since Python ends: then nothing is said
+    with suppress(RuntimeError):  # no more threads, by a limit or as Python ends: then nothing is logged
         timer.start()
     try:
         yield

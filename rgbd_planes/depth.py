@@ -1,4 +1,4 @@
-"""The door for depth frames: any array a sensor or a file gives, made into what the kernels read.
+"""Where depth frames enter: any array from a sensor or a file, turned into what the kernels read.
 
 Every kind of missing pixel folds into one test, ``lowest <= raw <= highest``, and every unit into one formula
 for the inverse depth, so that a frame is read once and nothing is converted beforehand.
@@ -26,14 +26,14 @@ _NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float3
 
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
-_NEARER_THAN_ANY = 0.02  # metres; those that are taken for millimetres do not reach it
-_FEW_PIXELS = 800  # of which nothing can be said
-_LARGEST = 65535  # of 16 bits; no sensor measures it, some write it for what they did not measure
+_NEARER_THAN_ANY = 0.02  # metres; metres that are taken for millimetres do not reach it
+_FEW_PIXELS = 800  # too few to say anything
+_LARGEST = 65535  # of 16 bits; no sensor measures it, some write it for missing pixels
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
 _GRAIN, _GRAIN_OF_DISPARITY = 1e-5, 1.0 / 256.0  # metres, raw units
 _INDISTINCT = 2.0**53  # grains: all larger numbers are whole
-_FEW_VALUES = 50  # of which nothing can be said: a scene may have been made of whole numbers
+_FEW_VALUES = 50  # too few to say anything: a scene may have been made of whole numbers
 
 
 class DepthFrame(NamedTuple):
@@ -47,11 +47,10 @@ class DepthFrame(NamedTuple):
         A pixel is valid if and only if ``lowest <= raw <= highest``; where no value is valid, ``lowest >
         highest``.
     scale, offset : float
-        The inverse depth q in 1/m of a valid pixel: ``scale / raw`` of depth, ``scale * raw + offset`` of
-        disparity.
+        The inverse depth q in 1/m of a valid pixel: ``scale / raw`` for depth, ``scale * raw + offset`` for disparity.
     is_disparity : bool
     step : float
-        Between neighbouring values of `raw` as they came: 1 of integers, 0 of floats.
+        Step between neighbouring values of `raw` as they came: 1 for integers, 0 for floats.
     """
 
     raw: NDArray[Any]
@@ -99,7 +98,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     Raises
     ------
     TypeError
-        It is no array, or masked, or the dtype is neither integer nor floating point.
+        It is not an array, or masked, or the dtype is neither integer nor floating point.
     ValueError
         The shape is not (camera.height, camera.width), or an integer frame came with a camera that has
         neither `depth_scale` nor `disparity`.
@@ -111,10 +110,10 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
 
     Notes
     -----
-    Missing are depths that are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
-    `camera.depth_range`; pixels of a fisheye that have no ray within 85 degrees of the axis; and what float32 has no
-    normal number for, below 1.2e-38 m or above 3.4e38 m. The raw values of a disparity image are missing where
-    1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a
+    Depths are missing that are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
+    `camera.depth_range`; so are pixels of a fisheye without a ray within 85 degrees of the axis, and depths that
+    float32 has no normal number for, below 1.2e-38 m or above 3.4e38 m. Raw values of a disparity image are missing
+    where 1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a
     measurement there, unless `invalid_values` names it.
     """
     array = plain_array("depth", depth)
@@ -206,11 +205,11 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
 def _warn_of_units(
     sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
 ) -> None:
-    """Warn of a frame that is most likely not in the units that it is said to be in."""
+    """Warn of a frame that is most likely not in the units that it is taken for."""
     _warn_of_the_nearest(sample, dtype, depth_scale, depth_range)
     farthest = _PLAINLY_NOT_METRES * depth_scale
     if dtype == np.uint16 and 2.0 * farthest > 65535:
-        return  # what is common takes no time: at 1000 units a metre such a frame ends where this begins
+        return  # the common case takes no time: at 1000 units per metre such a frame hardly reaches beyond
     near = depth_range is not None and depth_range[1] <= _PLAINLY_TOO_NEAR
     if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and not near:
         warn_caller(
@@ -239,7 +238,7 @@ def _warn_of_the_nearest(
 ) -> None:
     """Warn of a frame that ends nearer than sensors begin."""
     nearest = _NEARER_THAN_ANY * depth_scale
-    if sample.size < _FEW_PIXELS or (sample[::64] >= nearest).any():  # mostly one of a few says it
+    if sample.size < _FEW_PIXELS or (sample[::64] >= nearest).any():  # mostly a few pixels show it
         return
     measured = sample[(sample > 0) & (sample < np.inf)]
     if not len(measured) or measured.max() >= nearest:
@@ -258,7 +257,7 @@ def _warn_of_the_nearest(
 
 
 def _warn_of_the_largest(sample: NDArray[Any], largest: Any) -> None:
-    """Warn of a number that most likely means missing, and would count as a far plane; of metres, in millimetres."""
+    """Warn of a number that most likely means missing, and would count as a far plane; in metres, as millimetres."""
     if np.count_nonzero(sample == largest) > 10:  # a hundredth
         millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
         warn_caller(
@@ -268,7 +267,7 @@ def _warn_of_the_largest(sample: NDArray[Any], largest: Any) -> None:
 
 
 def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:
-    """Warn of measurements where a fisheye sees nothing: coefficients of another lens make it seem so."""
+    """Warn of measurements where a fisheye sees nothing: another lens's coefficients may be the reason."""
     if np.count_nonzero(lost) > 10:  # a hundredth
         warn_caller(
             f"about {np.count_nonzero(lost) / lost.size:.0%} of this frame are measured where the fisheye lens has "
@@ -277,7 +276,7 @@ def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:
 
 
 def some_of(raw: NDArray[Any]) -> NDArray[Any]:
-    """About a thousand pixels of a frame, which often say as much as all of them."""
+    """About a thousand pixels of a frame, which often tell as much as all of them."""
     # A step without a common divisor with the width meets every column, whatever pattern the holes have.
     step = max(1, raw.size // 1024)
     while math.gcd(step, raw.shape[1]) > 1:
@@ -286,7 +285,7 @@ def some_of(raw: NDArray[Any]) -> NDArray[Any]:
 
 
 def step_of(frame: DepthFrame) -> float:
-    """Between neighbouring raw values: of integers, and of floats that integers were made into; 0 if there is none."""
+    """Step between neighbouring raw values, of integers or of floats made from integers; 0 if there is none."""
     if frame.step > 0.0:
         return frame.step
     grain = _GRAIN_OF_DISPARITY if frame.is_disparity else _GRAIN
@@ -294,7 +293,7 @@ def step_of(frame: DepthFrame) -> float:
     grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / grain
     grains = grains[np.abs(grains) < _INDISTINCT]
     whole = np.rint(grains)
-    # What single precision does to a number is 1e-7 of it.
+    # Single precision changes a number by 1e-7 of it.
     if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * np.abs(grains), 0.3)).any():
         return 0.0
     values = np.unique(whole)
@@ -323,7 +322,8 @@ def _validity(
 ) -> tuple[Any, Any, tuple[Any, ...], Any]:
     """The interval of raw values that are measurements; the invalid values inside it; a value outside it.
 
-    Of values of type ``dtype``, which were of type ``stored`` and may have its digits only: so have limits of metres.
+    For values of type ``dtype`` that were of type ``stored`` and may only have its digits: limits in metres get these
+    too.
     """
     nearest, farthest = depth_range or (0.0, math.inf)
     scalar, as_stored = np.dtype(dtype).type, np.dtype(stored).type

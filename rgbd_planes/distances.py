@@ -10,8 +10,8 @@ from rgbd_planes.depth import DepthFrame
 Floats = NDArray[np.float64]
 
 _SAMPLES, _SIDE = 100, 10  # along the longer side of the image, and of a window
-# How much flatter by the one reading than by the other, and in how many windows. A ball whose radius is its distance
-# comes out up to 50 times flatter as distances.
+# How much flatter in one reading than in the other, and in how many windows. A ball whose radius is its distance comes
+# out up to 50 times flatter as distances.
 _CLEARLY, _FEWEST = 100.0, 5
 _ROUNDING = 1e-6  # residuals below this share of 1/Z tell nothing
 
@@ -56,6 +56,6 @@ def _windows(image: Floats) -> Floats:
 
 
 def _residual(basis: Floats, values: Floats) -> Floats:
-    """(K,): root mean square of what planes leave of the values, as a share of their mean."""
+    """(K,): root mean square residual of planes fitted to the values, as a share of their mean."""
     planar = (basis @ (basis.swapaxes(1, 2) @ values[:, :, None]))[:, :, 0]
     return np.asarray(np.sqrt(np.mean((values - planar) ** 2, axis=1)) / np.mean(values, axis=1))

@@ -1,4 +1,4 @@
-"""The models of lens distortion: which there are, and the way between image and rays by each."""
+"""The models of lens distortion, and the way from image to rays and back by each."""
 
 from collections.abc import Sequence
 
@@ -14,13 +14,13 @@ _COUNTS = {"brown_conrady": (0, 4, 5, 8), "inverse_brown_conrady": (0, 5), "fish
 
 MODELS = tuple(_COUNTS)
 
-_LEAST_SEEN = 0.1  # of the pixels of a fisheye; with fewer the focal length is most likely in other units
+_LEAST_SEEN = 0.1  # share of a fisheye's pixels; with fewer the focal length is most likely in other units
 
 
 def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
-    """Return the coefficients that make all the difference: none without distortion, equal ones for equal lenses.
+    """Return the coefficients in a canonical form: none without distortion, equal ones for equal lenses.
 
-    0, 5 or 8 of an ordinary lens, 4 of a fisheye, which bends rays even where all are zero.
+    0, 5 or 8 for an ordinary lens, 4 for a fisheye, which bends rays even where all are zero.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
     Raises
     ------
     ValueError
-        Some pixels have no ray, or several, saying where; of a fisheye nearly all.
+        Some pixels have no ray, or several, saying where; for a fisheye, nearly all.
     """
     if model == "fisheye":
         ray_x, ray_y, one_to_one = fisheye.undistort(x, y, coefficients)
@@ -77,7 +77,7 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
         else:
             ray_x, ray_y, one_to_one = brown_conrady.undistort(x, y, coefficients)
             flat_x, flat_y = ray_x, ray_y
-        # The border's lines to the optical axis sweep the whole image.
+        # The lines from the border to the optical axis sweep the whole image.
         for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
             one_to_one[border] &= brown_conrady.unfolded(flat_x[border], flat_y[border], coefficients)
         if one_to_one.all():

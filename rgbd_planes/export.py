@@ -73,7 +73,7 @@ def _corners(tiles: TilePlanes) -> Floats:
 
 
 def to_dict(tiles: TilePlanes) -> dict[str, Any]:
-    """Return a frame's planes as what JSON can hold.
+    """Return a frame's planes in a form that JSON can hold.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
     Returns
     -------
     dict
-        camera (`Camera.to_dict`), method, tile [height, width], and planes: of each tile that has one row,
+        camera (`Camera.to_dict`), method, tile [height, width], and planes: for each tile that has one, its row,
         column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points.
     """
     _check_one_frame(tiles)
@@ -124,7 +124,7 @@ def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
     Raises
     ------
     TypeError
-        They are no `TilePlanes`.
+        They are not `TilePlanes`.
     ValueError
         They are those of a batch, or the camera's noise model is a function.
     OSError
@@ -154,14 +154,14 @@ def write_ply(
     colours : (..., 3) array_like, optional
         RGB in 0..1.
     faces : (F, K) array_like of int, optional
-        Polygons of K points each, by the number of the point.
+        Polygons of K points each, by the numbers of the points.
 
     Raises
     ------
     TypeError
         Masked arrays, or none of numbers.
     ValueError
-        Arrays of other shapes, colours outside 0..1, or a face of a point that there is not.
+        Arrays of other shapes, colours outside 0..1, or a face with a point that does not exist.
     """
     xyz = _single(_triples("points", points))
     written = np.isfinite(xyz).all(axis=1) if faces is None else np.ones(len(xyz), bool)
@@ -173,7 +173,7 @@ def write_ply(
     if colours is not None:
         shares = _triples("colours", colours, len(xyz))[written]
         rgb = np.rint(255.0 * shares)
-        if not ((rgb >= 0) & (rgb <= 255)).all():  # of 0 to 255 nearly all would be white
+        if not ((rgb >= 0) & (rgb <= 255)).all():  # as 0 to 255 nearly all would be white
             raise ValueError(f"colours must be RGB in 0..1, got {shares.min():g} to {shares.max():g}")
         columns += [(("red", "green", "blue")[i], "u1", rgb[:, i]) for i in range(3)]
     vertices = np.empty(np.count_nonzero(written), [(name, dtype) for name, dtype, _ in columns])
@@ -203,7 +203,7 @@ def write_ply(
 
 
 def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
-    """(N, 3) float64 of (..., 3) numbers: so many, if that is known."""
+    """(N, 3) float64 from (..., 3) numbers; N must be ``count``, if that is given."""
     array = real_array(name, values)
     if array.shape[-1:] != (3,) or count not in (None, array.size // 3):
         expected = "(..., 3)" if count is None else f"(..., 3), {count} in all, as many as points"
@@ -232,7 +232,7 @@ def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
 
 
 def to_open3d(tiles: TilePlanes) -> open3d.geometry.TriangleMesh:
-    """Return the fitted tiles of a frame as an Open3D mesh, two triangles a tile, coloured by their normals.
+    """Return the fitted tiles of a frame as an Open3D mesh, two triangles per tile, coloured by their normals.
 
     Parameters
     ----------
@@ -278,15 +278,15 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> 
     tiles : TilePlanes
         Of one frame.
     frame_id : str
-        Of the camera's optical frame.
+        Name of the camera's optical frame.
     stamp : float
         Seconds.
 
     Returns
     -------
     dict
-        header and coefficients, of each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d].
-        The fields of ROS 1 and 2, but for the ``seq`` of ROS 1's header.
+        header and coefficients: for each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d]. The fields
+        of ROS 1 and 2, except the ``seq`` of ROS 1's header.
     """
     _check_one_frame(tiles)
     return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)

@@ -1,4 +1,4 @@
-"""Libraries that only some need."""
+"""Libraries that only some users need."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -11,10 +11,10 @@ from pathlib import Path
 
 @contextmanager
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A path beside `path` to write to; it takes the place of `path` once the block has ended well.
+    """A path beside `path` to write to; it takes the place of `path` once the block has ended without an error.
 
-    It has the suffix of `path`, from which many writers know the format. After an error nothing is left
-    behind, and a file that was there before is as it was.
+    It has the suffix of `path`, by which many writers know the format. After an error nothing is left behind, and a
+    file that was there before is unchanged.
 
     Raises
     ------
@@ -24,7 +24,7 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(os.path.realpath(path))  # a link stays a link
     check_writable(target)
     replaceable = target.is_file() or not target.exists()  # unlike a device or a pipe
-    # Not the whole name, which may be as long as one can be.
+    # Not the whole name, which may already be as long as names can be.
     name = f"{target.stem[:40]}-{zlib.crc32(os.fsencode(target.name)):x}"
     beside = target.with_name(f".{name}.{os.getpid()}-{threading.get_ident()}{target.suffix}")
     written = beside if replaceable else target
@@ -33,9 +33,9 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         if replaceable:
             beside.replace(target)
     except OSError as error:
-        if type(error) is OSError and error.errno is None:  # of a library's own, in its own words
+        if type(error) is OSError and error.errno is None:  # a library's own, in its own words
             raise OSError(f"cannot write {path}: {error}") from error
-        # Of a full disk, say, or a name that is too long.
+        # A full disk, say, or a name that is too long.
         if error.errno is not None and error.filename in (None, os.fspath(written)):
             error.filename = os.fspath(path)
         raise
@@ -45,7 +45,7 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Keep others out of a folder that all enter by this; made if need be. On Windows nobody is kept out.
+    """Keep out of a folder all others that enter it by this; made if need be. On Windows nobody is kept out.
 
     Raises
     ------
@@ -68,14 +68,14 @@ def alone_in(folder: Path) -> Iterator[None]:
             pass
         yield
     finally:
-        with suppress(OSError):  # what is only closed, a child that was forked meanwhile would keep locked
+        with suppress(OSError):  # if only closed, a child that was forked meanwhile would keep it locked
             fcntl.flock(handle, fcntl.LOCK_UN)
         os.close(handle)
 
 
 @contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Begin the TypeError or ValueError of the block, which is about the content of a file, with its path."""
+    """Begin a TypeError or ValueError of the block, about the content of a file, with the file's path."""
     try:
         yield
     except TypeError as error:
@@ -86,7 +86,7 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def readable(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
-    """Make a ValueError of what the block's library raises, for files that end early or hold nonsense: of any kind."""
+    """Turn whatever the block's library raises, for files that end early or hold nonsense, into a ValueError."""
     try:
         yield
     except Exception as error:
@@ -95,16 +95,16 @@ def readable(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
-    """The path, if it is a file: to open a pipe would wait for what may never come."""
+    """The path, if it is a file: opening a pipe would wait for what may never come."""
     file = no_folder(path)
     if not file.is_file():
         raise ValueError(f"{path}: expected a file, got a device or a pipe")
-    with file.open("rb"):  # what may not be read is not damaged
+    with file.open("rb"):  # a file without permission is not a damaged one
         return file
 
 
 def no_folder(path: str | os.PathLike[str]) -> Path:
-    """The path, if there is something, and it is no folder."""
+    """The path, if it exists and is no folder."""
     file = Path(path)
     if not file.exists():
         raise FileNotFoundError(f"{path}: there is no such file")
@@ -114,7 +114,7 @@ def no_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def identity(path: Path) -> tuple[tuple[int, ...], ...]:
-    """What tells a file, or those of a folder, from others that have taken its place."""
+    """What distinguishes a file, or those of a folder, from others that have taken its place."""
     stats = [file.stat() for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
     return tuple((stat.st_dev, stat.st_ino, stat.st_mtime_ns, stat.st_size) for stat in stats)
 

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 _MAX_ITERATIONS = 60
 
 FARTHEST = np.radians(85.0)
-"""Of the angles whose rays count: farther out the depth, along the axis, is hardly a tenth of the distance, and a
+"""The largest angle whose rays count: farther out the depth, along the axis, is hardly a tenth of the distance, and a
 millimetre of it, or of its rounding, is far more than any noise."""
 
 
@@ -72,7 +72,7 @@ def undistort(
 
 
 def widest_angle(coefficients: Sequence[float]) -> float:
-    """The angle up to which rays count: `FARTHEST`, or where a ray farther from the axis is no farther out."""
+    """The angle up to which rays count: `FARTHEST`, or where the image's radius stops growing with the angle."""
     k1, k2, k3, k4 = coefficients
     return float(min(FARTHEST, first_zero([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3, 9.0 * k4])))  # of dr'/dθ
 
@@ -90,16 +90,16 @@ def _slope(angle: Floats, coefficients: Sequence[float]) -> Floats:
 
 
 def _angle(radius: Floats, coefficients: Sequence[float]) -> tuple[Floats, NDArray[np.bool_]]:
-    """The angles whose rays meet the image at some radii, NaN where there is none, and where there is one.
+    """The angles whose rays meet the image at given radii, NaN where there is none, and whether there is one.
 
-    Newton's iteration, kept within what is known to hold the root: as far as rays count, the radius grows.
+    Newton's iteration, kept within an interval known to hold the root: as far as rays count, the radius grows.
     """
     widest = widest_angle(coefficients)
     found = radius < _radius(np.array(widest), coefficients)
     wanted = radius[found]
     low, high = np.zeros_like(wanted), np.full_like(wanted, widest)
     angle = np.minimum(wanted, 0.5 * widest)
-    with np.errstate(divide="ignore", invalid="ignore"):  # where the slope is zero it is halved
+    with np.errstate(divide="ignore", invalid="ignore"):  # where the slope is zero the interval is halved
         for _ in range(_MAX_ITERATIONS):
             error = _radius(angle, coefficients) - wanted
             low, high = np.where(error <= 0, angle, low), np.where(error >= 0, angle, high)

@@ -23,7 +23,7 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     ----------
     path : path
         A .png (2 to 16 bits), .tif or .tiff (integers of 2 to 32 bits, or float32), .pgm (8 or 16 bits), .pfm
-        (float32), .npy, or .npz with one array. Of an array, a first or last axis of one channel is left out.
+        (float32), .npy, or .npz with one array. Of arrays, a first or last axis of length one is dropped.
 
     Returns
     -------
@@ -35,8 +35,8 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
     FileNotFoundError
         There is no such file.
     ValueError
-        The suffix is none of these, the file is damaged or truncated or of another format, or what it holds
-        is not one image of one channel, or numbers of another kind.
+        The suffix is none of these, the file is damaged or truncated or of another format, or it does not hold one
+        image of one channel, or holds numbers of another kind.
     """
     if Path(path).is_dir():
         raise ValueError(
@@ -89,7 +89,7 @@ def _read_tiff(path: Path) -> Frame:
     return _read_with_pillow(path, "TIFF")
 
 
-# Tags of TIFF, and what one says of numbers.
+# Tags of TIFF, and the values of the one for the kind of numbers.
 _BITS, _ORIENTATION, _SAMPLE_FORMAT = 258, 274, 339
 _UNSIGNED, _SIGNED, _FLOAT = 1, 2, 3
 # Modes of Pillow whose numbers were of the same size, but of another kind, in the file.
@@ -99,9 +99,9 @@ _UNREAD = {
     (_UNSIGNED, 32): "uint32",  # of the other byte order
 }  # fmt: skip
 
-# What Pillow unpacks to 0..255: of so many bits, inverted (0 is white), with the bits in reverse.
+# Formats that Pillow stretches to 0..255: number of bits, inverted (0 is white), bits in reverse.
 _STRETCHED = re.compile("L;([24]?)(I?)R?")
-# Of compressed images of the other byte order Pillow swaps the bytes that libtiff has swapped already.
+# In compressed images of the other byte order, Pillow swaps the bytes that libtiff has already swapped.
 _SWAPPED_TWICE = {"F;32BF": "float32", "I;32BS": "int32", "I;16BS": "int16"}
 
 
@@ -115,7 +115,7 @@ def _unread_kind(path: Path) -> str | None:
             file.seek(tags.next)
             tags.load(file)
             (bits,), (sample_format,) = tags[_BITS], tags.get(_SAMPLE_FORMAT, (_UNSIGNED,))
-    except Exception:  # it is no TIFF image, is damaged, or has several channels
+    except Exception:  # it is not a TIFF image, is damaged, or has several channels
         return None
     return _UNREAD.get((sample_format, bits))
 
@@ -172,7 +172,7 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
 
 
 def _encoding(image: Any) -> tuple[str, str]:
-    """Pillow's names of how an open image is compressed, and of how its pixels are stored."""
+    """Pillow's names for an open image's compression, and for how its pixels are stored."""
     if not image.tile:
         return "", ""
     codec, _, _, arguments = image.tile[0]
@@ -223,14 +223,14 @@ def _read_pfm(path: Path) -> Frame:
 
 def _pixels(content: bytes, start: int, dtype: np.dtype[Any], count: int) -> Frame:
     """The numbers after a header, as many as there are, up to a count."""
-    # One character ends the header. Where it is the first of a Windows line end, there is a byte too many.
+    # One character ends the header. If it is the first of a Windows line ending, there is a byte too many.
     if content[start - 1 : start + 1] == b"\r\n" and len(content) - start > count * dtype.itemsize:
         start += 1
     return np.frombuffer(content, dtype, min(count, (len(content) - start) // dtype.itemsize), start)
 
 
 def _rows(path: Path, kind: str, values: Frame, height: int, width: int) -> Frame:
-    """The image of the first of some numbers, if these are enough."""
+    """The image made of the first numbers, if there are enough."""
     if len(values) < height * width:
         raise ValueError(f"{path}: truncated {kind} image: {len(values)} of {height * width} pixels")
     return values[: height * width].reshape(height, width)
@@ -242,7 +242,7 @@ def _read_npy(path: Path) -> Frame:
             raise ValueError(f"{path}: not an NPY file")
     try:
         return _one_channel(np.load(path, allow_pickle=False))
-    except Exception as error:  # also of the tokens of Python that the header is made of
+    except Exception as error:  # also from parsing the header, which is Python text
         raise ValueError(f"{path}: damaged or truncated NPY file ({error})") from error
 
 
@@ -253,13 +253,13 @@ def _read_npz(path: Path) -> Frame:
         if len(names) == 1:
             with np.load(path, allow_pickle=False) as arrays:
                 return _one_channel(arrays[names[0]])
-    except Exception as error:  # of the archive, of its compression, or of the array
+    except Exception as error:  # from the archive, its compression, or the array
         raise ValueError(f"{path}: damaged or truncated NPZ file ({error})") from error
     raise ValueError(f"{path}: expected an NPZ file with one array, got {len(names)}: {', '.join(names)}")
 
 
 def _one_channel(array: Frame) -> Frame:
-    """The array without axes of one, as simulators give it last and neural networks first."""
+    """The array without axes of length one, which simulators put last and neural networks first."""
     while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):
         array = array[..., 0] if array.shape[-1] == 1 else array[0]
     return np.asarray(array)

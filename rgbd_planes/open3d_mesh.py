@@ -1,4 +1,4 @@
-"""Meshes of Open3D: what the exports of tiles and of segments share."""
+"""Meshes of Open3D, shared by the exports of tiles and of segments."""
 
 from typing import TYPE_CHECKING
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _SHARE_OF_BENDS = 0.25  # of the tolerance
-_ON_EDGE = np.linspace(0.0, 1.0, 5)  # where an edge is looked at
+_ON_EDGE = np.linspace(0.0, 1.0, 5)  # where an edge is checked
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,13 +41,13 @@ class PlanePolygon:
     origin : (3,) float64
         Origin of the plane's own coordinates: the point of the plane that is nearest to the camera, metres.
     axes : (2, 3) float64
-        Their directions, of unit length: to the right in the image, and down it, or up where the camera's fx and
-        fy differ in sign. With the normal they make right angles.
+        Directions of these coordinates, of unit length: to the right in the image, and down it, or up where the
+        camera's fx and fy differ in sign. They are at right angles to each other and to the normal.
     image : shapely MultiPolygon
         The outline, holes included, in pixels (x, y); pixel centres are at integers, edges half-way between.
     metric : shapely MultiPolygon
-        The same in the plane's coordinates, metres; with more corners where a lens bends its edges. None is more than
-        twice as far away as the farthest pixel.
+        The same in the plane's coordinates, metres; with more corners where a lens bends its edges. No corner is more
+        than twice as far away as the farthest pixel.
     """
 
     label: int
@@ -65,7 +65,7 @@ class PlanePolygon:
 
     @property
     def area(self) -> float:
-        """Square metres, holes left out; missing pixels that the outline takes in count."""
+        """Square metres, holes left out; missing pixels inside the outline count."""
         return float(self.metric.area)
 
     @cached_property
@@ -79,7 +79,7 @@ class PlanePolygon:
         import shapely
 
         # One of its sides lies along one of the hull's. GEOS's own may have no area where corners of the hull lie on a
-        # line but for rounding, as those of pixels do.
+        # line up to rounding, as those of pixels do.
         corners = np.asarray(self.hull.exterior.coords)
         sides = np.diff(corners, axis=0)
         along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
@@ -122,7 +122,7 @@ class PlanePolygon:
         return self.to_space(corners).reshape(-1, 3, 3)
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers and lists, which JSON takes; outlines and rectangle in space."""
+        """The outline as numbers and lists, for JSON; outlines and rectangle in space."""
         return {
             "label": self.label,
             "plane": self.plane.tolist(),
@@ -143,10 +143,10 @@ def plane_polygons(
     segmentation : Segmentation
     tolerance : float
         How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
-        twice as far; in the plane, behind a lens, by a quarter of it more. 0 keeps every corner.
+        twice as far; in the plane, if a lens distorts, by a quarter of it more. 0 keeps every corner.
     min_part : float
         Parts and holes of fewer pixels are left out, unless nothing else is left of the plane. A missing pixel counts
-        as the plane's if every square of so many pixels that it lies in holds one of the plane's.
+        as the plane's if every square of so many pixels around it contains one of the plane's.
 
     Returns
     -------
@@ -209,7 +209,7 @@ def _polygon(
 
 
 def _without_gaps(mask: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
-    """The mask, and each pixel that no square of ``least`` pixels contains without containing one of the mask."""
+    """The mask, and each pixel that no square of ``least`` pixels contains without one of the mask."""
     from scipy.ndimage import grey_closing
 
     side = math.ceil(min(math.sqrt(least), max(mask.shape)))
@@ -247,7 +247,7 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
 
 
 def _with_corners(ring: Floats) -> Floats:
-    """A contour's ring with the right angles that it cuts off, and from one of them on.
+    """A contour's ring with the right angles that it cuts off, beginning at one of them.
 
     Simplifying keeps the first corner and moves none: without them it would take half a pixel off straight edges.
     """
@@ -275,7 +275,7 @@ def _multi(geometry: Geometry, otherwise: MultiPolygon) -> MultiPolygon:
 
 
 def _bent_by_lens(image: MultiPolygon, camera: Camera, tolerance: float) -> MultiPolygon:
-    """The outline with corners along those of its edges that a lens makes curves of in the plane."""
+    """The outline with corners added along the edges that a lens turns into curves in the plane."""
     import shapely
 
     if not camera.is_distorted or tolerance == 0.0:  # then there is a corner at every pixel
@@ -294,7 +294,7 @@ def _bent_by_lens(image: MultiPolygon, camera: Camera, tolerance: float) -> Mult
 
 
 def _with_bends(ring: Floats, camera: Camera, tolerance: float) -> Floats:
-    """A ring with edges halved until each is straight, seen along its rays, to within so many pixels."""
+    """A ring with edges halved until each is straight, seen along its rays, to within ``tolerance`` pixels."""
     while True:
         start, edge = ring[:-1], np.diff(ring, axis=0)
         places = start + _ON_EDGE[:, None, None] * edge

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 def first_zero(*polynomials: ArrayLike) -> float:
     """The smallest r > 0 at which one of some polynomials in r² is zero; inf if none ever is.
 
-    Coefficients are those of 1, r², r⁴, ..., and the first of them is 1: taken from there on they are those of a
+    Coefficients are those of 1, r², r⁴, ..., and the first of them is 1: read from there on, they are those of a
     polynomial in 1 / r², and no division overflows.
     """
     inverse = np.concatenate([np.roots(coefficients) for coefficients in polynomials])

@@ -1,8 +1,7 @@
-"""Cameras of sensors and data sets people have.
+"""Cameras of common sensors and data sets.
 
 Each is one published calibration or nominal value, named in its docstring. Lenses differ from device to
-device, by about 1 % of the focal length and some pixels of the principal point: a calibration of one's own is
-better.
+device, by about 1 % of the focal length and some pixels of the principal point: a calibration of your own is better.
 """
 
 from rgbd_planes.camera import Camera
@@ -124,7 +123,7 @@ def realsense_d435(width: int = 1280, height: int = 720) -> Camera:
     Raises
     ------
     ValueError
-        It is none of these.
+        The mode is none of these.
 
     Notes
     -----
@@ -179,7 +178,7 @@ def tum_freiburg2() -> Camera:
 
 
 def tum_freiburg3() -> Camera:
-    """TUM RGB-D sequences freiburg3, undistorted already; 5000 units per metre.
+    """TUM RGB-D sequences freiburg3, already undistorted; 5000 units per metre.
 
     Source: Examples/RGB-D/TUM3.yaml of raulmur/ORB_SLAM2, after Sturm et al. 2012.
     """

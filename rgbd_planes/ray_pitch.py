@@ -1,4 +1,4 @@
-"""How far the rays of neighbouring pixels are apart: with it an error across the ray is one of the inverse depth."""
+"""How far apart the rays of neighbouring pixels are, which turns an error across the ray into one of inverse depth."""
 
 import functools
 from collections.abc import Sequence
@@ -10,19 +10,20 @@ from rgbd_planes.camera import Camera
 
 Floats = npt.NDArray[np.float64]
 
-# Gauss's three places along a side, in standard deviations of what lies evenly along it, and their weights.
+# The three places of Gauss's quadrature along a side, in standard deviations of values spread evenly along it, and
+# their weights.
 GAUSS_PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
 GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 WEIGHTS_OF_PLACES = np.outer(GAUSS_WEIGHTS, GAUSS_WEIGHTS).ravel()
-"""Of the nine places that two sides make."""
-_ANGLES = 129  # off the axis, of a table
+"""For the nine places that two sides make."""
+_ANGLES = 129  # angles off the axis in a table
 
 
 def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     """(3, N) float64: means of JJᵀ over parts of the image: its entries uu, uv and vv.
 
-    J is the change of (tanθx, tanθy) from pixel to pixel, which a lens makes differ over the image. ``footprint`` is
-    (N, 5), of each part's pixels: how many, Σx, Σy, Σx² and Σy². A part counts as a rectangle of such pixels.
+    J is the change of (tanθx, tanθy) from pixel to pixel, which varies over the image behind a lens. ``footprint`` is
+    (N, 5), for each part's pixels: their number, Σx, Σy, Σx² and Σy². A part counts as a rectangle with these sums.
     """
     if not camera.is_distorted:
         made = np.array([1.0 / camera.fx**2, 0.0, 1.0 / camera.fy**2])
@@ -32,7 +33,7 @@ def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
 
 @functools.lru_cache(maxsize=8)
 def _pitch_square(camera: Camera, footprint: bytes) -> Floats:
-    # Kept, as that of the tiles of one camera is asked for with each frame, and takes ten times as long as p-values.
+    # Cached: for the tiles of a camera it is needed with each frame, and takes ten times as long as p-values.
     made = means_over(_of_pixels(camera), np.frombuffer(footprint, np.int64).reshape(-1, 5))
     made.flags.writeable = False
     return made
@@ -47,12 +48,12 @@ def means_over(tables: Floats, footprint: npt.NDArray[np.int64]) -> Floats:
 
 
 def rays_in(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(2, 9, N) float64: tanθx and tanθy at Gauss's places in parts of the image, as in `means_over`."""
+    """(2, 9, N) float64: tanθx and tanθy at Gauss's quadrature places in parts of the image, as in `means_over`."""
     return _at_places((camera.tan_x, camera.tan_y), footprint)
 
 
 def _at_places(tables: Sequence[Floats] | Floats, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(K, 9, N) float64: K tables (H, W) at Gauss's places in parts of the image."""
+    """(K, 9, N) float64: K tables (H, W) at Gauss's quadrature places in parts of the image."""
     from scipy.ndimage import map_coordinates
 
     n, x, y, xx, yy = footprint.T.astype(np.float64)
@@ -68,23 +69,23 @@ def _at_places(tables: Sequence[Floats] | Floats, footprint: npt.NDArray[np.int6
 
 
 def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(N,) float64: squared slopes of q a pixel, ‖Jᵀ(α0, α1)‖², of planes (N, 3) over these parts of the image."""
+    """(N,) float64: squared slopes of q per pixel, ‖Jᵀ(α0, α1)‖², of planes (N, 3) over these parts of the image."""
     uu, uv, vv = pitch_square(camera, footprint)
     a, b = alpha[:, 0], alpha[:, 1]
     return np.asarray(a * a * uu + 2.0 * a * b * uv + b * b * vv)
 
 
 def lens_by_angle(camera: Camera) -> Floats:
-    """(2, K) float64: what a lens makes of the pitch, by the angle off the axis: `kernels.segment_noise.at_angle`.
+    """(2, K) float64: how a lens changes the pitch, by the angle off the axis: see `kernels.segment_noise.at_angle`.
 
-    A lens is taken to be round here, whatever little is tangential. (2, 0) without distortion.
+    A lens is taken to be round here: the little that is tangential is ignored. (2, 0) without distortion.
     """
     if not camera.is_distorted:
         return np.empty((2, 0))
     seen = np.ones(camera.shape, bool) if camera._without_ray is None else ~camera._without_ray
     u, v = camera.tan_x[seen], camera.tan_y[seen]
     uu, uv, vv = abs(camera.fx * camera.fy) * _of_pixels(camera)[:, seen]
-    off = (u != 0.0) | (v != 0.0)  # on the axis itself no direction is that of the radius
+    off = (u != 0.0) | (v != 0.0)  # on the axis itself no direction is radial
     u, v, uu, uv, vv = u[off], v[off], uu[off], uv[off], vv[off]
     square = u * u + v * v
     along = (u * u * uu + 2.0 * u * v * uv + v * v * vv) / square
@@ -110,7 +111,7 @@ def _of_pixels(camera: Camera) -> Floats:
 
 
 def _change(table: Floats, axis: int, alone: float) -> Floats:
-    """From pixel to pixel along an axis; ``alone`` where there is one only."""
+    """Change of a table from pixel to pixel along an axis; ``alone`` where there is only one."""
     if table.shape[axis] == 1:
         return np.full(table.shape, alone)
     return np.asarray(np.gradient(table, axis=axis))
