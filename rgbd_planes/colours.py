@@ -1,4 +1,4 @@
-"""Colours that mean something: of normals, and of a tile's status."""
+"""Colours with a meaning: those of normals, and of a tile's status."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ MISSING = (0.86, 0.86, 0.86)
 
 
 def in_image(vectors: NDArray[Any], camera: Camera) -> Floats:
-    """(..., 3) float64: vectors with x to the right of the image and y down it, also where fx or fy is negative."""
+    """(..., 3) float64: vectors with x to the right of the image and y down it, even where fx or fy is negative."""
     return np.asarray(vectors * np.sign([camera.fx, camera.fy, 1.0]))
 
 

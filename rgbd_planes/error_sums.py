@@ -1,4 +1,4 @@
-"""What a noise model says of all pixels of parts of a frame, where a part may span many depths."""
+"""Sums of a noise model's variances over the pixels of parts of a frame, which may span many depths."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -25,10 +25,10 @@ class Pixels(NamedTuple):
     Attributes
     ----------
     footprint : (N, 5) int64
-        How many, missing ones included, Σx, Σy, Σx² and Σy².
+        Their number, missing ones included, Σx, Σy, Σx² and Σy².
     noise : NoiseModel, optional
     error_sums : (N, 8) float64, optional
-        By that noise, of the valid ones: see `kernels.label_variances`. None where all pixels have one variance.
+        By that noise, over the valid ones: see `kernels.label_variances`. None where all pixels have one variance.
     """
 
     footprint: npt.NDArray[np.int64]
@@ -37,7 +37,7 @@ class Pixels(NamedTuple):
 
 
 class KeepsPixels:
-    """What `PlaneFits` asks of its parts' pixels, where they are kept; a base beside it."""
+    """A base beside `PlaneFits`, for fits that keep their parts' pixels: what it asks of them."""
 
     camera: Camera
     _pixels: Pixels
@@ -48,7 +48,7 @@ class KeepsPixels:
 
     @property
     def _error_sums(self) -> Floats | None:
-        # Another noise, given to what is fitted, has others.
+        # Another noise model, given to the fit later, has other sums.
         return self._pixels.error_sums if self._pixels.noise == self.camera.noise else None
 
 
@@ -72,7 +72,7 @@ def sums_of_labels(
 
 
 def sums_of_fits(fits: "PlaneFits") -> Floats | None:
-    """The same of the parts of one frame, from the mean and the spread of each one's depths, if it has no sums."""
+    """`sums_of_labels` for the parts of one frame, from the mean and spread of their depths if no sums were kept."""
     noise = fits.camera.noise
     if noise is None or not _differs(noise):
         return None
@@ -97,7 +97,7 @@ def sums_of_fits(fits: "PlaneFits") -> Floats | None:
 
 
 def _ray_sums(fits: "PlaneFits") -> list[Floats]:
-    """Σu, Σv, Σu², Σuv and Σv² of the rays of each part's pixels; of points (X, Y, Z) to first order."""
+    """Σu, Σv, Σu², Σuv and Σv² of the rays of each part's pixels; from points (X, Y, Z) to first order."""
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
     n = np.maximum(moments[0], 1.0)
     first = moments[1:4] / n

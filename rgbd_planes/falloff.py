@@ -11,27 +11,27 @@ from rgbd_planes.tile_grid import tile_windows
 
 Floats = npt.NDArray[np.float64]
 
-# As all arrays here it must not be written: of those that may be, kernels would be compiled once more.
+# Read-only, like every array here: Numba would compile the kernels again for a writable one.
 EVEN: Floats = np.empty(0)
 """`growth_of_parts` where nothing grows."""
 EVEN.flags.writeable = False
 
 
 def growth_of_pixels(camera: Camera) -> Floats:
-    """(H, W) float64: how many times that on the axis the variance of q before rounding is; (0, 1) without falloff."""
+    """(H, W) float64: the variance of q before rounding, as a multiple of that on the axis; (0, 1) without falloff."""
     return _of_pixels(camera) if _grows(camera) else EVEN[:, None]
 
 
 def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(N,) float64: means of that over parts of the image, as `ray_pitch.pitch_square` takes them; (0,) likewise.
+    """(N,) float64: means of `growth_of_pixels` over parts of the image; (0,) without falloff.
 
-    Of those pixels that the lens has a ray for; 1 where there are none.
+    ``footprint`` is as in `ray_pitch.pitch_square`. Over the pixels that the lens has a ray for; 1 where there are none.
     """
     return _of_parts(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
 
 
 def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
-    """The same of windows, as `fit_windows` takes them, over each of their pixels."""
+    """`growth_of_parts` for windows, as `fit_windows` takes them, over each of their pixels."""
     if not _grows(camera):
         return EVEN
     top, left, height, width = windows.T
@@ -42,7 +42,7 @@ def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
 
 
 def growth_of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
-    """The same of all tiles of a grid."""
+    """`growth_of_windows` for all tiles of a grid."""
     return _of_tiles(camera, tile) if _grows(camera) else EVEN
 
 

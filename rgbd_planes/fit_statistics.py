@@ -1,4 +1,4 @@
-"""What the sensor's noise says of fitted planes: covariances, p-values, and which tiles are too rough."""
+"""What the sensor's noise says about fitted planes: covariances, p-values, and which tiles are too rough."""
 
 import copy
 import functools
@@ -28,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 DEFAULT_SIGNIFICANCE = 0.01
 # Tables have an entry for each number of pixels up to this one, for as many sizes of tiles as a grid has.
 _MOST_COUNTS, _MOST_SIZES = 10_000, 4
-_MOST_FOR_EACH = 64  # entries for each tile: of longer tables most would be made in vain
+_MOST_FOR_EACH = 64  # entries for each tile: most of a longer table would be made in vain
 _ARGUMENTS = ("_moments", "_reference", "planes", "rmse_metric", "valid_count", "status")
 _arguments = operator.itemgetter(*_ARGUMENTS)
 
@@ -55,7 +55,7 @@ class FitStatistics:
         dimensions = len(fits.shape) - fits._cell_dimensions
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
         self.rows = np.empty((*frames, statistics.RESULTS, *cells))
-        """What `kernels.statistics.assess` writes: also whenever the fit's arrays are written into."""
+        """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
         assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
         error_sums = fits._error_sums
         arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
@@ -67,17 +67,17 @@ class FitStatistics:
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
 
     def frame(self, index: int) -> Self:
-        """Return those of one frame of a batch, of the same memory."""
+        """Return the statistics of one frame of a batch, in the same memory."""
         one = copy.copy(self)
         one.rows, one._by_row = self.rows[index], self._by_row[:, index]
         return one
 
     def row(self, first: int) -> Floats:
-        """Return one value a tile: S."""
+        """Return one value per tile: S."""
         return np.asarray(self._by_row[first])
 
     def matrix(self, first: int, side: int) -> Floats:
-        """Return one matrix a tile: S + (side, side). Its entries are apart in memory: each is a row."""
+        """Return one matrix per tile: S + (side, side). Its entries are apart in memory: each is a row."""
         rows = self._by_row[first : first + side * side]
         matrix = rows.reshape(side, side, *rows.shape[1:])
         return matrix.transpose(*range(2, matrix.ndim), 0, 1)
@@ -98,7 +98,7 @@ def _settings(noise: NoiseModel, fx: float, fy: float) -> Floats:
 
 def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.NDArray[Any]) -> Floats:
     made = noise.statistics(counts, sizes)
-    # The covariance of slopes has the geometric mean of their variances' factors: a square's is that of both.
+    # The covariance of slopes has the geometric mean of their variances' factors: for a square all three are equal.
     cross = np.sqrt(made.tilt_x * made.tilt_y)
     half_variance = made.expected**2 / made.freedom
     return np.stack([made.expected, half_variance, made.tilt_x, cross, made.tilt_y, made.offset], axis=1)
@@ -106,16 +106,16 @@ def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.
 
 @functools.lru_cache(maxsize=32)
 def _all_tables(noise: NoiseModel, height: int, width: int) -> Floats:
-    """For every number of valid pixels of a tile."""
+    """A row for every number of valid pixels of a tile."""
     return _some_tables(noise, np.arange(height * width + 1), np.array([height, width]))
 
 
 def _tables_of(
     noise: NoiseModel, sizes: npt.NDArray[Any]
 ) -> tuple[Floats | None, npt.NDArray[np.int32] | None]:
-    """A row for every number of valid pixels, and each tile's first row, if not all have one.
+    """A row for every number of valid pixels, and each tile's first row, if not all have the same.
 
-    None where tiles are of many sizes, large, or few: then each is worked out alone.
+    None if tiles are of many sizes, large, or few: then each is worked out alone.
     """
     if not len(sizes) or sizes.dtype.kind == "f":
         return None, None
@@ -141,9 +141,9 @@ _DEFAULT_LIMITS = (
 
 @functools.lru_cache(maxsize=32)
 def _limits(level: float, spread: float) -> Floats:
-    """Quantiles of chi-square over its degrees of freedom, by powers of 1/√(degrees of freedom), right to 1e-5 of p.
+    """Quantiles of chi-square over its degrees of freedom, as a polynomial in 1/√(degrees of freedom), to 1e-5 of p.
 
-    With a spread of the variance only the normal deviate of the level.
+    With a spread of the variance, only the normal deviate of the level.
     """
     if level == 0.0:
         return np.empty(0)
@@ -180,7 +180,7 @@ def check_significance(significance: float | None, camera: Camera) -> float | No
 
 
 class Assessment:
-    """Gives ROUGH to tiles whose residual the noise explains less often than a significance level; and statistics.
+    """Gives ROUGH to tiles whose residual the noise explains less often than a significance level; writes statistics.
 
     Parameters
     ----------
@@ -189,10 +189,10 @@ class Assessment:
     significance : float or None
         As in `fit_tiles`.
     sizes : (N, 2) int64 or float64
-        Height and width of each tile of a frame, row by row, missing pixels included; of what is no rectangle, what
+        Height and width of each tile of a frame, row by row, missing pixels included; for other shapes, what
         `residual_statistics.like_rectangles` gives.
     footprint : (N, 5) int64
-        Of each tile's pixels, missing ones included: how many, Σx, Σy, Σx² and Σy².
+        For each tile's pixels, missing ones included: their number, Σx, Σy, Σx² and Σy².
     growth : (N,) float64
         See `falloff.growth_of_parts`.
     """
@@ -225,7 +225,7 @@ class Assessment:
         self._in_range_space = method.startswith("range")
 
     def of(self, arrays: "Arrays", error_sums: Floats | None = None) -> Work:
-        """Return what marks tiles ``start`` to ``stop`` of one frame, and writes their statistics.
+        """Return a function that marks tiles ``start`` to ``stop`` of one frame, and writes their statistics.
 
         ``arrays`` are those of `plane_fits.allocate` and perhaps ``_statistics``, (RESULTS, R, C) or (RESULTS, K).
         ``error_sums`` are those of `error_sums`, where a part may span many depths.
@@ -248,7 +248,7 @@ class Assessment:
         def assess(start: int, stop: int) -> None:
             index, tables = counts, self._tables
             if tables is None:
-                some = counts.ravel()[start:stop]  # there may be nothing yet in other parts
+                some = counts.ravel()[start:stop]  # other parts may not be written yet
                 tables = _some_tables(noise, some, self._sizes[start:stop])
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:

@@ -11,7 +11,7 @@ from rgbd_planes.kernels import solve
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-# How `kernels.solve` knows the methods: ``implicit`` in range space, the number of one in (X, Y, Z).
+# How `kernels.solve` knows the methods: by ``implicit`` in range space, by a number in (X, Y, Z).
 SOLVES = {
     "range_explicit": (None, None),
     "range_implicit": (True, None),
@@ -28,14 +28,14 @@ _in_order = operator.itemgetter(*ARRAYS)
 
 
 def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np.float64]:
-    """Return how many valid pixels a tile of so many pixels needs: at least three."""
-    # The small term keeps a share such as 0.3 of 10 pixels, 3.0000000000000004 or so, what it says it is.
+    """Return how many valid pixels tiles of ``pixels`` need: at least three."""
+    # The small term keeps the rounding of a share such as 0.3 of 10 pixels from changing the whole number.
     needed: npt.NDArray[np.float64] = np.maximum(3.0, pixels - np.floor(pixels * max_missing + 1e-9))
     return needed
 
 
 def flat(arrays: Arrays) -> list[npt.NDArray[Any]]:
-    """Those of `plane_fits.allocate` in the kernels' order and in one dimension: what Numba compiles fastest."""
+    """The arrays of `plane_fits.allocate` in the kernels' order and in one dimension, which Numba compiles fastest."""
     return [array.ravel() for array in _in_order(arrays)]
 
 

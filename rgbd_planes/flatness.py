@@ -1,4 +1,4 @@
-"""Where in the image a sensor bends what is flat: its bias, from all the planes that frames show large."""
+"""A sensor's bias over the image, by which it bends what is flat, from all the large planes of frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,11 +22,11 @@ _STEPS = 300
 def flatness(
     frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera
 ) -> tuple[Floats, Indices, Floats]:
-    """The bias over the image, how many pixels each cell's is from, and its deviation by chance: see `NoiseEvidence`.
+    """The bias over the image, from how many pixels each cell's is, and its deviation by chance: see `NoiseEvidence`.
 
-    A plane that sees a part of the image takes up what of the bias is planar there. So bias and planes are found
-    together, as the least squares of q = α·m + bias(cell) over all pixels of all large planes. A bias is expected
-    to be of the size of a pixel's noise: without that, one that only few cells determine could be anything.
+    A plane that covers a part of the image absorbs the part of the bias that is planar there. So bias and planes are
+    found together, as the least squares of q = α·m + bias(cell) over all pixels of all large planes. A bias is expected
+    to be of the size of a pixel's noise: otherwise one that only few cells determine could be anything.
     """
     shape = -(-camera.height // CELL), -(-camera.width // CELL)
     cells = shape[0] * shape[1]
@@ -35,7 +35,7 @@ def flatness(
     assert noise is not None
     numbers = np.zeros(cells, np.int64)
     planes, parts = 0, []
-    # Random errors that the pixels of a cell share are one error of the cell; the floor is what is looked for.
+    # Random errors that the pixels of a cell share are one error of the cell; the floor is what is to be found.
     together = max(float(replace(noise, floor=0.0).statistics(CELL * CELL).offset), 1.0)
     for depth, (labels, alpha, *_) in zip(frames, large, strict=True):
         inside = _inside(labels.repeat(TILE // CELL, axis=0).repeat(TILE // CELL, axis=1))
@@ -60,18 +60,18 @@ def flatness(
     plane, cell, weight, residual, x, y = (np.concatenate(part) for part in zip(*parts, strict=True))
     if not len(plane):
         return np.full(shape, np.nan), numbers.reshape(shape), np.full(shape, np.nan)
-    different, plane = np.unique(plane, return_inverse=True)  # of some no pixel may be near enough
+    different, plane = np.unique(plane, return_inverse=True)  # some may have no pixel near enough
     rays = np.stack([x, y, np.ones(len(x))], axis=1)
     prior = together * weight.sum() / numbers.sum()
     bias = _bias(plane, cell, weight, residual, rays, prior, len(different), cells)
-    # The weights count the floor, which is no chance.
+    # The weights include the floor, which is not chance.
     known = np.bincount(cell, weight, cells) * (1.0 + noise.floor**2)
     deviation = np.sqrt(np.divide(1.0, known, out=np.full(cells, np.nan), where=known > 0.0))
     return bias.reshape(shape), numbers.reshape(shape), deviation.reshape(shape)
 
 
 def _inside(labels: Indices) -> Indices:
-    """Without the cells at the rims of planes: some pixels there are of another surface, hardly off the plane."""
+    """Labels without the cells at the rims of planes: some pixels there are another surface's, hardly off the plane."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     alike = maximum_filter(labels, 3, mode="nearest") == minimum_filter(labels, 3, mode="nearest")
@@ -90,8 +90,8 @@ def _bias(
 ) -> Floats:
     """Least squares of residual = δα(plane)·ray + bias(cell), with a weight for bias = 0; NaN where no plane is.
 
-    The biases follow from δα, of which a system is left that conjugate gradients solve. Of a bias that is planar
-    over the image planes tell nothing: it is left out.
+    The biases follow from δα, and the system that is left for δα is solved by conjugate gradients. Planes tell nothing
+    about a part of the bias that is planar over the image: it is left out.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator, cg

@@ -83,12 +83,12 @@ def fit_labels(
     Raises
     ------
     TypeError, ValueError
-        As `fit_tiles`, and for labels that are no integers, of another shape, negative, or above the number of pixels.
+        As `fit_tiles`, and for labels that are not integers, of another shape, negative, or above the number of pixels.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`, and for labels that are an image of 0 and 255: those of a mask.
+        As `fit_tiles`, and for labels that are an image of 0 and 255, most likely a mask.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
@@ -110,7 +110,7 @@ def fit_labels(
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
         pixels = Pixels(footprint, camera.noise, sums_of_labels(frame, camera, numbers, arrays["alpha"]))
-        sizes = like_rectangles(footprint)  # and no growth: the sums have it
+        sizes = like_rectangles(footprint)  # and no growth: the sums include it
         assessment = Assessment(camera, method, significance, sizes, footprint, EVEN)
         assessment.of(arrays, pixels.error_sums)(0, count)
     return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=pixels, **arrays)

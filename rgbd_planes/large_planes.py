@@ -1,4 +1,4 @@
-"""The planes that a frame shows large: what a sensor's slow errors are seen on."""
+"""The large planes of a frame, on which a sensor's slowly varying errors show."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,12 +23,12 @@ Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 TILE = 16
-"""Side in pixels of the tiles of which large planes consist."""
+"""Side in pixels of the tiles that large planes consist of."""
 _LARGE = 60  # tiles that make a large plane
 _ENOUGH = 8  # planes, of which the median is taken
 _MEDIAN = 0.455  # of χ²(1)
-_APART = 4.0  # times that the mean of squares may be what their median says: of waves up to 3
-_BIAS, _BIAS_LENGTH = 1.0, 48.0  # that is expected, in standard deviations of a pixel, and in pixels
+_APART = 4.0  # how many times what their median says the mean of squares may be; with waves it is up to 3
+_BIAS, _BIAS_LENGTH = 1.0, 48.0  # the bias expected, in standard deviations of a pixel, and its length in pixels
 
 
 class LargePlanes(NamedTuple):
@@ -37,13 +37,13 @@ class LargePlanes(NamedTuple):
     Attributes
     ----------
     labels : (R, C) int64
-        Which of them each tile is of, from 1; 0 for none.
+        The large plane that each tile is of, from 1; 0 for none.
     alpha : (K, 3) float64
     side : (K,) float64
-        Pixels, of a square as large as the rectangle in which the plane lies.
+        Side in pixels of a square as large as the rectangle in which the plane lies.
     bend : (K,) float64
-        Mean square residual beyond that of the tiles about planes of their own, in σq² of the errors of which
-        rounding and the lateral error are no part: how far the plane is not flat over more than a tile.
+        Mean square residual beyond that of the tiles about planes of their own, in σq² of the errors without rounding
+        and the lateral error: how far the plane is from flat over more than a tile.
     """
 
     labels: Indices
@@ -53,17 +53,17 @@ class LargePlanes(NamedTuple):
 
 
 def large_planes(frames: Sequence[Any], camera: Camera, num_threads: int | None = None) -> list[LargePlanes]:
-    """Find those of each frame, and how far they are bent, by the camera's noise."""
+    """Find the large planes of each frame, and how far they are bent, by the camera's noise."""
     noise = camera.noise
     assert noise is not None
-    # Without a bias what is bent most would be no plane, and nothing seen there.
+    # With no bias assumed, the most bent planes would be rejected and their bias missed.
     wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
     fitter = TileFitter(replace(camera, noise=wavy), TILE, significance=1e-3, num_threads=num_threads)
     return [_of_frame(fitter.fit(depth), noise) for depth in frames]
 
 
 def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]:
-    """Medians of ``side`` and of ``bend`` of planes of similar sides, and of how many planes they are."""
+    """Medians of ``side`` and of ``bend`` of planes of similar sides, and the numbers of these planes."""
     side, bend = np.concatenate([np.empty((2, 0)), *((of.side, of.bend) for of in large)], axis=1)
     bins = [some for some in bins_of(side, _ENOUGH) if len(some)]
     sides, bends = ([float(np.median(of[some])) for some in bins] for of in (side, bend))
@@ -71,10 +71,10 @@ def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]
 
 
 def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
-    """Find those among a frame's tiles."""
+    """Find the large planes among a frame's tiles."""
     labels = _connected(tiles)
     merged = merge(tiles, labels)
-    # Links from tile to tile can lead around a bend: what is not on the common plane is left out.
+    # Links from tile to tile can lead around a bend: tiles that are not on the common plane are left out.
     on_plane = labels > 0
     of = labels[on_plane] - 1
     on_plane[on_plane] = (
@@ -107,7 +107,7 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     )
     along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
     lateral = noise.lateral**2 * slope_square(merged.alpha, tiles.camera, merged._footprint)
-    # Each tile has three coefficients, which take up as much of what is independent.
+    # Each tile's own three coefficients absorb as much of the independent errors.
     independent = 3.0 * (1.0 - 1.0 / np.maximum(many, 1)) * (rounding + many * lateral)
     bend = (merged.valid_count * merged.rmse**2 - within - independent)[large] / along[large]
     numbers = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
@@ -118,8 +118,8 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
 def _is_in_two(off: Floats) -> bool:
     """Whether a part of a plane lies apart from the rest, as a board that leans on a wall does.
 
-    By how far each of its tiles lies off it, in standard deviations of a pixel. A wave of the sensor moves most of
-    them, a board those on it: then the mean square is far above what the median says.
+    ``off`` is how far each of its tiles lies off it, in standard deviations of a pixel. A wave of the sensor moves most
+    of them, a board only those on it: then the mean square is far above what the median says.
     """
     return bool(np.mean(off**2) > _APART / _MEDIAN * np.median(off**2))
 

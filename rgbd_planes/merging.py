@@ -37,7 +37,7 @@ class MergedPlanes(KeepsPixels, PlaneFits):
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
     """Fit a plane to each union of tiles.
 
-    Moments about one point add, so the result is that of fitting all the unions' pixels at once.
+    Moments about one point add, so the result is that of fitting all pixels of each union at once.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers of this shape, or masked, negative or above the number of pixels; or ``fits`` are
-        those of a batch: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the camera has no noise
-        model for it.
+        The labels are not integers of this shape, or masked, negative or above the number of pixels; or ``fits`` are a
+        batch's: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the camera has no noise model for
+        it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
@@ -77,7 +77,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         raise ValueError(
             f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{of_pixels}"
         )
-    # Labels of segments may be more than there are tiles, and those of windows that overlap more than there are pixels.
+    # There may be more labels of segments than tiles, and more of overlapping windows than pixels.
     check_labels(array, max(array.size, fits.camera.width * fits.camera.height))
     flat = np.array(array, np.int32, order="C").ravel()  # which the result keeps
     count = int(flat.max(initial=0))
@@ -93,7 +93,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     error_sums = sums_of_fits(fits)
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
-    sizes = like_rectangles(footprint)  # and no growth: the sums have it
+    sizes = like_rectangles(footprint)  # and no growth: the sums include it
     assessment = Assessment(fits.camera, fits.method, significance, sizes, footprint, EVEN)
     assessment.of(arrays, error_sums)(0, count)
     return MergedPlanes(
@@ -116,7 +116,7 @@ def _means(
     labels: npt.NDArray[np.int32],
     count: int,
 ) -> npt.NDArray[np.float64]:
-    """(3, N): the mean of each union's valid pixels, where nothing cancels."""
+    """(3, N): the mean of each union's valid pixels, about which nothing cancels."""
     valid = moments[0] > 0.0
     numbers = np.bincount(labels[valid], moments[0, valid], count + 1)[1:]
     means = np.zeros((3, count))

@@ -1,8 +1,8 @@
-"""How good is a segmentation, against one that is known to be right.
+"""How good a segmentation is, against one that is known to be right.
 
-Everything is read from one contingency table, the number of pixels that each pair of labels shares, so a
-frame is gone through once. Label 0 is "none" on both sides: unlabelled pixels belong to no region, but a
-region keeps all its pixels, also those that the truth leaves unlabelled.
+Everything is read from one contingency table, the number of pixels that each pair of labels shares, so a frame is read
+once. Label 0 is "none" on both sides: unlabelled pixels belong to no region, but a region keeps all its pixels, even
+those that the truth leaves unlabelled.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LARGEST_TABLE = 1 << 22
 
 @dataclass(frozen=True, eq=False)
 class HooverCounts:
-    """Hoover's five counts, and which regions they are of.
+    """Hoover's five counts, and the regions that they count.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class LabelComparison:
         Raises
         ------
         TypeError, ValueError
-            The tolerance is not.
+            The tolerance is not a number above 0.5 and at most 1.
 
         Notes
         -----
@@ -179,8 +179,8 @@ class LabelComparison:
     def detection(self, iou: float = 0.5) -> DetectionScores:
         """Precision, recall, F and panoptic quality of the regions that match at `iou` or better.
 
-        Each region is matched at most once. Above 0.5 there is only one way to do that; below, the matches
-        are the most, and of those the best, that there can be.
+        Each region is matched at most once. Above 0.5 there is only one way to do that; below, there are as many
+        matches as possible, and of those the best.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class LabelComparison:
         Raises
         ------
         TypeError, ValueError
-            The threshold is not.
+            The threshold is not a number above 0 and at most 1.
 
         Notes
         -----
@@ -206,7 +206,7 @@ class LabelComparison:
         else:
             from scipy.optimize import linear_sum_assignment
 
-            # A match more outweighs any gain in overlap.
+            # One more match outweighs any gain in overlap.
             gain = np.where(matches, 1.0 + min(self.iou.shape, default=0) - (1.0 - self.iou), 0.0)
             rows, columns = linear_sum_assignment(gain, maximize=True)
             chosen = matches[rows, columns]
@@ -334,17 +334,17 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
     Parameters
     ----------
     predicted, truth : (K, 4) float
-        Planes (nx, ny, nz, d), n of any length, one pair a row; the sign of both is taken as it is.
+        Planes (nx, ny, nz, d), n of any length, one pair per row; the sign of both is taken as it is.
 
     Returns
     -------
     PlaneErrors
-        NaN where a plane is.
+        NaN where a plane is NaN.
 
     Raises
     ------
     TypeError, ValueError
-        The shapes differ, or are others, or an array is masked or none of numbers; or a normal has no length.
+        The shapes differ, or are not (K, 4), an array is masked or not of numbers, or a normal has no length.
     """
     first, second = real_array("predicted", predicted), real_array("truth", truth)
     if first.ndim != 2 or first.shape[1] != 4 or first.shape != second.shape:

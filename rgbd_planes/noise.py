@@ -61,7 +61,7 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
     Raises
     ------
     TypeError, ValueError
-        One of them is no positive number.
+        One of them is not a positive number.
 
     Warns
     -----
@@ -86,7 +86,7 @@ def _positive(name: str, value: float) -> float:
 
 
 def axial(constant: float = 0.0, linear: float = 0.0, quadratic: float = 0.0) -> NoiseModel:
-    """Noise published as that of the depth: σZ = constant + linear·Z + quadratic·Z², metres.
+    """Noise published for the depth: σZ = constant + linear·Z + quadratic·Z², metres.
 
     In 1/Z it is σq = constant·q² + linear·q + quadratic.
 
@@ -108,7 +108,7 @@ def axial(constant: float = 0.0, linear: float = 0.0, quadratic: float = 0.0) ->
 def time_of_flight(constant: float = 0.0, linear: float = 0.0) -> NoiseModel:
     """Time of flight: σZ = constant + linear·Z, metres.
 
-    The light that comes back falls with Z², so that shot noise grows with Z.
+    The light that comes back falls off with Z², so that shot noise grows with Z.
 
     Parameters
     ----------
@@ -131,12 +131,12 @@ def table(inverse_depth: ArrayLike, sigma: ArrayLike) -> NoiseModel:
     Parameters
     ----------
     inverse_depth, sigma : (K,) array_like
-        1/m, the inverse depths growing, the standard deviations above 0.
+        1/m, the inverse depths increasing, the standard deviations above 0.
 
     Raises
     ------
     ValueError
-        They are not, or not of one length.
+        Inverse depths do not increase, a standard deviation is not positive, or the lengths differ.
     """
     q, s = np.atleast_1d(inverse_depth), np.atleast_1d(sigma)
     if q.shape != s.shape or q.ndim != 1:
@@ -151,12 +151,12 @@ def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
     ----------
     sigma : callable
         Takes an array of inverse depths above 0, 1/m, returns the standard deviation of each, 1/m: a finite
-        number, 0 or more, at all of 1.2e-3 to 20 1/m.
+        number, 0 or more, everywhere from 1.2e-3 to 20 1/m.
 
     Raises
     ------
     TypeError, ValueError
-        It is no function, or what it returns is not that.
+        It is not a function, or it returns something else.
     """
     if not callable(sigma):
         raise TypeError(f"expected a function of the inverse depth, got {type(sigma).__name__}")
@@ -170,18 +170,18 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     ----------
     model : NoiseModel
     step : float or Camera
-        Quantum of the depth in metres, or a camera: of its ``depth_scale`` or ``disparity``.
+        Quantum of the depth in metres, or a camera, for that of its ``depth_scale`` or ``disparity``.
 
     Raises
     ------
     TypeError, ValueError
-        The model is none, the step is no positive number, or the camera has neither of the two.
+        The model is not a `NoiseModel`, the step is not a positive number, or the camera has neither of the two.
 
     Notes
     -----
     Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the other noise is less than half a
-    step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances say so,
-    p-values are then too large.
+    step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances account for
+    it, p-values are then too large.
     """
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")

@@ -3,7 +3,7 @@
 Flat tiles of several sizes are used, and large planes. How the tiles' mean square residual changes with depth gives
 σq, how it changes with the angle off the optical axis the falloff, and with the slope of the surface the lateral
 error. How it grows with the size of the tile, and how much more the slopes of tiles differ from their surroundings'
-than independent errors would make them, says how far errors reach: independent errors leave all sizes alike, a bias
+than independent errors would make them, says how far errors reach: under independent errors all sizes are alike, a bias
 that bends over 50 pixels shows in large tiles only, and one over hundreds of pixels in how far large planes are bent.
 How unequal the tiles are gives the spread.
 """
@@ -53,28 +53,28 @@ FLOOR_LENGTHS = (16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0)
 LATERALS = np.linspace(0.0, 1.2, 25)
 """Candidates for the lateral error, in pixels."""
 SPREADS = np.linspace(0.0, 1.5, 61)
-"""Candidates for the spread: of real sensors none was above 1.1."""
-_TAIL = 0.95  # quantile at which the spread is matched: above are also tiles that are not flat
+"""Candidates for the spread: no real sensor's was above 1.1."""
+_TAIL = 0.95  # quantile at which the spread is matched: above it there are also tiles that are not flat
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
 _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
-_UNEVEN = 3.0  # of windows that are as they should be: 1.1 to 1.6 with real sensors
+_UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real sensors
 _BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
-_WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: of the few waves that it has room for
-_PARTS = 6, 3  # of the image along either side, each of which a falloff must do without
-_FRAMES = 4  # from which on it must do without each of them, too
-_SURE = 3.0  # standard errors of a falloff, from which on there is one
-_TURNS, _CLOSE = 10, 0.02  # of fitting depth and falloff: most; and a relative change that is none
-_SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms, and steps that find their least sum
+_WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
+_PARTS = 6, 3  # parts of the image along either side: a falloff must show without each of them
+_FRAMES = 4  # with so many or more, it must show without each of them, too
+_SURE = 3.0  # standard errors that a falloff must exceed
+_TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff, and a relative change that counts as none
+_SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms that count as small, and steps to find their least sum
 _NO_NOISE = (
     "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"
 )
-_ENOUGH_LARGE = 48  # windows twice as large, to take from them how far errors reach
+_ENOUGH_LARGE = 48  # windows twice as large that are enough to tell how far errors reach
 
 
 def estimate_noise(
     frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: Camera, *, num_threads: int | None = None
 ) -> NoiseModel:
-    """Estimate a sensor's noise from frames of ordinary scenes: no target, no still camera.
+    """Estimate a sensor's noise from frames of ordinary scenes, without a target or a still camera.
 
     Parameters
     ----------
@@ -82,26 +82,26 @@ def estimate_noise(
         With surfaces that are flat over 50 pixels or more, at the depths that matter; for the covariances of large
         planes, with such planes. The more frames and the more places, the better; one can be enough.
     camera : Camera
-        Its ``noise`` is not looked at.
+        Its ``noise`` is ignored.
     num_threads : int, optional
         Threads at most, as in `fit_tiles`. The result does not depend on it.
 
     Returns
     -------
     NoiseModel
-        What the frames show, rounding to integers included, also where these were made metres, with `NoiseEvidence`
-        as ``evidence``, whose ``plot()`` draws the fit.
+        What the frames show, rounding to integers included, even where these were converted to metres, with
+        `NoiseEvidence` as ``evidence``, whose ``plot()`` draws the fit.
 
     Raises
     ------
     TypeError, ValueError
-        Too little in the frames is flat, or what is flat has no noise; or a frame is none of this camera's.
+        Too little in the frames is flat, or what is flat has no noise; or a frame is not this camera's.
 
     Warns
     -----
     UserWarning
         What is taken for flat differs so much that it may be edges, or outliers: do not rely on the model then.
-        Or surfaces, without noise, are bent as depth and flat as distances along the ray.
+        Or surfaces without noise are bent when taken as depth, and flat as distances along the ray.
 
     Notes
     -----
@@ -189,8 +189,8 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
 
     The rounding and the falloff are those of ``known``.
 
-    Each bin's σq is that which makes half of its residuals larger than the model's; of three neighbours the middle
-    one is taken. Beyond the depths that were seen a power of q goes on, from constant (disparity) to q² (rounding).
+    Each bin's σq makes half of its residuals larger than the model's; the median of three neighbours is taken. Beyond
+    the depths that were seen it continues as a power of q, from constant (disparity) to q² (rounding).
     """
     bins = bins_of(samples.q, 60)
     q, first = np.unique([np.median(samples.q[chosen]) for chosen in bins], return_index=True)
@@ -227,13 +227,13 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
 
 
 def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
-    """How fast noise, of which ``model`` has the depth, grows away from the optical axis: both, fitted in turns.
+    """How fast noise grows away from the optical axis, fitted in turns with how it changes with depth in ``model``.
 
-    There is a falloff only if what depth leaves over grows by more than chance may make it grow, by the jackknife over
-    parts of the image, small and large, and over frames: a few noisy surfaces towards the edge, in however many
-    frames, make none.
+    There is a falloff only if what depth leaves over grows by more than chance would make it, by the jackknife over
+    parts of the image, small and large, and over frames: a few noisy surfaces towards the edge, in however many frames,
+    make none.
     """
-    # What of the angle goes with the depth, as on a floor, says nothing: depth may explain it as well.
+    # The part of the angle that goes with depth, as on a floor, says nothing: depth may explain it as well.
     away = np.log(samples.growth(NoiseModel(falloff=1.0)))
     bins = bins_of(samples.q, 60)
     middles, first = np.unique([np.median(samples.q[some]) for some in bins], return_index=True)
@@ -261,7 +261,7 @@ def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
 
 
 def _slope(x: Floats, y: Floats) -> float:
-    """Of logarithms y on x, with the least sum of absolute deviations, of small ones the least squares (Huber 1964)."""
+    """Slope of logarithms y on x: least absolute deviations, least squares for small ones (Huber 1964)."""
     slope = level = 0.0
     for _ in range(_ROUNDS):
         weight = 1.0 / np.maximum(np.abs(y - level - slope * x), _SMALL)
@@ -297,8 +297,8 @@ def _fit_reach(
     And from how far large planes are bent, if there are any.
 
     By least squares of errors relative to what is seen and to what chance makes of it, no share below 0. There is a
-    floor only if that brings the model nearer by more than chance would: of tiles smaller than its length little of it
-    shows, and to explain little it would have to be large.
+    floor only if that brings the model nearer by more than chance would: in tiles smaller than its length little of it
+    shows, and to explain that little it would have to be large.
     """
     from scipy.optimize import nnls
 
@@ -307,14 +307,15 @@ def _fit_reach(
     small = sizes[sizes <= window // 2]
     typical = [some.typical(model) for some in samples.values()]
     values, seen = np.array([*typical, *(samples[size].typical_tilt(model) for size in small)]).T
-    # Of medians of residuals and of squared slopes, which are distributed as χ²(2). The spread is all sizes' alike.
+    # For medians of residuals, and of squared slopes, which are distributed as χ²(2). The spread is the same for all
+    # sizes.
     counts = np.array([len(some.count) for some in samples.values()])
     of_one = np.append(1.25 * np.sqrt(2.0 / (sizes**2 - 3.0)), np.full(len(small), 1.0 / np.log(2.0)))
     chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
     sides, bends, planes = bends_by_side(large)
     values = np.append(values, bends)
-    # Independent errors alone make 3 / TILE² of it, almost.
+    # Independent errors alone make almost 3 / TILE² of it.
     scale = np.append(scale, np.maximum(bends, 3.0 / TILE**2) * np.hypot(_WAVES / np.sqrt(planes), _INEXACT))
 
     def bent(part: tuple[float, float]) -> Floats:

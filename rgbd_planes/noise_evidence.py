@@ -32,8 +32,8 @@ class NoiseEvidence:
     sizes : (S,) int64
         Sides of tiles; then, if there are any, of squares as large as the large planes of a frame.
     residuals, expected : (S,) float64
-        Median of the root mean square residual of the flat tiles of each size, or of such planes, as a multiple of
-        the model's σq, and the same by the model.
+        Median of the root mean square residual of the flat tiles of each size, or of such planes, as a multiple of the
+        model's σq, and what the model expects.
     inverse_depth, sigma, sigma_fit : (K,) float64
         By depth: root mean square residual of the tiles of 12 pixels there, and the model's.
     p_values : (T,) float64
@@ -41,12 +41,12 @@ class NoiseEvidence:
     noise_map : (R, C) float64
         Their residual over the model's, by place in the image, as far as whole windows go; NaN where no frame is flat.
     edge_growth : float
-        How many times that on the optical axis the model's σq, before rounding, is where they are farthest from it.
+        The model's σq before rounding where they are farthest from the optical axis, as a multiple of that on it.
     flatness : (⌈H / 8⌉, ⌈W / 8⌉) float64
         The sensor's own bias over the image in 1/m, in cells of 8 pixels: what all large planes of all frames
         have in common. NaN where none was seen. A part that is itself planar over the image does not show.
     flatness_count : (⌈H / 8⌉, ⌈W / 8⌉) int64
-        How many pixels each cell's mean is of.
+        Number of pixels behind each cell's mean.
     flatness_std : (⌈H / 8⌉, ⌈W / 8⌉) float64
         Standard deviation in 1/m that random errors alone, with what neighbouring pixels share of them, give each cell.
     """

@@ -1,4 +1,4 @@
-"""A model of a sensor's noise: what `rgbd_planes.noise` makes and a `Camera` has."""
+"""A model of a sensor's noise, made by `rgbd_planes.noise` and kept by a `Camera`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rgbd_planes.wording import two_digits
 
 Floats = NDArray[np.float64]
 
-# Of tables of the noise by inverse depth: how many entries, up to where in 1/m.
+# Tables of the noise by inverse depth: number of entries, and the largest inverse depth in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
 _LARGEST_FALLOFF = 50.0  # that of sensors is up to 4
@@ -36,12 +36,12 @@ class NoiseModel:
     Attributes
     ----------
     coefficients : (c0, c1, c2)
-        σq = c0 + c1·q + c2·q² of the random error of one pixel on the optical axis, in 1/m; at no q from 1.2e-3 to
-        20 1/m below 0.
+        σq = c0 + c1·q + c2·q² of the random error of one pixel on the optical axis, in 1/m; not below 0 at any q from
+        1.2e-3 to 20 1/m.
     samples : tuple of (q, σq), optional
         Instead of `coefficients`: σq at inverse depths, linear between them, constant beyond.
     formula : function, optional
-        Instead of `coefficients`: σq of an array of q, which is asked for its values when the model is made.
+        Instead of `coefficients`: σq of an array of q, evaluated when the model is made.
     step : float
         Quantum of integer depth in metres: rounding adds (step·q²)²/12 to the variance.
     disparity_step : float
@@ -53,7 +53,7 @@ class NoiseModel:
         Systematic error (lens, calibration, the sensor's own filters), which does not average out: its
         standard deviation as a multiple of σq.
     floor_length : float
-        Distance in pixels over which the systematic error changes, in the same sense.
+        Distance in pixels over which the systematic error changes, in the sense of ``correlation``.
     spread : float
         Relative standard deviation of the noise's variance from place to place, beyond what depth explains: that of
         texture and reflectance. The variance is taken to be inverse gamma distributed.
@@ -64,20 +64,20 @@ class NoiseModel:
         How fast noise grows away from the optical axis, as where a sensor's own light falls off: at a pixel whose ray
         is (tanθx, tanθy, 1), at an angle θ from the axis, σq before rounding is (1 + tan²θx + tan²θy)^(falloff / 2),
         which is 1 / cos^falloff(θ), times that on the axis. The lateral error and rounding do not grow.
-        `rgbd_planes.segment` does not look at it: each frame tells it how much noise there is.
+        `rgbd_planes.segment` does not use it: each frame tells it how much noise there is.
     evidence : NoiseEvidence, optional
-        What `rgbd_planes.estimate_noise` saw; a file does not keep it.
+        What `rgbd_planes.estimate_noise` saw; it is not kept in files.
 
     Notes
     -----
-    Fits of tiles and windows look σq up in a table, unless it is a single coefficient. Made of coefficients, the table
-    is right to 0.2 % from 0.05 to 20 m, and to 5 % up to 100 m. Nearer and farther it may be far off: for
+    Fits of tiles and windows look σq up in a table, unless it is a single coefficient. Made from coefficients, the
+    table is right to 0.2 % from 0.05 to 20 m, and to 5 % up to 100 m. Nearer and farther it may be far off: for
     ``time_of_flight(0.02)`` it gives 0.56 times σq at 0.025 m, 1.3 times at 273 m and 4 times at 1000 m.
     """
 
     coefficients: tuple[float, ...] = (KINECT_V1,)
     samples: tuple[tuple[float, float], ...] | None = None
-    formula: Callable[[Floats], ArrayLike] | None = field(default=None, hash=False)  # polynomials have none
+    formula: Callable[[Floats], ArrayLike] | None = field(default=None, hash=False)  # NumPy's polynomials have no hash
     step: float = 0.0
     disparity_step: float = 0.0
     correlation: tuple[tuple[float, float], ...] = ()
@@ -128,7 +128,7 @@ class NoiseModel:
         return f"<NoiseModel: {self._summary()}>"
 
     def _summary(self) -> str:
-        # No Greek: to print what stdout has no letters for is an error, as into a file on Windows.
+        # No Greek: printing letters that stdout's encoding lacks is an error, as into a file on Windows.
         parts = ["sigma by a function"]
         if self.formula is None:
             sigmas = zip(1e3 * self.sigma_depth([0.5, 1.0, 2.0]), ("0.5", "1", "2"), strict=True)
@@ -163,7 +163,7 @@ class NoiseModel:
         return np.asarray(np.sqrt(self._along(q) ** 2 * growth + self._rounding(q)))
 
     def _growth(self, tan_x: ArrayLike, tan_y: ArrayLike) -> Floats:
-        """How many times that on the optical axis the variance of q before rounding is on another ray."""
+        """The variance of q before rounding on a ray, as a multiple of that on the optical axis."""
         return np.asarray((1.0 + np.square(tan_x) + np.square(tan_y)) ** self.falloff)
 
     def _along(self, q: Floats) -> Floats:
@@ -200,20 +200,20 @@ class NoiseModel:
 
     @property
     def is_independent(self) -> bool:
-        """Whether pixels err independently of each other, those of one depth and angle off the axis alike."""
+        """Whether pixels err independently, and equally at the same depth and angle off the axis."""
         return not (any(share for share, _ in self.correlation) or self.floor or self.spread)
 
     def statistics(self, count: ArrayLike, size: ArrayLike | None = None) -> ResidualStatistics:
-        """What this noise does to a plane fitted to so many neighbouring pixels.
+        """What this noise does to a plane fitted to ``count`` neighbouring pixels.
 
         Parameters
         ----------
         count : array_like of int
             Numbers of valid pixels.
         size : (..., 2) array_like, optional
-            Height and width of the rectangles among whose pixels these lie. Where some are missing, they may be so in
-            one piece, which leaves a rectangle of these proportions, or here and there: of the two what makes errors
-            larger counts. Without it the pixels are full squares.
+            Height and width of the rectangles among whose pixels these lie. Where some are missing, they may be missing
+            in one piece, which leaves a rectangle of these proportions, or here and there: the case with larger errors
+            counts. Without it the pixels are full squares.
         """
         n = np.asarray(count, np.float64)
         if self.is_independent:
@@ -238,7 +238,7 @@ class NoiseModel:
         return tuple(part for part in parts if part[0] > 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """The model as a dict that JSON takes.
+        """The model as a dict that JSON can hold.
 
         Raises
         ------
@@ -261,7 +261,7 @@ class NoiseModel:
         Raises
         ------
         TypeError, ValueError
-            There are other keys, neither ``coefficients`` nor ``samples``, or values that cannot be.
+            There are unknown keys, neither ``coefficients`` nor ``samples``, or an invalid value.
         """
         known = {f.name for f in fields(cls)} - {"formula", "evidence"}
         if not isinstance(values, Mapping) or not set(values) <= known:

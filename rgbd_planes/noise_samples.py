@@ -18,15 +18,15 @@ WINDOW = 24
 REFERENCE = 12
 """Side of the tiles that σq and the lateral error are taken from."""
 MOST_MISSING = (0.1, 0.3, 0.5)
-"""Shares of the pixels of a tile: of frames in which hardly a window has more, the next one counts."""
+"""Largest share of a tile's pixels that may be missing: if too few windows are as complete, the next one counts."""
 FEWEST_WINDOWS = 16
 EXACT = 1e-9
 """Residuals below this share of 1/Z are rounding errors of float64."""
-# How many times the usual a window's residual may be over those of its parts, at least and at most.
+# How many times the usual the ratio of a window's residual to its parts' may be, at least and at most.
 _BENT = 1.02, 1.6
 _DEVIATIONS = 5.0  # and, in between, how many times as far above the usual as the smaller ones are below
-_CLUTTERED = 4.0  # and over those of other windows
-_STRETCH = 0.25  # of logarithms of residuals, in which what is usual is looked for
+_CLUTTERED = 4.0  # and the ratio to other windows' residuals
+_STRETCH = 0.25  # length of a stretch of logarithms of residuals, in which the usual one is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +38,9 @@ class Samples:
     q : (T,) float64
         Mean inverse depth, 1/m.
     slope_square : (T,) float64
-        Squared slope of q, a pixel, of the window that the tile is part of.
+        Squared slope of q per pixel, of the window that the tile is part of.
     tilt_square : (T,) float64
-        By how much the tile's own slope differs from that, squared: independent errors of variance 1 make it 1.
+        By how much the tile's own slope differs from the window's, squared: independent errors of variance 1 make it 1.
     window : int
         Side of that window in pixels.
     rss : (T,) float64
@@ -48,7 +48,7 @@ class Samples:
     count : (T,) int32
         Valid pixels.
     rays : (2, 9, T) float64
-        tanθx and tanθy at Gauss's places in the tile, over which the means are that of `WEIGHTS_OF_PLACES`.
+        tanθx and tanθy at the places of Gauss's quadrature in the tile; means over them have `WEIGHTS_OF_PLACES`.
     depths : (9, T) float64
         Inverse depth there.
     place : three (T,) arrays of int
@@ -77,7 +77,7 @@ class Samples:
             chosen = np.zeros(planes.shape, bool)
             chosen[:, : inside.shape[1], : inside.shape[2]] = inside
         else:
-            # All its windows flat; together they must be as well.
+            # All its windows are flat; together they must be, too.
             chosen = _all_flat(flat, size // WINDOW, rows, columns)
         chosen &= planes.fitted & (planes.valid_count >= (1.0 - most_missing) * size * size)
         if size > WINDOW and chosen.any():
@@ -85,7 +85,7 @@ class Samples:
             chosen[chosen] = residual < _CLUTTERED * np.median(residual)
         q = 1.0 / mean_depth(planes)
         rss = planes.valid_count * planes.rmse**2
-        # Slopes of small tiles are noise themselves, and larger where the residual is: those of windows are taken.
+        # Slopes of small tiles are noisy themselves, and larger where the residual is: those of windows are taken.
         place = frame, row, column = np.nonzero(chosen)
         alpha = planes.alpha[place]
         of_window = alpha
@@ -114,7 +114,8 @@ class Samples:
             place,
         )
 
-    # Of large tiles means count: what the middle has is up to a fifth less, and would pass for errors that reach far.
+    # For large tiles take means: the value at the centre is up to a fifth lower, which would pass for errors that reach
+    # far.
     def independent(self, model: NoiseModel) -> Floats:
         """Variance of q from the lateral error and from rounding."""
         return np.asarray(
@@ -122,7 +123,7 @@ class Samples:
         )
 
     def growth(self, model: NoiseModel) -> Floats:
-        """How many times that on the optical axis the variance of q before rounding is."""
+        """The variance of q before rounding, as a multiple of that on the optical axis."""
         return np.asarray(WEIGHTS_OF_PLACES @ model._growth(*self.rays))
 
     def along(self, model: NoiseModel) -> Floats:
@@ -146,16 +147,16 @@ class Samples:
         return made.with_independent(self.along(model), self.independent(model), self.count)
 
     def typical(self, model: NoiseModel) -> tuple[float, float]:
-        """Mean square residual in units of σq², from the median of the tiles: without independent parts, and all."""
+        """Mean square residual in units of σq², from the median of the tiles: without independent parts, and with them."""
         median_over_mean = ratio_at(0.0, np.maximum(self.expected(model)[1], 1.0), model.spread)
         return self._middle(model, self.rss / self.count / median_over_mean, 3.0 / self.count)
 
     def typical_tilt(self, model: NoiseModel) -> tuple[float, float]:
-        """Variance of slopes, as a multiple of that of independent errors of variance σq², in the same way."""
+        """Variance of slopes, as a multiple of that of independent errors of variance σq²: both as in `typical`."""
         return self._middle(model, self.tilt_square / np.log(2.0), (self.count / self.window**2) ** 2)
 
     def _middle(self, model: NoiseModel, seen: Floats, lost: Floats) -> tuple[float, float]:
-        """``lost`` is the share of independent errors that the fit takes up."""
+        """Medians in units of σq²; ``lost`` is the share of independent errors that the fit absorbs."""
         square = self.along(model)
         independent = (1.0 - lost) * self.independent(model)
         return float(np.median((seen - independent) / square)), float(np.median(seen / square))
@@ -167,13 +168,13 @@ def all_samples(
     most_missing: float,
     window: int = WINDOW,
 ) -> dict[int, Samples]:
-    """The tiles in flat windows, by size, of which there are some."""
+    """The tiles in flat windows, for each size that has enough of them."""
     samples = {size: Samples.of(planes, flat, tiles[window], most_missing) for size, planes in tiles.items()}
     return {size: some for size, some in samples.items() if len(some.count) >= FEWEST_WINDOWS // 3}
 
 
 def mean_depth(planes: TilePlanes) -> Floats:
-    """Depth of tiles, where the mean inverse depth of their pixels is; NaN where there is none."""
+    """Depth of tiles at the mean inverse depth of their pixels; NaN where there is none."""
     count, sum_q = planes._moments[..., 0, :, :], planes._moments[..., 3, :, :]
     mean = planes._reference[..., 2, :, :] + sum_q / np.maximum(count, 1.0)
     return np.asarray(1.0 / np.where(mean > 0.0, mean, np.nan))
@@ -185,14 +186,13 @@ def flat_windows(
     most_missing: float,
     flat_parts: npt.NDArray[np.bool_] | None = None,
 ) -> npt.NDArray[np.bool_]:
-    """Windows that are rough as a whole only as far as they are in their parts.
+    """Windows that are no rougher as a whole than their parts are.
 
-    The residual of the window is compared with the median of those of the small tiles in it: their usual
-    ratio, that of the sensor's errors, is the commonest, and the smaller ones, which no form makes, say how far it
-    varies. So neither a surface that makes more noise than others is missed, nor is a bent one taken for flat. What is
-    far rougher than usual, clutter, is left out.
-    Of larger windows clutter may be what is usual: ``flat_parts`` says which windows of `WINDOW` pixels are flat, and
-    only those of which all are come into question.
+    The residual of the window is compared with the median of those of the small tiles in it: the usual ratio, that of
+    the sensor's errors, is the commonest, and smaller ones, which no shape makes, tell how far it varies. So neither is
+    a surface missed that makes more noise than others, nor a bent one taken for flat. What is far rougher than usual,
+    clutter, is left out. For larger windows clutter may be the usual case: ``flat_parts`` says which windows of
+    `WINDOW` pixels are flat, and only windows whose parts all are come into question.
     """
     _, rows, columns = planes.shape
     window = planes.tile[0]
@@ -219,9 +219,9 @@ def flat_windows(
 
 
 def unevenness(planes: TilePlanes, small: TilePlanes, flat: npt.NDArray[np.bool_]) -> float:
-    """How many times the smallest residual of a flat window's parts the median one is, in the median."""
+    """Median over flat windows of the median over the smallest residual of their parts."""
     inside = np.sort(_of_parts(planes, small)[flat], axis=1)
-    inside = inside[inside[:, 0] > 0.0]  # without those of which rounding leaves nothing
+    inside = inside[inside[:, 0] > 0.0]  # without those whose residual rounding leaves at zero
     return float(np.median(inside[:, inside.shape[1] // 2] / inside[:, 0])) if len(inside) else 1.0
 
 
@@ -236,14 +236,14 @@ def _of_parts(planes: TilePlanes, small: TilePlanes) -> Floats:
 
 
 def _varied(planes: TilePlanes) -> npt.NDArray[np.bool_]:
-    """Tiles in which not all measurements are the same, as where there is one depth for all beyond the range."""
+    """Tiles whose measurements are not all the same, as they are where everything beyond the range has one depth."""
     n, sum_q, sum_qq = np.moveaxis(planes._moments, 1, 0)[[0, 3, 9]]
     spread = (sum_qq - sum_q**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
     return np.asarray((planes.rmse > 0.0) & (spread * mean_depth(planes) ** 2 > EXACT**2))
 
 
 def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -> npt.NDArray[np.bool_]:
-    """(F, rows, columns) bool: of which ``many`` x ``many`` windows all are flat."""
+    """(F, rows, columns) bool: whether all of ``many`` x ``many`` windows are flat."""
     padded = np.zeros((len(flat), many * rows, many * columns), bool)
     inside = flat[:, : many * rows, : many * columns]
     padded[:, : inside.shape[1], : inside.shape[2]] = inside
@@ -251,15 +251,15 @@ def _all_flat(flat: npt.NDArray[np.bool_], many: int, rows: int, columns: int) -
 
 
 def bins_of(q: Floats, smallest: int) -> list[npt.NDArray[np.intp]]:
-    """Indices of equally many values, by size."""
+    """Indices of the values in bins of equally many, by size."""
     return np.array_split(np.argsort(q, kind="stable"), int(np.clip(len(q) // smallest, 1, 12)))
 
 
 def _mode(values: Floats) -> float:
     """The mean of the first dense stretch: what is flat lies close together, however much clutter is spread beyond it.
 
-    Where there is more clutter than flat, as in small images, it has the densest stretch. Flat is then the one before,
-    of a third as many at least, after which there are less than half of those that it has.
+    Where there is more clutter than flat, as in small images, clutter has the densest stretch. Flat is then the one
+    before it, with at least a third as many, after which there are less than half as many as it has.
     """
     values = np.sort(values)
     first = np.arange(len(values))

@@ -26,7 +26,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class TileStatus(enum.IntEnum):
-    """Whether a tile has a plane, and why not."""
+    """Whether a tile has a plane, or why not."""
 
     OK = 0
     """Fitted."""
@@ -82,7 +82,7 @@ class PlaneFits:
     _reference: Floats
 
     def __getstate__(self) -> dict[str, Any]:
-        # Without the statistics: in a copy, what is shown would no longer be what a fit writes.
+        # Without the statistics: in a copy they would no longer follow what a fit writes.
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
@@ -94,18 +94,17 @@ class PlaneFits:
     def p_value(self) -> Floats:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
-        Of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
-        spread, of its ratio to a variance that differs from place to place. On surfaces that are flat
-        it is uniform between 0 and 1; below the significance level a tile is ROUGH. That of the ``standard_`` methods,
-        whose residual is in metres, is so only where a part spans a small range of depths, and is much larger than
-        the noise. This, the covariances
-        and the standard deviations are computed together, when one of them is first asked for, and from then
-        on by each fit that writes into this result.
+        It is that of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
+        spread, of its ratio to a variance that differs from place to place. On flat surfaces it is uniform between 0
+        and 1; below the significance level a tile is ROUGH. For the ``standard_`` methods, whose residual is in metres,
+        this holds only where a part spans a small range of depths, and is much larger than the noise. This, the
+        covariances and the standard deviations are computed together, when one of them is first asked for, and from
+        then on by each fit that writes into this result.
 
         Raises
         ------
         ValueError
-            The camera has no noise model: so for all of these.
+            The camera has no noise model; the same for all of these.
         """
         return self._statistics.row(statistics.P_VALUE)
 
@@ -113,7 +112,7 @@ class PlaneFits:
     def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
-        Of ``range_explicit`` it is exact where σq is constant over the tile, or the window; of labels and unions
+        For ``range_explicit`` it is exact where σq is constant over the tile, or the window; for labels and unions
         wherever the noise is independent from pixel to pixel. For the other methods it is, to first order, that of
         ``range_explicit`` on the same pixels: the bound that they reach at best.
         """
@@ -134,40 +133,40 @@ class PlaneFits:
         """S float64, metres: standard deviation of d.
 
         That is the distance of the camera from the plane extended up to it, which a small tile's tilt moves far more
-        than the surface itself: of that, at a point, the standard deviation is `uncertainty.point_distance`'s.
+        than the surface itself: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
         """
         return self._statistics.row(statistics.OFFSET_STD)
 
     @functools.cached_property
     def _statistics(self) -> FitStatistics:
-        """What the camera's noise says of these planes, computed when first asked for."""
+        """What the camera's noise says about these planes, computed when first asked for."""
         from rgbd_planes.fit_statistics import FitStatistics
 
         return FitStatistics(self)
 
     @property
     def _cell_dimensions(self) -> int:
-        """How many dimensions count the planes of one frame: 2 for tiles, 1 for others."""
+        """Number of dimensions that index the planes of one frame: 2 for tiles, 1 for others."""
         return min(self._moments.ndim - 1, 2)
 
     @property
     def _sizes(self) -> npt.NDArray[Any]:
-        """(N, 2): of each of one frame's parts, what `fit_statistics.Assessment` takes."""
+        """(N, 2): for each part of one frame, the size that `fit_statistics.Assessment` takes."""
         return like_rectangles(self._footprint)
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
-        """(N, 5): of each of one frame's parts, what `residual_statistics.like_rectangles` takes."""
+        """(N, 5): for each part of one frame, what `residual_statistics.like_rectangles` takes."""
         raise NotImplementedError
 
     @property
     def _growth(self) -> Floats:
-        """(N,): of each of one frame's parts, `falloff.growth_of_parts`."""
+        """(N,): for each part of one frame, `falloff.growth_of_parts`."""
         return growth_of_parts(self.camera, self._footprint)
 
     @property
     def _error_sums(self) -> Floats | None:
-        """(N, 8): of each part, what `error_sums.Pixels` keeps; None where the moments say enough."""
+        """(N, 8): for each part, what `error_sums.Pixels` keeps; None where the moments are enough."""
         return None
 
     @property
@@ -200,7 +199,7 @@ class PlacedFits(PlaneFits):
 
     @property
     def _title(self) -> str:
-        """What the parts are, above a picture."""
+        """The title of a picture: what the parts are."""
         raise NotImplementedError
 
     def _repr_html_(self) -> str:
@@ -217,7 +216,7 @@ class PlacedFits(PlaneFits):
         depth : (H, W) array_like, optional
             The frame that was fitted; without it the fitted planes' own depth is drawn.
         figure : matplotlib Figure, optional
-            Drawn into, with text for one 15 inches wide; such a new one by default.
+            Drawn into, with text for a width of 15 inches; a new one of that width by default.
         """
         from rgbd_planes.plotting import plot_fits
 

@@ -40,7 +40,7 @@ _LEGEND_INCHES = 0.85
 
 
 class NotebookFigure(Figure):
-    """A figure that a notebook shows, also where pyplot, which would see to that, was never imported."""
+    """A figure that a notebook shows, even where pyplot, which would see to that, was never imported."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -49,7 +49,7 @@ class NotebookFigure(Figure):
 
 
 def panel_height(width: float, camera: Camera) -> float:
-    """How high a panel is: as its image, unless that is very narrow or very low."""
+    """Height of a panel: that of its image, unless that is very narrow or very low."""
     return width * min(max(camera.height / camera.width, 0.3), 1.6)
 
 
@@ -59,7 +59,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     Parameters
     ----------
     fits : TilePlanes, WindowPlanes or LabelPlanes
-        Of one frame. Of windows that overlap the smallest is on top.
+        Of one frame. Of overlapping windows the smallest is on top.
     depth_metres : (H, W) float64, optional
         The measured depth in metres, NaN where missing. Without it, the depth of the fitted planes.
     figure : matplotlib Figure or SubFigure, optional
@@ -72,7 +72,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     Raises
     ------
     ValueError
-        The planes are those of a batch, or the depth has not the shape of the camera's frame.
+        The planes are those of a batch, or the depth does not have the shape of the camera's frame.
     """
     if len(fits.shape) > 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}: plot tiles[i]")
@@ -97,7 +97,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
 def panels_with_legends(
     count: int, camera: Camera, figure: Figure | None
 ) -> tuple[Figure, list[Axes], list[Axes]]:
-    """A figure, a new one for None, with so many panels for images, and the places below them for legends."""
+    """A figure, a new one for None, with ``count`` panels for images, and places for legends below them."""
     check_figure(figure)
     if figure is None:
         height = panel_height(PANEL_INCHES, camera) + _LEGEND_INCHES + 0.35
@@ -132,7 +132,7 @@ def draw_measured_depth(panel: Axes, legend: Axes, metres: Floats) -> None:
 
 
 def draw_fitted_depth(panel: Axes, legend: Axes, metres: Floats) -> None:
-    """Draw the depth of `fitted_depth` likewise."""
+    """Draw the depth of `fitted_depth`, as `draw_measured_depth` does."""
     _draw_depth(panel, legend, metres, "metres")
     panel.set_title("Depth of the fitted planes")
 

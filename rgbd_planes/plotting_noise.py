@@ -52,7 +52,7 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     title = "Bias over the image, of 1/Z: what all large planes have in common, 1e-3 / m"
     if some.any():
         chance = 1e3 * float(np.median(evidence.flatness_std[some]))
-        # So wide that what is chance alone stays pale.
+        # Wide enough for chance alone to stay pale.
         limit = max(float(np.quantile(np.abs(bias[some]), 0.98)), _PALE * chance)
         _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
         note = f"     chance alone: ±{two_digits(chance)}e-3 / m (standard deviation)"

@@ -60,11 +60,11 @@ def label_image(
 
 
 def _relief(inverse_depth: Floats, camera: Camera, sigma: float) -> Floats:
-    """(H, W) brightness of a surface lit from the upper left; smoothed, for it is not to show the noise.
+    """(H, W) brightness of a surface lit from the upper left; smoothed, so as not to show the noise.
 
-    A plane has one brightness, also where a lens bends it.
+    A plane has one brightness, even where a lens bends it.
     """
-    # In inverse depth, where noise is alike near and far, from pixel to pixel.
+    # In inverse depth, where noise is the same near and far, from pixel to pixel.
     x, y = (_smooth_difference(inverse_depth, axis) for axis in (1, 0))
     if camera.is_distorted:
         u, v = camera.tan_x, camera.tan_y
@@ -76,7 +76,7 @@ def _relief(inverse_depth: Floats, camera: Camera, sigma: float) -> Floats:
 
 
 def _smooth_difference(image: Floats, axis: int) -> Floats:
-    """Mean over 5x5 of the differences of neighbours of which both are known; 0 where there are none.
+    """Mean over 5x5 of the differences between neighbours that are both known; 0 where there are none.
 
     The difference of means would jump beside a missing pixel.
     """

@@ -34,9 +34,9 @@ def plot_surfaces(
     depth : (H, W) array_like
     camera : Camera
     normals : (H, W, 3) float32
-        Of `rgbd_planes.normals`.
+        From `rgbd_planes.normals`.
     curvature : (H, W) float32
-        Of `rgbd_planes.curvature`; drawn on a logarithmic scale.
+        From `rgbd_planes.curvature`; drawn on a logarithmic scale.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def plot_surfaces(
     # A plane across an edge runs along the rays, on which the points spread far.
     label = "share of the points' variance across the plane (depth edges look flat, too)"
     bar = draw_scale(legends[2], image, label)
-    # Few enough to be legible, whatever the range: matplotlib's own overlap, or are none.
+    # Few enough to be legible, whatever the range: matplotlib's own overlap, or are missing.
     ticks = np.geomspace(low, high, 6).tolist()
     bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
     bar.minorticks_off()

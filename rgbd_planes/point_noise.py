@@ -40,15 +40,15 @@ def measurement_noise(
     Raises
     ------
     TypeError, ValueError
-        ``camera`` is no `Camera`; ``sigma_inverse_depth`` is no number, negative or not finite; or the frame is none of
-        this camera's.
+        ``camera`` is not a `Camera`; ``sigma_inverse_depth`` is not a number, negative or not finite; or the frame is
+        not this camera's.
 
     Notes
     -----
     σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. noise_models of the paper, after
     Khoshelham and Oude Elberink 2012, lens distortion included. The three are one error along the ray, seen
-    from three sides: fully correlated. A noise model's lateral error, which depends on the slope of the surface,
-    is not in it.
+    from three sides: fully correlated. A noise model's lateral error, which depends on the slope of the surface, is not
+    included.
     """
     check_camera(camera)
     if sigma_inverse_depth is None and camera.noise is None:

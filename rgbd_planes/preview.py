@@ -28,7 +28,7 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
     Parameters
     ----------
     fits : TilePlanes, WindowPlanes or LabelPlanes
-        Of one frame. Of windows that overlap the smallest is on top.
+        Of one frame. Of overlapping windows the smallest is on top.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def quadtree_html(segmentation: "QuadtreeSegmentation") -> str:
 
 
 def _status_names(fits: PlacedFits) -> str:
-    """The status that occur, with their colours."""
+    """The statuses that occur, with their colours."""
     return " ".join(
         f"{_square(STATUS_COLOURS[status])}&nbsp;{status.name}"
         for status in TileStatus

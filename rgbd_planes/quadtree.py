@@ -33,10 +33,10 @@ WriteMoments = Callable[[int, Indices, Indices, Indices, Arrays], None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuadtreePlanes(WindowPlanes):
-    """The elements of a quadtree and their planes: arrays of shape (K, ...), one row an element.
+    """The elements of a quadtree and their planes: arrays of shape (K, ...), one row per element.
 
     Elements that were split are not among them. An element is OK (its plane fits), TOO_FEW (too many missing
-    pixels), or could not be split any further: DEGENERATE, or ROUGH, which is that its residual is too large.
+    pixels), or could not be split any further: DEGENERATE, or ROUGH (its residual is too large).
 
     Attributes
     ----------
@@ -285,9 +285,9 @@ def segment_quadtree(
 
     Notes
     -----
-    The distance of k-means is that of (nx, ny, nz, d / D) with D the median depth of the fitted squares: a
-    plane that turns by a small angle, and one that moves by that angle times the typical depth, are equally
-    far apart. Each square counts by its area.
+    The distance of k-means is that of (nx, ny, nz, d / D) with D the median depth of the fitted squares: turning a
+    plane by a small angle, and moving it by that angle times the typical depth, are equal distances. Each square counts
+    by its area.
 
     Papadakis and Willis 2017, section "Planar Segmentation Application".
     """
@@ -300,7 +300,7 @@ def segment_quadtree(
 
 
 def _cluster(elements: QuadtreePlanes, clusters: int, seed: int) -> npt.NDArray[np.int32]:
-    """Return the label of each element, from 1 for the cluster of the most pixels; 0 where none."""
+    """Return the label of each element, from 1 for the cluster with the most pixels; 0 where none."""
     from scipy.cluster.vq import kmeans, vq
 
     labels = np.zeros(len(elements.status), np.int32)
@@ -312,7 +312,7 @@ def _cluster(elements: QuadtreePlanes, clusters: int, seed: int) -> npt.NDArray[
     typical_depth = np.median(_centre_depth(elements)[fitted])
     coefficients = planes / [1.0, 1.0, 1.0, typical_depth]
     different = len(np.unique(coefficients, axis=0))
-    # K-means takes no weights: each element stands for as many of the smallest ones as it is large.
+    # K-means takes no weights: each element is repeated once for each of the smallest ones that it is as large as.
     repeats = 4 ** (elements.level.max() - elements.level[fitted])
     centres, _ = kmeans(
         coefficients.repeat(repeats, axis=0), min(clusters, different), seed=np.random.default_rng(seed)
