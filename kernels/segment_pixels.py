@@ -284,7 +284,7 @@ def contest(
     winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
     owned, pixels = np.empty((NEIGHBOURS * 11, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
     listed = np.empty(LANES, np.int64)
-    for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # numbers of contenders of blocks that are processed together
+    for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks processed together
         contending = least
         lanes = 0
         for c in range(count + 1):

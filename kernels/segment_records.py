@@ -34,7 +34,7 @@ class Rules(NamedTuple):
     rough: float = 3.0  # deviations of a region that is several planes, or none
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
-    narrow: float = 4.5  # pixels: the mean length of runs along rows, and along columns, that a plane must have
+    narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
     bent: float = 1.0  # variances per pixel that a region's own bend must make to be more than the sensor's
     trips: int = 3  # from planes to pixels and back
 

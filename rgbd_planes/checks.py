@@ -113,7 +113,7 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
         )
 
 
-# Share of 1/Z that no sensor's noise is, between what is nearest in a frame and twice as far away.
+# Share of 1/Z that no sensor's noise reaches, between what is nearest in a frame and twice as far away.
 TOO_LARGE = 0.2
 LARGEST_NOISE = 1e60  # 1/m: the square of its square is finite, and so are sums of these over a frame
 

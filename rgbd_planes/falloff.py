@@ -25,7 +25,7 @@ def growth_of_pixels(camera: Camera) -> Floats:
 def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     """(N,) float64: means of `growth_of_pixels` over parts of the image; (0,) without falloff.
 
-    ``footprint`` is as in `ray_pitch.pitch_square`. Over the pixels that the lens has a ray for; 1 where there are none.
+    ``footprint`` is that of `ray_pitch.pitch_square`. Over pixels that the lens has a ray for; 1 where there are none.
     """
     return _of_parts(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
 

@@ -28,7 +28,7 @@ _LARGE = 60  # tiles that make a large plane
 _ENOUGH = 8  # planes, of which the median is taken
 _MEDIAN = 0.455  # of χ²(1)
 _APART = 4.0  # how many times what their median says the mean of squares may be; with waves it is up to 3
-_BIAS, _BIAS_LENGTH = 1.0, 48.0  # the bias expected, in standard deviations of a pixel, and its length in pixels
+_BIAS, _BIAS_LENGTH = 1.0, 48.0  # expected bias, in standard deviations of a pixel, and its length in pixels
 
 
 class LargePlanes(NamedTuple):

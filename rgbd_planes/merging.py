@@ -22,7 +22,7 @@ from rgbd_planes.residual_statistics import like_rectangles
 class MergedPlanes(KeepsPixels, PlaneFits):
     """The planes of N unions of tiles, arrays of shape S = (N,): row i belongs to label i + 1.
 
-    p-values and covariances are those of `TilePlanes`.
+    p-values and covariances are as in `TilePlanes`.
 
     Attributes
     ----------

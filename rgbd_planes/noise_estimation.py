@@ -63,7 +63,7 @@ _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has r
 _PARTS = 6, 3  # parts of the image along either side: a falloff must show without each of them
 _FRAMES = 4  # with so many or more, it must show without each of them, too
 _SURE = 3.0  # standard errors that a falloff must exceed
-_TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff, and a relative change that counts as none
+_TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff; a relative change that counts as none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms that count as small, and steps to find their least sum
 _NO_NOISE = (
     "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"

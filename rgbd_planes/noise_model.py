@@ -77,7 +77,7 @@ class NoiseModel:
 
     coefficients: tuple[float, ...] = (KINECT_V1,)
     samples: tuple[tuple[float, float], ...] | None = None
-    formula: Callable[[Floats], ArrayLike] | None = field(default=None, hash=False)  # NumPy's polynomials have no hash
+    formula: Callable[[Floats], ArrayLike] | None = field(default=None, hash=False)  # some have no hash
     step: float = 0.0
     disparity_step: float = 0.0
     correlation: tuple[tuple[float, float], ...] = ()

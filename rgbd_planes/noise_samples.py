@@ -147,7 +147,7 @@ class Samples:
         return made.with_independent(self.along(model), self.independent(model), self.count)
 
     def typical(self, model: NoiseModel) -> tuple[float, float]:
-        """Mean square residual in units of σq², from the median of the tiles: without independent parts, and with them."""
+        """Mean square residual in units of σq², from the median of the tiles: without independent parts, and in all."""
         median_over_mean = ratio_at(0.0, np.maximum(self.expected(model)[1], 1.0), model.spread)
         return self._middle(model, self.rss / self.count / median_over_mean, 3.0 / self.count)
 

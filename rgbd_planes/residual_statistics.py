@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Components = tuple[tuple[float, float], ...]
 
-# Proportions of rectangles that are worked out: 1, √2, 2, ...; between them is interpolated.
+# Proportions of rectangles that are worked out: 1, √2, 2, ...; in between, values are interpolated.
 _PER_DOUBLING = 2
 
 
 def like_rectangles(footprint: NDArray[Any]) -> Floats:
     """(N, 2) float64: height and width of full rectangles with as much scatter along x and along y.
 
-    Where the pixels lie closer together than in any rectangle, as in a disc, it has as many as they are.
-    ``footprint`` is (N, 5), of each part's pixels: how many, Σx, Σy, Σx² and Σy².
+    Where the pixels lie closer together than in any rectangle, as in a disc, it has as many pixels as there are.
+    ``footprint`` is (N, 5), for each part's pixels: their number, Σx, Σy, Σx² and Σy².
     """
     n, x, y, xx, yy = footprint.T.astype(np.float64)
     number = np.maximum(n, 1.0)
-    # Of n pixels in a row the variance is (n² - 1) / 12.
+    # The variance of n pixels in a row is (n² - 1) / 12.
     squares = [12.0 * (square / number - (sum_ / number) ** 2) + 1.0 for sum_, square in ((y, yy), (x, xx))]
     sizes = np.sqrt(np.maximum(np.stack(squares, axis=1), 1.0))
     return np.asarray(sizes * np.sqrt(np.maximum(number / sizes.prod(axis=1), 1.0))[:, None])
@@ -65,10 +65,10 @@ class ResidualStatistics:
         return expected, expected**2 / half
 
     def of_some(self, count: Floats, whole: Floats) -> "ResidualStatistics":
-        """The same where only ``count`` of ``whole`` pixels have a measurement, here and there.
+        """The statistics if only ``count`` of ``whole`` pixels have a measurement, here and there.
 
-        With P and C as in `kernels.statistics.assess`: what pixels do alone, the diagonal of PCP, falls with their
-        number, what they do in pairs with its square.
+        With P and C as in `kernels.statistics.assess`: the part of single pixels, the diagonal of PCP, falls with their
+        number, that of pairs with its square.
         """
         more = count > 3.0
         freedoms = np.maximum(whole - 3.0, 1.0)
@@ -84,7 +84,7 @@ class ResidualStatistics:
         return ResidualStatistics(expected, freedom, *factors)
 
     def or_larger(self, other: "ResidualStatistics") -> "ResidualStatistics":
-        """Of each of two, the one that says that errors are larger."""
+        """Of each statistic, the one of two with the larger errors."""
         rougher = other.expected > self.expected
         return ResidualStatistics(
             np.where(rougher, other.expected, self.expected),
@@ -101,7 +101,7 @@ def inverse_freedom(spread: float | Floats) -> Any:
 
 
 def ratio_at(deviate: float, freedom: float | Floats, spread: float | Floats) -> Floats:
-    """The sum of squared residuals over its expected value that is as likely exceeded as this normal deviate.
+    """The sum of squared residuals over its expected value that is exceeded as often as this normal deviate.
 
     A chi-square over its degrees of freedom times a variance as in `inverse_freedom` is a multiple of Fisher's F:
     by Paulson's approximation (1942), which without a spread is Wilson and Hilferty's (1931).
@@ -113,19 +113,19 @@ def ratio_at(deviate: float, freedom: float | Floats, spread: float | Floats) ->
 
 
 def deviate_of(ratio: Floats, freedom: float | Floats, spread: float) -> Floats:
-    """The normal deviate that is as likely exceeded as this ratio: the inverse of `ratio_at`."""
+    """The normal deviate that is exceeded as often as this ratio: the inverse of `ratio_at`."""
     v, w = 2.0 / 9.0 / freedom, 2.0 / 9.0 * inverse_freedom(spread)
     root = np.cbrt(ratio / (1.0 - 2.0 * inverse_freedom(spread)))
     return np.asarray(((1.0 - w) * root - (1.0 - v)) / np.sqrt(w * root * root + v))
 
 
 def correlated_statistics(components: Components, count: Floats, proportions: Floats) -> ResidualStatistics:
-    """The statistics of full rectangles of so many pixels, whose width over height is as given.
+    """The statistics of full rectangles of ``count`` pixels, whose width over height is ``proportions``.
 
-    ``components`` are (variance, length) of each part of the error, of length 0 what is independent.
+    ``components`` are (variance, length) of each part of the error; length 0 is independent.
     """
     pixels = np.maximum(count.ravel(), 4.0)
-    # A rectangle is two pixels wide at least.
+    # A rectangle is at least two pixels wide.
     long = np.minimum(np.maximum(proportions, 1.0 / proportions).ravel(), 0.25 * pixels)
     step = _PER_DOUBLING * np.log2(long)
     below = np.floor(step + 1e-9)
@@ -156,8 +156,8 @@ def correlated_statistics(components: Components, count: Floats, proportions: Fl
 class _Side(NamedTuple):
     """Along one side of a rectangle, the Toeplitz matrices T of exp(-h²/(2 length²)), one for each component.
 
-    With the unit constant p0 and the unit slope p1: T itself by lag, T·p0, T·p1, p0ᵀTp0, p1ᵀTp1; and how often a
-    lag occurs in T.
+    With the unit constant p0 and the unit slope p1: T itself by lag, T·p0, T·p1, p0ᵀTp0, p1ᵀTp1; and how often each lag
+    occurs in T.
     """
 
     by_lag: Floats
@@ -188,7 +188,7 @@ def _along(components: Components, n: int) -> _Side:
 def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats, Floats]:
     """Statistics of rectangles whose sides are as 1 to 2^(step / `_PER_DOUBLING`), by the root of their area.
 
-    (S,) the logarithms of the roots, up to that of ``largest`` about, and (S, 5): expected per pixel, log freedom, the
+    (S,) the logarithms of the roots, up to about that of ``largest``, and (S, 5): expected per pixel, log freedom, the
     tilts along the long side and along the short one, offset.
 
     The covariance of the pixels is C = Σ w T⊗T', of the T of each side. The fit removes the constant and the two
@@ -196,7 +196,7 @@ def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats
     one-dimensional sums.
     """
     long = 2.0 ** (step / _PER_DOUBLING)
-    # The same sides for any ``largest``: what comes of a rectangle does not depend on those that are asked for with it.
+    # The same sides for any ``largest``: a rectangle's result does not depend on those that are asked for with it.
     octaves = np.log2(max(largest / np.sqrt(long), 3.0)) - 1.0
     sides = np.unique(np.round(2.0 ** (1.0 + np.arange(np.ceil(9.0 * octaves) + 1.0) / 9.0)).astype(int))
     w = np.array([share for share, _ in components])

@@ -1,4 +1,4 @@
-"""ROS messages as dictionaries: what the exports of tiles and of segments share."""
+"""ROS messages as dictionaries, shared by the exports of tiles and of segments."""
 
 import math
 from typing import Any
@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 
 def ros_header(frame_id: str, stamp: float) -> dict[str, Any]:
-    """std_msgs/Header; a time that is not known is 0."""
+    """std_msgs/Header; an unknown time is 0."""
     if not isinstance(frame_id, str):
         raise TypeError(f"expected frame_id as a str, got {frame_id!r}")
     stamp = number("stamp", stamp, finite=False)

@@ -1,4 +1,4 @@
-"""Results in NPZ files: their arrays, and as JSON what else they consist of."""
+"""Results in NPZ files: their arrays, and the rest of them as JSON."""
 
 import json
 import os
@@ -23,12 +23,12 @@ def save_arrays(path: str | os.PathLike[str], about: Mapping[str, Any], arrays: 
 
 @contextmanager
 def saved_arrays(path: str | os.PathLike[str], writer: str) -> Iterator[tuple[dict[str, Any], Arrays]]:
-    """What `save_arrays` wrote into a file; errors of the block say that it is none, or damaged.
+    """What `save_arrays` wrote into a file; errors of the block say that it is another file, or damaged.
 
     Raises
     ------
     OSError, ValueError
-        There is none, or it is another file than ``writer``, such as "TilePlanes.save", wrote, or damaged.
+        There is none, or it is not a file that ``writer``, such as "TilePlanes.save", wrote, or it is damaged.
     """
     wrote = readable(path, f"a file that {writer} wrote")
     with Path(path).open("rb") as opened, wrote:

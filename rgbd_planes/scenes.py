@@ -1,8 +1,8 @@
 """Rendered piecewise planar scenes: the paper's synthetic sensor, with its ground truth.
 
-A ray leaves the camera through the centre of every pixel and meets the nearest surface; what comes back
-is the noise-free depth, which surface each pixel sees, and that surface's plane. ``Rendering.measure``
-then turns the depth into what a sensor would deliver: noise, missing pixels, integer units.
+A ray leaves the camera through the centre of every pixel and meets the nearest surface, which gives the noise-free
+depth, the surface that each pixel sees, and that surface's plane. ``Rendering.measure`` then turns the depth into what
+a sensor would deliver: noise, missing pixels, integer units.
 
 Examples
 --------
@@ -42,7 +42,7 @@ class Surface:
     plane : (4,) float64
         n·X + d = 0 in scene coordinates, metres.
     sides : (K, 4) float64
-        The surface is where ``sides[k]·(X, 1) >= 0`` for every k; no row, and it is the whole plane.
+        The surface is where ``sides[k]·(X, 1) >= 0`` for every k; without rows it is the whole plane.
     """
 
     name: str
@@ -171,14 +171,14 @@ class Rendering:
         Returns
         -------
         (H, W) uint16 or float64
-            Raw units, missing is a value the camera calls missing; or, not quantised, metres with NaN: for
-            a camera without `disparity`, which takes floats for disparities.
+            Raw units, with a value for missing that the camera takes as such; or, not quantised, metres with NaN: for a
+            camera without `disparity`, which takes floats for disparities.
 
         Raises
         ------
         TypeError, ValueError
-            A share outside 0..1, a negative noise, no number; or, for `quantise`, a camera without units or
-            (disparity) without a raw value that means missing.
+            A share is outside 0..1, the noise is negative, or something is not a number; or, for `quantise`, the camera
+            has no units or (disparity) no raw value that means missing.
         """
         noise = number("noise", noise)
         if not noise >= 0.0:
@@ -189,7 +189,7 @@ class Rendering:
             check_whole("seed", seed, 0)
         generator = np.random.default_rng(seed)
         shape = self.depth.shape
-        # Always drawn, in this order, so that asking for holes leaves the noise of a seed as it was.
+        # Always drawn, in this order, so that asking for holes does not change the noise of a seed.
         gauss = generator.standard_normal(shape)
         uniform = generator.random(shape)
         depth = self.depth + noise * self.depth**2 * gauss
@@ -223,7 +223,7 @@ def plane(normal: ArrayLike, distance: float) -> Scene:
     Raises
     ------
     TypeError, ValueError
-        The normal is zero or not finite, or the distance is not positive, or no number.
+        The normal is zero or not finite, or the distance is not a positive number.
     """
     direction = np.asarray(normal, dtype=np.float64)
     if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
@@ -246,7 +246,7 @@ def polygon(name: str, vertices: ArrayLike) -> Surface:
     Raises
     ------
     ValueError
-        Fewer than three corners, or corners that are not those of a flat, convex polygon.
+        There are fewer than three corners, or they are not those of a flat, convex polygon.
     """
     points = np.asarray(vertices, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
@@ -379,20 +379,20 @@ def _whole_plane(name: str, normal: Floats, offset: float) -> Surface:
 
 
 def _facing_camera(coefficients: Floats) -> Floats:
-    """The same plane with ‖n‖ = 1 and d >= 0: its normal towards the camera centre."""
+    """A plane's coefficients with ‖n‖ = 1 and d >= 0: its normal towards the camera centre."""
     scale = np.linalg.norm(coefficients[:3])
     return coefficients / (-scale if coefficients[3] < 0.0 else scale)
 
 
 def _shadow(camera: Camera, depth: Floats, baseline: float) -> NDArray[np.bool_]:
-    """What a projector at X = baseline cannot reach, row by row.
+    """The pixels that a projector at X = baseline cannot reach, row by row.
 
     From there a point is seen at tan_x - baseline / Z. Along a row that grows from left to right in space, unless
     something nearer, on the projector's side, stands in the light.
     """
     side = np.sign(baseline)
     seen_from_projector = side * (camera.tan_x - baseline / depth)
-    # With a negative fx the image's left is the right.
+    # With a negative fx, left in the image is right in space.
     from_its_side = np.s_[:, :: -int(side * np.sign(camera.fx))]
     blocking = np.fmin.accumulate(seen_from_projector[from_its_side], axis=1)[from_its_side]
     return np.asarray(seen_from_projector > blocking)

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SMALLEST = 60  # pixels of a region, where the caller does not say
-FILLED = 5  # neighbours of eight that take a stray pixel with them
+SMALLEST = 60  # pixels of a region, unless the caller says otherwise
+FILLED = 5  # of eight neighbours, how many of one label give it to a stray pixel
 
 
-# Of parts and of pixels, as the kernels take them.
+# For parts and for pixels, as the kernels take them.
 _REASONS = tuple(
     np.uint8(r) for r in (Reason.PLANE, Reason.SMALL, Reason.ROUGH, Reason.CURVED, Reason.NARROW)
 )
@@ -62,42 +62,42 @@ def segment(
         Integers in the camera's raw units, or floats; see `fit_tiles`.
     camera : Camera
     noise : float, callable or noise model, optional
-        Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths,
-        or what has such a function as ``sigma``: a noise model. It counts as no less than 0.04 % of the inverse
-        depth, and the lateral error that the frame shows is added. Of a model its own ``lateral`` error, in pixels, is
-        taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours
-        share their errors, that counts. By default ``camera.noise``; without either the frame tells the noise.
+        Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths, or an
+        object with such a function as ``sigma``: a noise model. It counts as no less than 0.04 % of the inverse depth,
+        and the lateral error that the frame shows is added. For a model, its own ``lateral`` error, in pixels, is
+        taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours share their
+        errors, that counts. By default ``camera.noise``; without either, noise is estimated from the frame.
     min_size : int
-        Pixels that a plane must have, at least 3. Planes of fewer are left out, which from 60 on leaves the fits of the
-        others as they are, and takes no more from their labels than some strays: less than a pixel in fifty.
+        Pixels that a plane must have, at least 3. Planes of fewer are left out: from 60 on, that does not change the
+        fits of the others, and takes no more from their labels than some strays, less than a pixel in fifty.
 
     Returns
     -------
     Segmentation
-        Labels 1..N in the order of their first pixels, strays aside. An empty or a formless frame has none. Parts of
-        a plane that something thin in front separates have one label; curved surfaces have none.
+        Labels 1..N in the order of their first pixels, strays aside. An empty or a shapeless frame has none. Parts of a
+        plane that something thin in front separates have one label; curved surfaces have none.
 
     Raises
     ------
     TypeError, ValueError
-        As `fit_tiles`, and for a `noise` or a `min_size` that cannot be.
+        As `fit_tiles`, and for an invalid `noise` or `min_size`.
 
     Warns
     -----
     UserWarning
         As `fit_tiles`. Or the frame is several times as rough as `noise`, and less than half of it is on planes: most
         likely that is the noise of another sensor. Or `noise`, a number or a function, is more than a fifth of 1/Z:
-        most likely in other units. Or its surfaces, without noise, are bent as depth and flat as distances along the
-        ray.
+        most likely in other units. Or its surfaces, without noise, are bent when taken as depth, and flat as distances
+        along the ray.
 
     Notes
     -----
-    Blocks of 4x4 pixels, joined by fours where they are one plane, and with their neighbours where these surely
-    are, are merged by what joining adds to the sum of squared residuals in inverse depth, which moments give
-    exactly (Papadakis and Willis 2017 split squares in the same space, from above). Then each pixel goes to the
-    plane it fits, the planes are fitted anew to the pixels they own, and this is done three times, after which
-    hardly a pixel changes. The same bits come out for the same frame, whatever came before it and in any thread;
-    kernels that were compiled anew, or for another processor, may round the last one otherwise.
+    Blocks of 4x4 pixels, joined by fours where they are one plane, and with their neighbours where they surely are, are
+    merged by what joining adds to the sum of squared residuals in inverse depth, which moments give exactly (Papadakis
+    and Willis 2017 split squares in the same space, from above). Then each pixel goes to the plane it fits, the planes
+    are fitted anew to the pixels they own, and this is done three times, after which hardly a pixel changes. The same
+    bits come out for the same frame, whatever came before it and in any thread; kernels that were compiled anew, or for
+    another processor, may round the last bit differently.
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
@@ -106,7 +106,7 @@ def segment(
 
 
 def check_settings(camera: Camera, noise: Any, min_size: int) -> tuple[Given, int]:
-    """The noise, and the least size of a plane, that a segmentation goes by."""
+    """Return the noise, and the least size of a plane, for a segmentation."""
     check_camera(camera)
     return _given(camera.noise if noise is None else noise), check_min_size(min_size)
 
@@ -138,7 +138,7 @@ def _given(noise: Any) -> Given:
 def segment_frame(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules
 ) -> Segmentation:
-    """`segment` by other rules, which is for experiments."""
+    """`segment` with other rules, for experiments."""
     with workspaces.lent(camera) as work:
         return _segment(frame, camera, given, min_size, rules, rays_of(camera), work)
 
@@ -146,7 +146,7 @@ def segment_frame(
 def _segment(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
 ) -> Segmentation:
-    """Find the regions, and describe what of them is a plane."""
+    """Find the regions, and describe those of their parts that are planes."""
     pyramid, owners, inverse_depth = work.pyramid, work.owners, work.inverse_depth
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
@@ -301,7 +301,7 @@ def _join_across_gaps(
     inverse_depth: NDArray[np.float32],
     rules: Rules,
 ) -> bool:
-    """Make one of the planes that something thin in front separates; whether there are any."""
+    """Make one of the planes that something thin in front separates; returns whether there were any."""
     box = np.empty((len(moments) + 1, 4), np.int64)
     segment_gaps.label_boxes(runs, box)
     count = 4 * len(moments)

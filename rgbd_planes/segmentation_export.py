@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None = None) -> dict[str, Any]:
-    """Return the planes as what JSON can hold.
+    """Return the planes in a form that JSON can hold.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
     Returns
     -------
     dict
-        camera (`Camera.to_dict`), sigma, and planes, by label: of each its label, plane [nx, ny, nz, d], covariance
-        of these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres.
+        camera (`Camera.to_dict`), sigma, and planes, by label: for each its label, plane [nx, ny, nz, d], covariance of
+        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres.
     """
     _check(segmentation)
     outlines = None if polygons is None else _by_label(segmentation, polygons)
@@ -80,12 +80,12 @@ def write_json(
     ----------
     path : path
     segmentation, polygons
-        As in `to_dict`, which is what is written.
+        As in `to_dict`, whose result is written.
 
     Raises
     ------
     TypeError
-        It is no `Segmentation`, or the polygons are none.
+        It is not a `Segmentation`, or the polygons are none.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     OSError
@@ -106,10 +106,10 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
     segmentation : Segmentation
         Of at most 65535 planes.
 
-    Raises
-    ------
-    TypeError
-        It is no `Segmentation`.
+        Raises
+        ------
+        TypeError
+            It is not a `Segmentation`.
     ValueError
         There are more than 65535 planes, or the path has another suffix.
     OSError
@@ -182,19 +182,19 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
     ----------
     segmentation : Segmentation
     frame_id : str
-        Of the camera's optical frame.
+        Name of the camera's optical frame.
     stamp : float
         Seconds.
 
     Returns
     -------
     dict
-        header and coefficients, of each plane its header and values [nx, ny, nz, d], by label.
+        header and coefficients: for each plane its header and values [nx, ny, nz, d], by label.
 
-    Raises
-    ------
-    TypeError
-        It is no `Segmentation`.
+        Raises
+        ------
+        TypeError
+            It is not a `Segmentation`.
     """
     _check(segmentation)
     return ros_planes(segmentation.planes, frame_id, stamp)
@@ -214,8 +214,8 @@ def to_ros_polygons(
     Returns
     -------
     dict
-        header; polygons, one a part of a plane, without its holes, which the message has no place for;
-        labels, of each part its plane's; likelihood, empty.
+        header; polygons, one for each part of a plane, without its holes, which the message has no place for; labels,
+        for each part its plane's; likelihood, empty.
     """
     parts = [(polygon.label, part[0]) for polygon in _all_polygons(polygons) for part in polygon.rings()]
     return ros_polygons([ring for _, ring in parts], [label for label, _ in parts], frame_id, stamp)
@@ -277,7 +277,7 @@ def _by_label(segmentation: Segmentation, polygons: Sequence[PlanePolygon]) -> l
 def _mesh(polygons: Sequence[PlanePolygon]) -> tuple[Floats, Floats, Floats]:
     """Three points for each triangle of the outlines, with their normals and colours."""
     polygons = _all_polygons(polygons)
-    # The colours of their labels, as points have them, also where only some of the planes are here.
+    # The colours of their labels, as points have them, even if only some of the planes are here.
     labels = np.array([polygon.label for polygon in polygons], dtype=np.intp)
     colours = label_colours(int(labels.max(initial=0)))[labels - 1]
     triangles = [polygon.triangles() for polygon in polygons]

@@ -17,23 +17,23 @@ from rgbd_planes.segmentation_reach import reach_table
 Floats = NDArray[np.float64]
 
 FLATNESS = 4e-4
-"""No surface of a room is flatter than this share of its distance, and hardly a sensor is better."""
+"""No surface of a room is flatter than this share of its distance, and hardly any sensor is better."""
 
 FORMLESS = 0.03
-"""A frame whose noise is a larger share of the inverse depth shows no form: the residuals are not all noise."""
+"""A frame whose noise is a larger share of the inverse depth shows no shapes: the residuals are not all noise."""
 
 INDEPENDENT = 1.0 / 3.0
-"""Share of what segments tolerate of a sensor, where the errors of neighbouring pixels are independent."""
+"""Share of the tolerance for a sensor's bias, where the errors of neighbouring pixels are independent."""
 
 UNLIKE = 4.0
-"""Times that a frame's noise may be what is given. Of other sensors' frames a Kinect's is up to 2.5 times too small."""
+"""How many times the given noise a frame's may be. For other sensors' frames a Kinect's is up to 2.5 times too low."""
 
 _UNKNOWN = np.empty(0)
-_SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth of a surface: where the table has entries
+_SHARES = np.linspace(0.0, 1.0, 33)  # of the largest inverse depth of a surface: the table's entries
 
 
 class Given(NamedTuple):
-    """What the caller says of the noise.
+    """What the caller says about the noise.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Given(NamedTuple):
     at_large : bool
         ``sigma`` is a sensor's: some of it may be errors that neighbours share.
     statistics : callable, optional
-        What such errors do to planes, where that is known: `NoiseModel.statistics`.
+        What such errors do to planes, if known: `NoiseModel.statistics`.
     """
 
     sigma: Callable[[Floats], Floats] | None = None
@@ -53,9 +53,9 @@ class Given(NamedTuple):
     statistics: Callable[[Floats, Floats], ResidualStatistics] | None = None
 
     def of_planes(self, moments: Floats, camera: Camera) -> Floats:
-        """(3, N) float64: the least variance of a pixel that makes slopes, along x and y, and means so uncertain.
+        """(3, N) float64: least variances of a pixel, for the uncertainty of slopes, along x and y, and of means.
 
-        By the moments of the planes' pixels, (N, 10). 0 where nothing is known of shared errors.
+        From the moments of the planes' pixels, (N, 10). 0 where nothing is known about shared errors.
         """
         if self.statistics is None or self.sigma is None:
             return np.zeros((3, len(moments)))
@@ -71,9 +71,8 @@ def noise_of(
 ) -> tuple[Noise, float, bool]:
     """Noise of a frame, and what is to be tolerated beside it: see `Rules.tolerating`.
 
-    And whether the frame is far rougher than what is given of it, even where it is flattest.
-
-    What is not given, the frame says: see `segment_noise_estimation.estimate_noise`.
+    And whether the frame is far rougher than the given noise, even where it is flattest. What is not given is estimated
+    from the frame: see `segment_noise_estimation.estimate_noise`.
 
     Parameters
     ----------
@@ -102,7 +101,7 @@ def noise_of(
     expected = 0.0 if given.sigma is None else 1.0 if given.at_large else table.max()
     is_rougher = bool(0.0 < UNLIKE * expected < typical**0.5)
     if given.sigma is None:
-        # Between the first two entries it is not to fall to nothing: far surfaces may lie there.
+        # Between the first two entries it must not fall to zero: far surfaces may lie there.
         table = np.maximum(
             np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, step_of_raw, q)
         )
@@ -129,17 +128,16 @@ def noise_of(
 
 
 def tolerance(together: float, sigma: float, flattest: float) -> float:
-    """Share of what segments tolerate that a frame needs.
+    """Share of the usual tolerance that a frame needs.
 
-    A sensor whose neighbouring pixels share their errors has some that reach farther and bend whole planes, up to a
-    bias, which the residuals of small squares do not show. Independent errors have no such company. And a surface
-    may be as bent as it may be rough, whoever measures it.
+    A sensor whose neighbouring pixels share their errors also has errors that reach farther and bend whole planes, up
+    to a bias, which the residuals of small squares do not show. Independent errors come without these. And a surface
+    may be as bent as it may be rough, whatever sensor measures it.
 
     Parameters
     ----------
     together : float
-        Pixels that have one error between them, as squares of 32 pixels show it: one, up to two or more. 0 where it is
-        unknown.
+        Pixels that have one error between them, as squares of 32 pixels show it: one, up to two or more. 0 if unknown.
     sigma, flattest : float
         Noise of the nearest surface, and the least that is assumed of surfaces, 1/m.
     """
@@ -149,13 +147,13 @@ def tolerance(together: float, sigma: float, flattest: float) -> float:
 
 
 def is_exact(noise: Noise) -> bool:
-    """Whether the noise is no more than what surfaces deviate from planes, as in most renderings."""
+    """Whether the noise is no larger than the deviations of surfaces from planes, as in most renderings."""
     step, *_, largest = noise.sigma
     return bool(largest <= FLATNESS * step * (len(_SHARES) - 1))
 
 
 def steps_at(frame: DepthFrame, step_of_raw: float, q: Floats) -> Floats:
-    """Between neighbouring raw values, as differences of inverse depth; 0 where there are no steps."""
+    """Steps between neighbouring raw values, as differences of inverse depth; 0 where there are none."""
     step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
     return np.asarray(step_of_raw * step)
 

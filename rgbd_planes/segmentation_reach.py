@@ -1,4 +1,4 @@
-"""What errors of different reach make of squares of pixels, for `kernels.segment_reach`."""
+"""How errors of different reach show in squares of pixels, for `kernels.segment_reach`."""
 
 import functools
 import itertools
@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 _SHORT = 1.7
 _LENGTHS = np.concatenate([[_SHORT], np.geomspace(0.7, 24.0, 30)])
-"""Of the correlation exp(-r²/(2·length²)) of errors, pixels; the first is `_SHORT`."""
+"""Lengths in pixels of the correlation exp(-r²/(2·length²)) of errors; the first is `_SHORT`."""
 _ALONG = 4  # parts along the side of a square
 _MEAN, _SLOPE = _ALONG, _ALONG + 1  # columns after those of the parts
 
@@ -31,8 +31,8 @@ def _scatter(side: int) -> tuple[Floats, Floats]:
     """(K,) each: scatter of the means of a square's 4 x 4 parts about its plane, and its residual.
 
     Both over those of independent pixels: tr(ARCRAᵀ) and tr(RC) for the covariance C, the parts A and the projection
-    R = I - PPᵀ on residuals. All are products of what lies along x and what lies along y: the parts, and in P the
-    plane's mean and its two slopes.
+    R = I - PPᵀ on residuals. All are products of factors along x and along y: the parts, and in P the plane's mean and
+    its two slopes.
     """
     x = np.arange(side) - 0.5 * (side - 1)
     basis = np.zeros((side, _ALONG + 2))

@@ -1,4 +1,4 @@
-"""What a segmentation of a depth frame says: which pixel belongs to which plane, and why to none."""
+"""The result of segmenting a depth frame: which pixel belongs to which plane, or why to none."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Reason(enum.IntEnum):
     SMALL = 3
     """Its region has too few pixels."""
     ROUGH = 4
-    """Its region is no plane: the residual is too large."""
+    """Its region is not a plane: the residual is too large."""
     NARROW = 5
     """Its region is a strip of a few pixels, as depth edges make."""
     CURVED = 6
@@ -54,13 +54,14 @@ class Segmentation:
     planes : (N, 4) float64
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
-        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label whose
-        measured neighbours, of eight, have it too: at an edge a pixel may see both sides, or be the other's. To
-        all of them where those are less than half. Strays that go with their neighbours are in no fit.
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label whose measured
+        neighbours, of eight, have it too: at an edge a pixel may see both sides, or be the other's. Where those are
+        less than half, it is the fit to all pixels of the label. Strays that took their neighbours' label are in no
+        fit.
     alpha_covariance : (N, 3, 3) float64
-        Of α, 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent
-        pixels as the frame's correlated noise leaves, as far as its squares of 32 pixels show that. With a noise
-        model of correlated errors no less than what those make.
+        Of α, in 1/m². From the residual or the sensor's noise, whichever is larger, and as many independent pixels as
+        the frame's correlated noise leaves, as far as its squares of 32 pixels show that. With a noise model of
+        correlated errors, no less than these make.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64
@@ -105,20 +106,20 @@ class Segmentation:
     def rmse_metric(self) -> Floats:
         """(N,) float64: `rmse` in metres along the normal, d·Z̄·rmse, to first order.
 
-        At the plane's mean inverse depth: for a plane that spans a range of depths, as a long floor, it is smaller than
-        the root mean square of the points' distances, which grow with depth.
+        At the plane's mean inverse depth: for a plane that spans a range of depths, like a long floor, it is smaller
+        than the root mean square of the points' distances, which grow with depth.
         """
         return self.planes[:, 3] * self.mean_depth * self.rmse
 
     @property
     def mean_depth(self) -> Floats:
-        """(N,) float64: Z in metres where the mean inverse depth of the plane's pixels is."""
+        """(N,) float64: Z in metres at the mean inverse depth of the plane's pixels."""
         sums = np.bincount(self.labels.ravel(), self.fitted_inverse_depth().ravel(), len(self) + 1)[1:]
         return np.asarray(self.sizes / sums)
 
     @property
     def _boxes(self) -> list[tuple[slice, slice]]:
-        """The rows and the columns in which each plane's pixels lie."""
+        """The rows and columns that each plane's pixels lie in."""
         from scipy.ndimage import find_objects
 
         nowhere = slice(0), slice(0)
@@ -145,7 +146,7 @@ class Segmentation:
         """(N,) float64, metres: standard deviation of d.
 
         That is the distance of the camera from the plane extended up to it, which the tilt of a small plane moves far
-        more than its surface: of that, at a point, the standard deviation is `uncertainty.point_distance`'s.
+        more than its surface: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
         """
         return np.sqrt(self.plane_covariance[:, 3, 3])
 
@@ -189,7 +190,7 @@ class Segmentation:
         return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
 
     def to_table(self) -> dict[str, NDArray[Any]]:
-        """Return one row a plane as a dict of equally long columns, which `pandas.DataFrame` takes.
+        """Return one row per plane as a dict of equally long columns, which `pandas.DataFrame` takes.
 
         Columns: label, size in pixels; nx, ny, nz, d; rmse, rmse_metric; angle_std, offset_std.
         """
@@ -252,7 +253,7 @@ class Segmentation:
 
 
 def _allocate(camera: Camera, count: int) -> dict[str, NDArray[Any]]:
-    """The arrays of a segmentation with so many planes."""
+    """The arrays of a segmentation with ``count`` planes."""
     return {
         "labels": np.empty(camera.shape, np.int32),
         "planes": np.empty((count, 4)),

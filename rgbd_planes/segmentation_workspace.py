@@ -1,4 +1,4 @@
-"""What segmentations of one camera's frames share: where its pixels look, and arrays to work in."""
+"""Shared by segmentations of one camera's frames: where its pixels look, and arrays to work in."""
 
 import contextlib
 import functools
@@ -85,7 +85,7 @@ class Workspace:
         self._runs = self._new_runs(0)
 
     def runs_for(self, shares: int) -> Runs:
-        """Room for the runs of all blocks and of so many shares."""
+        """Room for the runs of all blocks and of ``shares`` shares."""
         if len(self._runs.start) < len(self.sums.moments) + PIECES * shares:
             self._runs = self._new_runs(2 * shares)
         return self._runs
@@ -97,16 +97,16 @@ class Workspace:
 
 
 class Workspaces(threading.local):
-    """Each thread's own, kept from frame to frame."""
+    """Each thread's own workspace, kept from frame to frame."""
 
     def __init__(self) -> None:
         self._kept: list[Workspace] = []
 
     @contextlib.contextmanager
     def lent(self, camera: Camera) -> Iterator[Workspace]:
-        """Nobody else's meanwhile: a noise function, or what handles a signal, may segment a frame, too."""
+        """Lent exclusively: a noise function, or a signal handler, may also segment a frame."""
         try:
-            work = self._kept.pop()  # in one step, whatever signal comes
+            work = self._kept.pop()  # in one step, whenever a signal comes
         except IndexError:
             work = Workspace(camera)
         if work.shape != camera.shape:

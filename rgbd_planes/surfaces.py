@@ -45,18 +45,18 @@ def normals(
         it, which still hold the pixel, that has the smallest residual: normals do not bleed over steps and creases.
         See Notes.
     max_missing : float
-        Share of the window's pixels inside the frame above which there is no normal; at 1 whatever determines
-        a plane will do.
+        Share of the window's pixels inside the frame above which there is no normal; at 1 any pixels that determine a
+        plane will do.
     num_threads : int, optional
-        None takes threads when the frame is large enough to pay for them. The result is the same for any.
+        None takes threads when the frame is large enough to pay for them. The result is the same for any number.
 
     Returns
     -------
     (H, W, 3) ndarray of float32
-        Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, too
-        much of its window is, and with ``avoid_edges`` of each of the eight, the window's valid pixels lie on one
-        line, or the plane fitted is not one that the pixel's ray meets. Sums and solution are float64; float32 only
-        rounds the result, by less than 1e-7 rad.
+        Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, too much of
+        its window is (with ``avoid_edges``, of each of the eight, too), the window's valid pixels lie on one line, or
+        the pixel's ray does not meet the fitted plane. Sums and solution are float64; float32 only rounds the result,
+        by less than 1e-7 rad.
 
     Raises
     ------
@@ -72,11 +72,11 @@ def normals(
     -----
     A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
     beside it by more than noise explains: by the factor that the ratio of two such variances exceeds about once
-    in a thousand times for independent normal noise; with a window of 3, and eight others, that happens to one pixel
-    in a hundred. It does not count where rounding to the frame's raw values makes as large a variance. There is no
+    in a thousand times for independent normal noise; with a window of 3, and eight others, that happens to one pixel in
+    a hundred. It does not count where rounding to the frame's raw values makes as large a variance. There is no
     threshold to set. It takes about four times as long. A surface that bends by more than its noise within a window is
-    taken for an edge as well: its normals are then those of half a window beside: with a window of 15, on a ball of
-    0.2 m radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 15° to 20° at its very rim.
+    also taken for an edge: its normals are then those half a window away; with a window of 15, on a ball of 0.2 m
+    radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 15° to 20° at its very rim.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 
@@ -90,7 +90,7 @@ def curvature(
     max_missing: float = 0.5,
     num_threads: int | None = None,
 ) -> npt.NDArray[np.float32]:
-    """Surface variation around every pixel: how far the surface, or its noise, leaves the fitted plane.
+    """Surface variation around every pixel: how far the surface, or its noise, departs from the fitted plane.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def _surfaces(
     check_camera(camera)
     window = _check_window(window)
     needed = valid_needed(np.arange(window**2 + 1), check_share("max_missing", max_missing))
-    avoid_edges = bool(avoid_edges)  # else Numba would compile once more for a 1
+    avoid_edges = bool(avoid_edges)  # otherwise Numba would compile again for a 1
     frame = as_depth_frame(depth, camera)
     height, width = frame.raw.shape
     values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
@@ -187,7 +187,7 @@ def _check_window(window: int) -> int:
 
 
 def _ratio(window: int) -> float:
-    """Ratio of two residual variances of full windows that noise exceeds once in a thousand times.
+    """Ratio of two residual variances of full windows that noise exceeds once in a thousand cases.
 
     Half the logarithm of a variance ratio of f and f degrees of freedom is about normal, with variance 1/f
     (Fisher's z).

@@ -1,7 +1,7 @@
 """Run a kernel over ranges on several threads.
 
 Kernels release the GIL and write disjoint ranges, so ordinary Python threads run them in parallel: the same
-bits for any number of threads, no threading layer of Numba's to choose, to lock or to lose in a fork.
+bits for any number of threads, and no threading layer of Numba's to choose, to lock or to lose in a fork.
 """
 
 import os
@@ -25,7 +25,7 @@ Result = TypeVar("Result")
 
 @cache
 def _pool(workers: int) -> "ThreadPoolExecutor":
-    # Not above: where the main thread has ended this is an error, which `submit` expects.
+    # Imported here: once the main thread has ended this is an error, which `submit` expects.
     from concurrent.futures import ThreadPoolExecutor
 
     return ThreadPoolExecutor(workers, thread_name_prefix="rgbd_planes")
@@ -36,7 +36,7 @@ os.register_at_fork(after_in_child=_pool.cache_clear) if hasattr(os, "register_a
 
 
 def num_cores() -> int:
-    """Return the number of cores that this process may use, which may be fewer than there are."""
+    """Return the number of cores that this process may use, which may be fewer than the machine has."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -45,16 +45,16 @@ def choose_num_threads(num_threads: int | None, pixels: int) -> int:
     if num_threads is not None:
         return num_threads
     paid_for = pixels // PIXELS_PER_THREAD
-    # To ask for the number of cores may take a twentieth of the time of a frame.
+    # Asking for the number of cores may take a twentieth of the time of a frame.
     return min(num_cores(), paid_for) if paid_for > 1 else 1
 
 
 def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Callable[[], Result]:
-    """Have ``work(*arguments)`` done by one of ``num_threads`` threads; call what is returned for the result.
+    """Have ``work(*arguments)`` done by one of ``num_threads`` threads; call the returned function for the result.
 
-    Who asks before a thread has begun does the work itself: work may have threads for its own, all of which
-    may be busy with work that waits likewise. So does who asks once the main thread has ended: those
-    that go on get no more threads from Python. What the work warns of, it warns of when the result is asked for.
+    If the result is asked for before a thread has started, the caller does the work: nested work could otherwise wait
+    for ever. The same once the main thread has ended: Python then gives no more threads. Warnings of the work are
+    issued when the result is asked for.
     """
     messages: list[str] = []
 
@@ -75,7 +75,7 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
         try:
             return future.result()
         except BaseException:
-            future.exception()  # also after an interrupt: what the thread writes to is the caller's again
+            future.exception()  # also after an interrupt: the arrays that the thread writes to are the caller's again
             raise
         finally:
             for message in messages:
@@ -85,13 +85,13 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
 
 
 def run_in_ranges(work: Work, count: int, num_threads: int) -> None:
-    """Call ``work(start, stop)`` for ranges that cover ``range(count)``, one a thread; all have ended on return."""
+    """Call ``work(start, stop)`` for ranges that cover ``range(count)``, one per thread; all have ended on return."""
     num_threads = min(num_threads, count)
     if num_threads <= 1:
         work(0, count)
         return
     bounds = [count * i // num_threads for i in range(num_threads + 1)]
-    # Which calls the last one first, with which threads begin last, and all of them whichever fails.
+    # ExitStack calls the last one first, which threads start last, and all of them even if one fails.
     with ExitStack() as waiting:
         for i in range(num_threads - 1):
             waiting.callback(submit(work, num_threads - 1, bounds[i], bounds[i + 1]))

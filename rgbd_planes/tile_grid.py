@@ -1,4 +1,4 @@
-"""The grid of tiles of a frame, and what its camera alone says about them."""
+"""The grid of tiles of a frame, and what the camera alone determines of them."""
 
 from functools import lru_cache
 
@@ -9,7 +9,7 @@ from rgbd_planes.camera import Camera
 
 
 def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int, int]:
-    """Return the tile's (height, width), that of tiles of a frame of (height, width)."""
+    """Return a tile's (height, width), for a frame of (height, width)."""
     sides = (tile, tile) if isinstance(tile, (int, np.integer)) else tuple(np.atleast_1d(tile))
     if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
         raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
@@ -24,9 +24,9 @@ def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int
 def common_labels(
     lowest: npt.NDArray[np.int32], highest: npt.NDArray[np.int32], tile: int | tuple[int, int]
 ) -> npt.NDArray[np.int32]:
-    """(R, C) int32: the label of each tile whose least one is its largest one, 0 for the others.
+    """(R, C) int32: the label of each tile whose smallest and largest labels are the same, 0 for the others.
 
-    ``lowest`` and ``highest`` are (H, W): of each pixel the label that counts for the least and for the largest.
+    ``lowest`` and ``highest`` are (H, W): the label of each pixel that counts for the smallest, and for the largest.
     """
     for axis, (length, size) in enumerate(zip(lowest.shape, check_tile(tile, lowest.shape), strict=True)):
         starts = np.arange(0, length, size)
@@ -68,12 +68,12 @@ def tile_footprints(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArra
 
 
 def footprints(windows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """(K, 5) int64: of the pixels of each window, (K, 4): how many, Σx, Σy, Σx² and Σy²."""
+    """(K, 5) int64: for the pixels of each window, (K, 4): their number, Σx, Σy, Σx² and Σy²."""
     top, left, height, width = windows.T
     number = height * width
 
     def sums(first: npt.NDArray[np.int64], size: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-        """Sum of so many whole numbers from the first on, and of their squares, for each pixel of the other side."""
+        """Sums of ``size`` integers from ``first`` on, and of their squares, times the pixels of the other side."""
         others, more = number // size, size * (size - 1) // 2
         squares = size * first * first + 2 * first * more + more * (2 * size - 1) // 3
         return [others * (size * first + more), others * squares]

@@ -1,4 +1,4 @@
-"""The planes of a frame's tiles: what a fit of a grid returns."""
+"""The planes of a frame's tiles, as a fit of a grid returns them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class TilePlanes(PlacedFits):
         Raises
         ------
         TypeError
-            They are those of a single frame.
+            The planes are those of a single frame.
         """
         if len(self.shape) != 3:
             raise TypeError(
@@ -85,13 +85,13 @@ class TilePlanes(PlacedFits):
 
     @functools.cached_property
     def _statistics(self) -> FitStatistics:
-        """Those of a frame are its batch's: a fit into one is seen in the other."""
+        """The statistics of a frame are its batch's: a fit into one shows in the other."""
         batch = self.__dict__.get("_batch")
         return super()._statistics if batch is None else batch[0]._statistics.frame(batch[1])
 
     @property
     def _asked_for(self) -> FitStatistics | None:
-        """The statistics that a fit into these planes has to write, too."""
+        """The statistics that a fit into these planes must also write."""
         batch = self.__dict__.get("_batch")
         asked = "_statistics" in self.__dict__ or (batch is not None and batch[0]._asked_for is not None)
         return self._statistics if asked else None
@@ -117,10 +117,10 @@ class TilePlanes(PlacedFits):
         )
 
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
-        """Return one row a tile as a dict of equally long columns, which `pandas.DataFrame` takes.
+        """Return one row per tile as a dict of equally long columns, which `pandas.DataFrame` takes.
 
-        Columns: frame (of a batch), row, column of the tile; top, left, height, width in pixels; status (its
-        name), valid_count; nx, ny, nz, d; rmse, rmse_metric.
+        Columns: frame (for a batch), row, column of the tile; top, left, height, width in pixels; status (its name),
+        valid_count; nx, ny, nz, d; rmse, rmse_metric.
         """
         *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
         names = np.array([status.name for status in TileStatus])

@@ -42,7 +42,7 @@ from rgbd_planes.window_moments import WindowMoments
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
 
-_MANY = 8  # frames for each thread, from which on whole ones are fairly shared out
+_MANY = 8  # frames for each thread that are enough to share out whole ones fairly
 
 _arrays_of = operator.attrgetter(*ARRAYS)
 
@@ -116,8 +116,8 @@ class TileFitter:
             self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Numba pickles a kernel with its code, to be compiled without its cache, and arrays come back as ones that may
-        # be written to, for which others would be compiled.
+        # Numba pickles a kernel as code to be compiled without its cache, and arrays come back writable, for which
+        # kernels would be compiled again.
         return functools.partial(type(self), **self._options), (self.camera, self.tile, self.method)
 
     def fit(self, depth: npt.ArrayLike, out: TilePlanes | None = None) -> TilePlanes:
@@ -140,8 +140,8 @@ class TileFitter:
         Raises
         ------
         TypeError, ValueError
-            The frame is no array of the camera's size, or of integers without a unit; or ``out`` is not a result of
-            this fitter for one frame.
+            The frame is not an array of the camera's size, or is one of integers without a unit; or ``out`` is not a
+            result of this fitter for one frame.
 
         Warns
         -----
@@ -167,7 +167,7 @@ class TileFitter:
         Parameters
         ----------
         frames : (F, H, W) array or sequence of (H, W)
-            Each is asked for once, where there are eight or more for each thread; fewer are shared.
+            Each is asked for once, if there are eight or more for each thread; threads share fewer.
         out : TilePlanes, optional
             An earlier result for as many frames, as in `fit`.
 
@@ -204,7 +204,8 @@ class TileFitter:
                     fit(frame)(max(start - i * rows, 0), min(stop - i * rows, rows))
 
         threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
-        # A frame that two threads share is read twice; of few whole ones some threads would get many more than others.
+        # A frame that two threads share is read twice; but of a few whole ones, some threads would get many more than
+        # others.
         step = rows if len(frames) >= _MANY * threads else 1
         run_in_ranges(
             lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads
@@ -222,15 +223,15 @@ class TileFitter:
         Yields
         ------
         TilePlanes
-            Of one frame, in order. With ``num_threads`` above 1 so many frames are fitted at a time, and read
-            ahead: a frame must then not be overwritten before its planes have come. Otherwise each frame is
-            done with before the next is asked for.
+            Of one frame, in order. With ``num_threads`` above 1, that many frames are fitted at a time, and read ahead:
+            a frame must then not be overwritten before its planes have come. Otherwise each frame is finished before
+            the next is asked for.
 
         Raises
         ------
         TypeError, ValueError
-            As `fit`, in the place of the frame's planes. What ``frames`` itself raises comes after the planes of all
-            frames before.
+            As `fit`, in place of the frame's planes. What ``frames`` itself raises comes after the planes of all
+            earlier frames.
 
         Warns
         -----
@@ -248,9 +249,9 @@ class TileFitter:
         while True:
             try:
                 frame = next(source)
-            except StopIteration:  # not kept: it has this call's variables, and they would have it
+            except StopIteration:  # not kept: it refers to this call's variables, which would refer to it
                 break
-            except Exception as error:  # comes after the planes of the frames before
+            except Exception as error:  # raised after the planes of earlier frames
                 wrong = error
                 break
             waiting.append(submit(self._fit_alone, ahead, frame))
@@ -296,7 +297,7 @@ class TileFitter:
         return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
 
     def _into_result(self, out: TilePlanes) -> Callable[[DepthFrame], Work]:
-        """`_into` the arrays of a result; kept with it, since to check and make that takes 5 µs."""
+        """`_into` the arrays of a result; kept with it, since checking and making it takes 5 µs."""
         statistics = getattr(out, "_asked_for", None)
         kept = getattr(out, "_kept", None)
         if kept is None or kept[0] is not self or kept[1] is not statistics:
@@ -306,7 +307,7 @@ class TileFitter:
         return fit
 
     def _into(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
-        """Return what, given a frame, returns what fits some of its rows of tiles into arrays of shape (R, C, ...)."""
+        """Return a function of a frame that returns a function to fit some of its tile rows into arrays (R, C, ...)."""
         fit = self._direct(arrays) if self.implementation == "direct" else self._windowed(arrays)
         if self.camera.noise is None:
             return fit
@@ -327,7 +328,7 @@ class TileFitter:
         results = flat(arrays)
 
         def fit(frame: DepthFrame) -> Work:
-            # Numba compiles for a depth image or for a disparity image.
+            # Numba compiles for depth images and for disparity images.
             offset = frame.offset if frame.is_disparity else None
             values = frame.raw, frame.lowest, frame.highest, frame.scale, offset
             return lambda start, stop: self._kernel(*values, *self._of_camera, start, stop, *results)
@@ -376,8 +377,8 @@ def fit_tiles(
         negative depth, one of the camera's ``invalid_values`` or outside its ``depth_range``.
     camera : Camera
     tile : int or (height, width)
-        Size of a tile in pixels, at least 2 each way. A frame that is no multiple of it keeps its ragged
-        last row and column of tiles.
+        Size of a tile in pixels, at least 2 each way. A frame that is not a multiple of it keeps its ragged last row
+        and column of tiles.
     method : str
         ``range_explicit``, least squares of the inverse depth (eq. RGBD_explicit_fit), the maximum-likelihood
         fit for a disparity sensor; ``range_implicit`` (eq. tan_theta_scattermatrix); ``standard_explicit``,
@@ -387,14 +388,14 @@ def fit_tiles(
     implementation : {"direct", "integral", "naive"}
         Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes.
     max_missing : float
-        Share of missing pixels above which a tile gets TOO_FEW; at 1 whatever determines a plane is fitted.
+        Share of missing pixels above which a tile gets TOO_FEW; at 1 any pixels that determine a plane are fitted.
     max_error : float, optional
         Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
     significance : float, optional
-        Where the camera has a noise model: tiles whose residual the noise alone makes larger less often than
-        this get ROUGH, at any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
+        For a camera with a noise model: tiles get ROUGH whose residual the noise alone exceeds less often than this, at
+        any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
     num_threads : int, optional
-        None takes threads when the work is large enough to pay for them. The result is the same for any.
+        None takes threads when the work is large enough to pay for them. The result is the same for any number.
 
     Returns
     -------
@@ -410,9 +411,9 @@ def fit_tiles(
     -----
     UserWarning
         The frame is most likely not in the units that the camera says: its typical depth is above 50 m, or all of its
-        depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` that reaches
-        farther than 50 m, or ends before the others, says that it is.
-        Or 65535, the largest number of 16 bits, counts as depth and is more than a stray: most likely missing.
+        depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` reaching
+        beyond 50 m, or ending below those limits, says that this is meant and silences the warning. Or 65535, the
+        largest number of 16 bits, counts as depth and is more than a stray: most likely missing.
     """
     fitter = TileFitter(
         camera,

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from rgbd_planes.noise_model import NoiseModel
 
-SHARED = 0.25  # of the smaller one's pixels that a plane and its earlier self must share
+SHARED = 0.25  # share of the smaller one's pixels that a plane and its earlier self must have in common
 TURNED = 20.0  # degrees between them, at most
-MOVED = 0.15  # difference of their distances from the camera, or of 1/Z where they were seen, as a share of it, at most
+MOVED = 0.15  # at most, difference of their distances from the camera, or of 1/Z where they were seen, as a share of it
 
 MEMORY = 30  # frames: a second
 
@@ -36,7 +36,7 @@ class TrackedSegmentation:
     ----------
     segmentation : Segmentation
     ids : (N,) int32
-        Of each plane: 1, 2, ... in the order in which planes are first seen, the same from frame to frame.
+        Id of each plane: 1, 2, ... in the order in which planes are first seen, the same from frame to frame.
     """
 
     segmentation: Segmentation
@@ -83,9 +83,9 @@ def segment_sequence(
 ) -> Iterator[TrackedSegmentation]:
     """Segment frame after frame, with ids that stay with their planes.
 
-    A plane is the one seen before that it shares most pixels with, if the two are nearly the same plane: so
-    the camera may move by a small part of a plane's size from frame to frame, and a plane that was covered
-    or lost for a while comes back under its old id.
+    A plane is identified with the earlier one that it shares most pixels with, if the two are nearly the same plane: so
+    the camera may move by a small part of a plane's size from frame to frame, and a plane that was covered or lost for
+    a while comes back under its old id.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def segment_sequence(
     Raises
     ------
     TypeError, ValueError
-        As `segment`: at once for an argument that cannot be, and for a frame when it is that frame's turn.
+        As `segment`: at once for an invalid argument, and for a frame when it is that frame's turn.
     """
     check_settings(camera, noise, min_size)
     tracker = Tracker(check_whole("memory", memory, 0, "whole number of frames"))
@@ -113,7 +113,7 @@ def segment_sequence(
 
 
 class Tracker:
-    """The planes that are remembered, and where each of them was seen last, in frames of one size."""
+    """The planes that are remembered, and where each of them was last seen, in frames of one size."""
 
     def __init__(self, memory: int) -> None:
         self._memory = memory
@@ -122,14 +122,14 @@ class Tracker:
 
     def _forget(self, shape: tuple[int, int]) -> None:
         self._shape = shape
-        # Of each remembered plane, in the order of the ids.
+        # For each remembered plane, in the order of the ids.
         self._ids = np.zeros(0, np.int32)
         self._planes = np.zeros((0, 4))
         self._missed = np.zeros(0, np.int64)  # frames since it was seen
-        self._places: list[NDArray[np.intp]] = []  # of squares of 2x2 pixels
+        self._places: list[NDArray[np.intp]] = []  # indices of squares of 2x2 pixels
 
     def follow(self, found: Segmentation) -> TrackedSegmentation:
-        """Give the planes of the next frame their ids: new ones if it is of another size than the one before."""
+        """Give the planes of the next frame their ids: new ones if its size differs from the one before."""
         if found.labels.shape != self._shape:
             self._forget(found.camera.shape)
         labels = _of_fours(found.labels).ravel()
@@ -141,7 +141,7 @@ class Tracker:
         by_label = np.argsort(labels.astype(np.min_scalar_type(len(found))), kind="stable")
         ends = np.searchsorted(labels[by_label], np.arange(len(found) + 1), side="right")
         seen = [by_label[ends[i] : ends[i + 1]] for i in range(len(found))]
-        # Those in sight with any pixel at all, and those that have not been out of it for too long.
+        # Those in sight, with any pixels at all, and those that have not been out of sight for too long.
         there = [i for i, place in enumerate(seen) if len(place)]
         lost = np.flatnonzero(~np.isin(self._ids, ids) & (self._missed < self._memory))
         places = [seen[i] for i in there] + [self._places[i] for i in lost]
@@ -172,8 +172,8 @@ class Tracker:
         rows, columns = np.nonzero(shared)
         old, pixels = self._planes[rows], shared[rows, columns]
         errors = plane_errors(found.planes[columns], old)
-        # Of a plane seen slantwise a small turn changes the distance a lot, and hardly 1/Z where it is; of one that the
-        # camera turns away from it is the other way round.
+        # For a plane seen at a slant, a small turn changes the distance a lot, and 1/Z where it is hardly; for one that
+        # the camera turns away from it is the other way round.
         x, y = (
             sums(table[::2, ::2].ravel()[places])[rows, columns] / pixels
             for table in (found.camera.tan_x, found.camera.tan_y)
@@ -184,7 +184,7 @@ class Tracker:
         near = (np.abs(errors.offset) <= MOVED * old[:, 3]) | (np.abs(now - before) <= MOVED * before)
         smaller = np.minimum(lengths[rows], np.bincount(labels, minlength=count)[1:][columns])
         same = (pixels >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near
-        # What is in sight goes before what was covered.
+        # Planes in sight take precedence over those that were covered.
         weight = np.where(same, pixels / (1.0 + self._missed[rows]), 0.0)
         table = np.zeros(shared.shape)
         table[rows, columns] = weight

@@ -1,8 +1,8 @@
 """What follows from a plane's covariance: comparisons, distances, angles, other frames.
 
 Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
-``plane_covariance`` of a fit. All is to first order in the errors. Leading shapes broadcast. Arrays of other
-shapes are a ValueError that names them, masked ones a TypeError.
+``plane_covariance`` of a fit. Everything is to first order in the errors. Leading shapes broadcast. Arrays of other
+shapes raise a ValueError that names them, masked ones a TypeError.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from rgbd_planes.kernels import statistics
 
 Floats = npt.NDArray[np.float64]
 
-# Share of the squared variances of a normal that rounding leaves of their determinant. That of a strip of pixels is
-# larger: as its width is of its length, squared.
+# Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
+# larger: the square of its width over its length.
 _RANK = 1e-12
 
 
@@ -31,7 +31,7 @@ def same_plane(
     Parameters
     ----------
     alpha, other_alpha : (..., 3) or (..., 4) array_like
-        As ``alpha`` of a fit, -n / d; or planes (n, d), as of `transform_planes`, both in the same frame.
+        As ``alpha`` of a fit, -n / d; or planes (n, d), as from `transform_planes`, both in the same frame.
     covariance, other_covariance : (..., 3, 3) or (..., 4, 4) array_like
         As ``alpha_covariance``, or as ``plane_covariance``.
 
@@ -39,7 +39,7 @@ def same_plane(
     -------
     (...) float64
         P-value of δᵀ(Σ + Σ')⁻¹δ, chi-square with 3 degrees of freedom: small for two planes, NaN where one is
-        missing. Of (n, d) δ is the difference of d and of the normals, across their mean; normals that point to
+        missing. For (n, d), δ is the difference of d and of the normals, across their mean; normals that point to
         opposite sides have 0. A systematic error that neighbours share counts as if each had its own: then neighbours
         on one plane have larger p-values than others.
 
@@ -63,7 +63,7 @@ def same_plane(
     opposite = np.zeros(shape, bool)
     if entries == 4:
         opposite |= np.sum(first[..., :3] * second[..., :3], axis=-1) < 0.0
-        # About a point of the plane: far from it, what an error of second order makes of d is more than d's own error.
+        # About a point of the plane: far from it, an error of second order changes d by more than d's own error.
         axes = _axes_across(first[..., :3] + second[..., :3]) @ _about(_surest(first, first_covariance))
         turned = np.swapaxes(axes, -1, -2)
         first, second = (np.sum(axes * plane[..., None, :], axis=-1) for plane in (first, second))
@@ -73,7 +73,7 @@ def same_plane(
         )
 
     def flat(array: Floats, entries: tuple[int, ...]) -> Floats:
-        # Copied always: of arrays that may and that may not be written the kernel would be compiled for each.
+        # Always copied: the kernel would be compiled both for writable and for read-only arrays.
         return np.array(np.broadcast_to(array, (*shape, *entries)), order="C").reshape(-1, *entries)
 
     p_value = np.empty(shape)
@@ -102,7 +102,7 @@ def point_distance(
     planes : (..., 4) array_like
     plane_covariance : (..., 4, 4) array_like
     point_covariance : (..., 3, 3) array_like, optional
-        Of points that are measured independently of the planes.
+        For points that are measured independently of the planes.
 
     Returns
     -------
@@ -190,8 +190,8 @@ def transform_planes(
         Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it.
     transform_covariance : (..., 6, 6) array_like, optional
         Of (ω, τ), radians and metres, where the true motion is exp([ω]×)·R and t + τ: rotation vector and
-        translation in the new frame's axes. Planes that are moved by one motion have its errors in common: compare
-        them, by `same_plane` or `angle_between`, without it.
+        translation in the new frame's axes. Planes moved by one motion have its errors in common: compare them, by
+        `same_plane` or `angle_between`, without it.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def transform_planes(
     Raises
     ------
     ValueError
-        The transform is no rigid motion.
+        The transform is not a rigid motion.
     """
     plane = _array("planes", planes, (4,))
     covariance = _array("plane_covariance", plane_covariance, (4, 4))
@@ -246,12 +246,12 @@ def transform_planes(
 
 
 def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Combine several measurements of one plane, each by how sure it is.
+    """Combine several measurements of one plane, each weighted by how certain it is.
 
     Parameters
     ----------
     planes : (..., K, 4) array_like
-        In one frame, as of `transform_planes`, their errors independent; NaN for those that are missing.
+        In one frame, as from `transform_planes`, with independent errors; NaN for missing ones.
     plane_covariance : (..., K, 4, 4) array_like
 
     Returns
@@ -263,13 +263,13 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     Raises
     ------
     ValueError
-        There are none, their normals point to opposite sides, or a covariance is not of rank 3, as far as rounding
-        lets one see: of planes some 100 km from the origin it may leave nothing.
+        There are none, their normals point to opposite sides, or a covariance is not of rank 3, as far as rounding lets
+        one tell: for planes some 100 km from the origin it may not.
 
     Notes
     -----
-    Inverse covariances add: of tiles' planes with independent noise this is, to first order, the plane of all their
-    pixels. Whether they are one plane `same_plane` says; of others what comes out means nothing.
+    Inverse covariances add: for tiles' planes with independent noise this is, to first order, the plane of all their
+    pixels. `same_plane` tells whether they are one plane; if not, the result means nothing.
     """
     plane, covariance = _array("planes", planes, (4,)), _array("plane_covariance", plane_covariance, (4, 4))
     shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])
@@ -285,7 +285,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         raise ValueError("expected planes whose normals point to one side")
     if not _is_sure_of_a_plane(plane[there], covariance[there]).all():
         raise ValueError("expected covariances of rank 3, as those of planes that were fitted")
-    for _ in range(2):  # from the first plane, and then from what came out
+    for _ in range(2):  # from the first plane, and then from the result
         origin = _about(_surest(fused, of_fused))
         axes = _axes_across(fused[..., :3]) @ origin
         errors = np.sum(axes[..., None, :, :] * plane[..., None, :], axis=-1)
@@ -314,8 +314,8 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
 
 
 def _axes_across(normal: Floats) -> Floats:
-    """(..., 3, 4): what of (n, d) lies along two directions across a normal, and d."""
-    with np.errstate(invalid="ignore"):  # of opposite normals
+    """(..., 3, 4): takes (n, d) to its components along two directions across a normal, and d."""
+    with np.errstate(invalid="ignore"):  # for opposite normals
         unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     least = np.eye(3)[np.argmin(np.abs(np.nan_to_num(unit)), axis=-1)]
     across = np.cross(unit, least)
@@ -333,7 +333,7 @@ def _along_axes(plane: Floats, covariance: Floats) -> tuple[Floats, ...]:
 
 
 def _is_sure_of_a_plane(plane: Floats, covariance: Floats) -> npt.NDArray[np.bool_]:
-    """(...): whether errors of two directions, and of d, have variances that do not follow from one another."""
+    """(...): whether the errors in two directions, and of d, have variances that do not follow from one another."""
     _, aa, ab, bb, ad, bd, dd = _along_axes(plane, covariance)
     determinant = aa * bb - ab * ab
     of_d = dd * determinant - (bb * ad * ad - 2.0 * ab * ad * bd + aa * bd * bd)
@@ -341,7 +341,7 @@ def _is_sure_of_a_plane(plane: Floats, covariance: Floats) -> npt.NDArray[np.boo
 
 
 def _surest(plane: Floats, covariance: Floats) -> Floats:
-    """(..., 3): the point of a plane that is surest: there the error of d is not one of the normal."""
+    """(..., 3): the most certain point of a plane: about it the errors of d and of the normal are uncorrelated."""
     axes, aa, ab, bb, ad, bd, _ = _along_axes(plane, covariance)
     determinant = aa * bb - ab * ab
     inverse = np.divide(-1.0, determinant, out=np.zeros_like(determinant), where=determinant != 0.0)
@@ -352,7 +352,7 @@ def _surest(plane: Floats, covariance: Floats) -> Floats:
 
 
 def _about(point: Floats) -> Floats:
-    """(..., 4, 4): what makes of (n, d) the same plane's in axes whose origin is a point."""
+    """(..., 4, 4): takes (n, d) to that of the same plane in axes whose origin is a point."""
     matrix = np.zeros((*point.shape[:-1], 4, 4))
     matrix[...] = np.eye(4)
     matrix[..., 3, :3] = point

@@ -23,12 +23,12 @@ def warmup(
     *,
     segment: bool = False,
 ) -> None:
-    """Compile what fits tiles, or load it from the cache, so that the first frame is as fast as the next.
+    """Compile the kernels that fit tiles, or load them from the cache, so that the first frame is as fast as the next.
 
-    A first installation takes some seconds for it, once, and with ``segment`` half a minute or more; later processes
+    On a new installation this takes some seconds, once, and with ``segment`` half a minute or more; in later processes
     a fraction of a second. `normals`, `fit_labels`, `fit_windows`, `estimate_noise` and others compile what they need
-    when they are first called, which takes some seconds: where nothing can be written later, call them, too, on any
-    frame of the camera.
+    when they are first called, which takes some seconds: if nothing can be written later, call them, too, on any frame
+    of the camera.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ def warmup(
     Raises
     ------
     TypeError, ValueError
-        ``camera`` is no `Camera`, there is no such method, or a dtype is neither integer nor floating point.
+        ``camera`` is not a `Camera`, there is no such method, or a dtype is neither integer nor floating point.
     """
     given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
     check_camera(given)
-    # For frames of ones: a metre in every dtype, so that nothing is to be warned of.
+    # For frames of ones: a metre in every dtype, so that there is nothing to warn of.
     small = Camera(
         8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
         depth_scale=1.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
@@ -65,7 +65,7 @@ def warmup(
 
 
 def _segment(small: Camera, dtypes: Sequence[DType]) -> None:
-    """Segment a scene that takes every way there is, and frames of each dtype: only their first kernel differs."""
+    """Segment a scene that takes every code path, and frames of each dtype: only their first kernel differs."""
     from rgbd_planes import scenes
     from rgbd_planes.segmentation import segment
 

@@ -12,7 +12,7 @@ from rgbd_planes.kernels import naive, summed_area
 
 
 def ray_tables(camera: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """(H, W) tanθx and tanθy; views of one row and one column where these hold all rays: less to read."""
+    """(H, W) tanθx and tanθy; views of one row and one column if these hold all rays: less to read."""
     tan_x, tan_y = camera._rays
     return np.broadcast_to(tan_x, camera.shape), np.broadcast_to(tan_y, camera.shape)
 
@@ -41,14 +41,14 @@ class WindowMoments:
             summed_area.camera_tables(*self._rays, self._camera_tables)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._made_of  # no thread's tables go elsewhere
+        return type(self), self._made_of  # tables stay in their threads
 
     def camera_moments(
         self, windows: npt.NDArray[np.int64], start: int, stop: int, full: npt.NDArray[np.float64]
     ) -> None:
         """Write the camera terms of windows ``start`` to ``stop``, whatever the frame, into (6, K) ``full``.
 
-        Nothing is written for a method or an implementation that has no use for it.
+        Nothing is written for a method or an implementation that does not use it.
         """
         if len(self._camera_tables):
             summed_area.camera_window_moments(self._camera_tables, _as_one_type(windows), start, stop, full)
@@ -56,7 +56,7 @@ class WindowMoments:
     def prepare(self, frame: DepthFrame) -> "Source":
         """Build the tables of a frame, if any, once for all its windows.
 
-        They are good until the same thread prepares its next frame.
+        They are valid until the same thread prepares its next frame.
         """
         tan_x, tan_y = self._rays
         values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
@@ -84,7 +84,7 @@ class WindowMoments:
         return Source(summed_area.range_window_moments, (tables, before, sums), total)
 
     def _kept(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
-        """This thread's array of a name: fresh memory for every frame would cost as much as filling it."""
+        """This thread's array with a name: fresh memory for every frame would cost as much as filling it."""
         arrays = self._arrays.__dict__
         if name not in arrays:
             arrays[name] = np.empty(shape, dtype)
@@ -93,22 +93,21 @@ class WindowMoments:
 
 
 def _as_one_type(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Contiguous and read-only: for other arrays the kernels would be compiled once more."""
+    """Contiguous and read-only: for other arrays the kernels would be compiled again."""
     made = np.ascontiguousarray(array).view()
     made.flags.writeable = False
     return made
 
 
 def _total(tables: npt.NDArray[np.float64], *channels: int) -> float:
-    """What all pixels of the frame come to in some channels."""
+    """The sum over all pixels of the frame of some channels."""
     return float(tables[-1, -1, list(channels)].sum())
 
 
 class Source:
-    """A frame made ready: call it for the moments of some windows.
+    """A prepared frame: call it for the moments of some windows.
 
-    ``total`` is what `fitting.solve_planes` needs to know rounding from scatter: the squares of which the tables are
-    made.
+    ``total`` is what `fitting.solve_planes` needs to tell rounding from scatter: the sum of the squares in the tables.
     """
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], total: float) -> None:

@@ -32,7 +32,7 @@ from rgbd_planes.wording import counted
 class WindowPlanes(PlacedFits):
     """The planes of K windows of a frame, arrays of shape S = (K,).
 
-    p-values, covariances and `plot` are those of `TilePlanes`.
+    p-values, covariances and `plot` are as in `TilePlanes`.
 
     Attributes
     ----------
@@ -82,11 +82,11 @@ def fit_windows(
     """Fit a plane to each of many rectangles of a frame, which may overlap.
 
     Summed-area tables, built once for the frame, make the cost of a window independent of its size (the
-    paper's section on integral images). They differ from the fits of `fit_tiles` only by float64's rounding, which is
-    that of differences of sums over the whole frame. In those of the standard methods a depth of hundreds of
-    kilometres, as simulators give for none, makes all windows inexact, one of 1000 km by tenths of a degree, and beyond
-    that leaves nothing of the others: they get DEGENERATE; so they do in range space by a depth of micrometres. The
-    camera's ``depth_range`` or ``invalid_values`` leave such depths out.
+    paper's section on integral images). They differ from the fits of `fit_tiles` only by float64's rounding, which acts
+    on differences of sums over the whole frame. With the standard methods a depth of hundreds of kilometres, as
+    simulators give for none, makes all windows inexact, one of 1000 km by tenths of a degree; beyond that nothing is
+    left of the others, and they get DEGENERATE. In range space a depth of micrometres does the same. The camera's
+    ``depth_range`` or ``invalid_values`` exclude such depths.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""How results say numbers."""
+"""Numbers in words, as results print them."""
 
 from typing import SupportsFloat
 
 
 def two_digits(value: float) -> str:
-    """A number to two digits, 110 where the format .2g has 1.1e+02."""
+    """A number to two digits, 110 where the format .2g gives 1.1e+02."""
     return f"{float(f'{value:.2g}'):g}"
 
 
@@ -14,7 +14,7 @@ def percent(share: SupportsFloat) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """So many of something, whose plural ends in s."""
+    """A count with its noun, whose plural ends in s."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 

@@ -69,7 +69,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             min_size=arguments.min_size,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: only on a terminal
-        skipped: dict[str, list[int]] = {}  # frames by the reason, which is printed once, and again at the end
+        skipped: dict[str, list[int]] = {}  # frames by reason, which is printed once, and at the end
 
         def progress(done: Progress) -> None:
             for frame, name, reason in done.problems:

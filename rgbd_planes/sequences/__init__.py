@@ -4,8 +4,8 @@
     for frame in sequence:
         tiles = rgbd_planes.fit_tiles(frame.depth, frame.camera)
 
-`open_sequence` recognises what it is given; each format also has a function of its own here, which takes what
-a file leaves open. A frame is read when it is asked for, and as it is stored.
+`open_sequence` recognises the format; each format also has a function of its own here, with arguments for what its
+files leave open. A frame is read when it is asked for, and as it is stored.
 """
 
 from rgbd_planes.sequences.arkitscenes import arkitscenes

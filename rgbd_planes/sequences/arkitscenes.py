@@ -32,7 +32,7 @@ def arkitscenes(path: str | os.PathLike[str], camera: Camera | None = None) -> F
     Raises
     ------
     NotADirectoryError, OSError, ValueError
-        It is no such folder, or a frame has no calibration, or a damaged one.
+        It is not such a folder, or a frame has no calibration, or a damaged one.
     """
     root = existing_folder(path)
     files = some(numbered((root / "lowres_depth").glob("*.png")), "lowres_depth/*.png", root)

@@ -24,7 +24,7 @@ _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _INFOS = "sensor_msgs/msg/CameraInfo"
-_GREY = "mono16"  # what infrared images have, too
+_GREY = "mono16"  # infrared images have it, too
 _ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
 
@@ -38,16 +38,16 @@ def rosbag(
     path : .bag, .mcap or .db3 file, or folder of a ROS 2 bag
     camera : Camera, optional
         If not given, that of the topic's CameraInfo: the P of a topic named as rectified (``image_rect...``),
-        the K and D of any other. ROS has 16-bit depth in millimetres (REP 118); where a RealSense recording
-        states its unit, that.
+        the K and D of any other. ROS has 16-bit depth in millimetres (REP 118); if a RealSense recording states its
+        unit, that is used.
     topic : str, optional
-        Of sensor_msgs/Image (16UC1, mono16, 32FC1) or of CompressedImage (compressedDepth, PNG). Needed
-        where a bag has more than one with depth, or one of mono16 without "depth" in its name.
+        A topic of sensor_msgs/Image (16UC1, mono16, 32FC1) or of CompressedImage (compressedDepth, PNG). Needed if a
+        bag has more than one with depth, or one of mono16 without "depth" in its name.
 
     Returns
     -------
     FrameSequence
-        Seconds of the messages' stamps, or of their recording where they have none.
+        Timestamps are the messages' stamps in seconds, or the times of recording where they have none.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def rosbag(
     FileNotFoundError
         There is no such file.
     ValueError
-        It is no bag, or damaged; it has no depth, or several topics of depth; it has no CameraInfo for them.
+        It is not a bag, or damaged; it has no depth, or several topics of depth; it has no CameraInfo for them.
     """
     source = Path(path).absolute()
     bag = _OpenBag(source)
@@ -82,7 +82,7 @@ def rosbag(
 
 
 class _Location(NamedTuple):
-    """Where a message is: the `nth` that was recorded at a time, in nanoseconds."""
+    """Where a message is: the `nth` that was recorded at a certain time, in nanoseconds."""
 
     path: Path
     topic: str
@@ -103,7 +103,7 @@ class _OpenBag:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         self.identity = identity(path)
-        # Bags of older ROS 2 do not say what their messages are; these three have been the same since.
+        # Bags of older ROS 2 do not define their messages; these three have been the same ever since.
         with readable(self.path, _BAG):
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
@@ -124,7 +124,7 @@ class _OpenBag:
                     yield time, content, connection.msgtype
 
     def first(self, topic: str) -> Any:
-        """The first message of a topic; None where there is none."""
+        """The first message of a topic; None if there is none."""
         for _, content, kind in self.messages(topic):
             return self.message(content, kind)
         return None
@@ -175,7 +175,7 @@ class _OpenBag:
         return 1000.0
 
     def times(self, topic: str) -> Iterator[tuple[float, int, int]]:
-        """(seconds, nanoseconds of recording, which of those recorded then) of every message, in order."""
+        """(seconds, nanoseconds of recording, index among those recorded then) of every message, in order."""
         previous, nth = None, 0
         for recorded, content, _ in self.messages(topic):
             nth = nth + 1 if recorded == previous else 0
@@ -185,7 +185,7 @@ class _OpenBag:
 
     def _stamp(self, content: bytes) -> float:
         """Seconds of the header that both kinds of message begin with; 0 where it is not set."""
-        # ROS 1: the header's number, then its time. CDR: how it is encoded, then the header's time.
+        # ROS 1: the header's number, then its time. CDR: the encoding, then the header's time.
         with readable(self.path, _BAG):
             order = "<" if not self._reader.is2 or content[1] & 1 else ">"
             seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
@@ -197,7 +197,7 @@ _open = kept_open()
 
 @atexit.register
 def _close_the_last_one() -> None:
-    # The interpreter, at its end, would warn of its file first and only then let go of the bag.
+    # At its end the interpreter would warn about the bag's file before it lets go of the bag.
     _open.__dict__.clear()
 
 
@@ -247,7 +247,7 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
         _, a, b = struct.unpack_from("<iff", content)
         with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
             pixels = np.array(png)
-    except Exception as error:  # of the bytes before it, or one of the many of Pillow
+    except Exception as error:  # from the bytes before it, or one of Pillow's many
         raise ValueError(f"damaged compressed image ({error})") from None
     if pixels.ndim != 2:
         raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")

@@ -14,8 +14,8 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     Parameters
     ----------
     path : folder
-        With the images in it or in ``depth/``, in the order of the numbers in their names, or as the lines
-        "seconds file" of a ``depth.txt`` say.
+        With the images in it or in ``depth/``, in the order of the numbers in their names, or in that of the lines
+        "seconds file" of a ``depth.txt``.
     camera : Camera, optional
         Read from ``camera.json`` in the folder, if not given.
 
@@ -27,7 +27,7 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     Raises
     ------
     NotADirectoryError, OSError, TypeError, ValueError
-        It is no folder with depth images, has no camera, or its ``camera.json`` or ``depth.txt`` is damaged.
+        It is not a folder with depth images, has no camera, or its ``camera.json`` or ``depth.txt`` is damaged.
     """
     root = existing_folder(path)
     if camera is None:
@@ -41,7 +41,7 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
         times, files = read_index(index)
         return image_sequence(files, camera, root, times)
     place = root / "depth" if (root / "depth").is_dir() else root
-    # A link to nowhere stays, so that reading says so, and the frames after it keep their numbers.
+    # A broken link stays, so that reading it is an error, and the frames after it keep their numbers.
     files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and not file.is_dir()]
     files = some(numbered(files), f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
     return image_sequence(files, camera, root)

@@ -1,4 +1,4 @@
-"""Recognise a data set or a recording by what is in it."""
+"""Recognise a data set or a recording by its contents."""
 
 import os
 from collections.abc import Callable
@@ -27,8 +27,8 @@ FORMATS: dict[str, Callable[..., FrameSequence]] = {
     "tum": tum,
 }
 
-_NAMED = 5  # of the files in a folder of no known format
-# What is in a folder of each format, in the order in which it is looked for.
+_NAMED = 5  # files that are named of a folder of no known format
+# What a folder of each format contains, in the order in which it is looked for.
 _SIGNS = {
     "metadata.yaml": "rosbag",
     "camera.json": "folder",
@@ -43,13 +43,13 @@ _SIGNS = {
 def open_sequence(
     path: str | os.PathLike[str], camera: Camera | None = None, format: str | None = None
 ) -> FrameSequence:
-    """Open a data set or a recording, whichever of the formats it has.
+    """Open a data set or a recording of any of the formats.
 
     Parameters
     ----------
     path : folder or file
     camera : Camera, optional
-        Instead of the one that the data set states or has by its name.
+        Instead of the one that the data set states, or that its name implies.
     format : str, optional
         One of `FORMATS`, where the contents could be taken for another. A folder with a ``camera.json`` is
         taken for a plain ``folder``.
@@ -61,11 +61,11 @@ def open_sequence(
     Raises
     ------
     FileNotFoundError, NotADirectoryError
-        There is nothing at `path`, or a file where the format is that of a folder.
+        There is nothing at `path`, or a file although the format is a folder.
     ModuleNotFoundError
         rosbags, for a bag, or PyAV, for a Matroska recording, is not installed.
     TypeError
-        `camera` is no `Camera`.
+        `camera` is not a `Camera`.
     ValueError
         It is of no known format, or damaged.
     """

@@ -1,4 +1,4 @@
-"""What every format comes to: a list of what the frames are, and one function that reads one of them."""
+"""What every format is reduced to: a list that describes the frames, and a function that reads one of them."""
 
 import os
 import re
@@ -19,7 +19,7 @@ from rgbd_planes.noise_model import NoiseModel
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A depth frame with what is needed to fit it.
+    """A depth frame with all that is needed to fit it.
 
     Attributes
     ----------
@@ -51,8 +51,8 @@ class FrameEntry:
 class FrameSequence(Sequence[Frame]):
     """The depth frames of a recording: ``len``, an index, a slice, a loop.
 
-    An index reads one frame; a slice reads none and is a sequence again. It can be pickled: what it holds is
-    where the frames are.
+    An index reads one frame; a slice reads none and is a sequence again. It can be pickled: it only holds where the
+    frames are.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class FrameSequence(Sequence[Frame]):
     Raises
     ------
     TypeError
-        The camera of an entry is none.
+        The camera of an entry is not a `Camera`.
     """
 
     def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
@@ -97,19 +97,19 @@ class FrameSequence(Sequence[Frame]):
 
     @property
     def camera(self) -> Camera:
-        """The camera of the first frame; in most data sets that of all."""
+        """The camera of the first frame; in most data sets that of all frames."""
         return self.entries[0].camera
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The different cameras, in the order in which they come."""
+        """The different cameras, in the order in which they first occur."""
         objects = {
             id(entry.camera): entry.camera for entry in self.entries
-        }  # few, faster than to compare all
+        }  # few: faster than comparing all of them
         return tuple(dict.fromkeys(objects.values()))
 
     def with_noise(self, noise: NoiseModel | None) -> "FrameSequence":
-        """The same frames, of cameras with a noise model (`rgbd_planes.noise`)."""
+        """The same frames, whose cameras have a noise model (`rgbd_planes.noise`)."""
         cameras = {camera: replace(camera, noise=noise) for camera in self.cameras}
         return FrameSequence((replace(e, camera=cameras[e.camera]) for e in self.entries), self._read)
 
@@ -161,7 +161,7 @@ def numbered(paths: Iterable[Path]) -> list[Path]:
 
 
 def existing_folder(path: Any) -> Path:
-    """The path, if it is a folder, as it is from anywhere: frames are read later, perhaps by other processes."""
+    """The absolute path, if it is a folder: frames are read later, perhaps by other processes."""
     folder = Path(path).absolute()
     if not folder.is_dir():
         raise NotADirectoryError(f"{path}: expected a folder")

@@ -17,8 +17,8 @@ from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 _RECORDING = "a Matroska recording"
 _TRACK = "DEPTH"
 _CALIBRATION = "calibration.json"
-# Of each size (width, height) of a depth frame: sides in pixels of the whole sensor, square, and where in it the
-# frame begins. As the Azure Kinect's SDK has it.
+# For each size (width, height) of a depth frame: side in pixels of the whole sensor, a square, and where in it the
+# frame begins, as in the Azure Kinect's SDK.
 _MODES = {
     (320, 288): (512, 96, 90),
     (640, 576): (1024, 192, 180),
@@ -33,9 +33,9 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     Parameters
     ----------
     path : .mkv file
-        With a track of 16-bit grey named DEPTH, or one such track alone, uncompressed (b16g) or without loss.
+        With a track of 16-bit grey named DEPTH, or only one such track, uncompressed (b16g) or lossless.
     camera : Camera, optional
-        If not given, that of the calibration which is attached to the recording; depth in millimetres.
+        If not given, that of the calibration attached to the recording; depth in millimetres.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     FileNotFoundError
         There is no such file.
     ValueError
-        It is no recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
+        It is not a recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
     """
     source = existing_file(path).absolute()
     recording = _OpenRecording(source)
@@ -91,9 +91,9 @@ class _OpenRecording:
                 f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
             )
         (self._stream,) = named or grey
-        # A child that is forked would wait for ever for the end of a decoder's threads, which it does not have.
+        # A forked child would wait for ever for the end of a decoder's threads, which it does not have.
         self._stream.codec_context.thread_count = 1
-        assert self._stream.time_base is not None  # of none of these tracks
+        assert self._stream.time_base is not None  # it is not None for any of these tracks
         self._unit = self._stream.time_base
 
     def close(self) -> None:
@@ -104,7 +104,7 @@ class _OpenRecording:
             self._container.close()
 
     def camera(self) -> Camera:
-        """The depth camera of the calibration that is attached."""
+        """The depth camera of the attached calibration."""
         with readable(self.path, _RECORDING):
             found = [a.data for a in self._container.streams.attachments if a.name == _CALIBRATION]
         if found:
@@ -119,7 +119,7 @@ class _OpenRecording:
         return [(float(time * self._unit), time) for time in times]
 
     def read(self, time: int) -> NDArray[Any]:
-        """The frame of a time."""
+        """The frame at a time."""
         with readable(self.path, _RECORDING):
             self._container.seek(time, stream=self._stream)
             for frame in self._container.decode(self._stream):
@@ -159,7 +159,7 @@ def _depth_camera(content: bytes, size: tuple[int, int], path: Path) -> Camera:
             *size,
             fx=side * fx,
             fy=side * fy,
-            cx=side * cx - left - 0.5,  # its pixels begin at integers, ours have their centres there
+            cx=side * cx - left - 0.5,  # there pixels begin at integers, here they have their centres there
             cy=side * cy - top - 0.5,
             distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
             depth_scale=1000.0,

@@ -45,7 +45,7 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
     Raises
     ------
     NotADirectoryError, OSError, ValueError
-        It is no such folder, or the file with its camera is missing or damaged.
+        It is not such a folder, or the file with its camera is missing or damaged.
     """
     root = existing_folder(path)
     files = [file for file in root.glob("frame-*.depth.*") if file.suffix in (".pgm", ".png")]
@@ -69,12 +69,12 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     Returns
     -------
     FrameSequence
-        Seconds on the sensor's clock; a frame that was not stamped has NaN.
+        Seconds on the sensor's clock; NaN for a frame without a stamp.
 
     Raises
     ------
     FileNotFoundError, ValueError
-        It is no such file, of another version or compression, or damaged.
+        It is not such a file, of another version or compression, or damaged.
     """
     file = existing_file(path).absolute()
     with file.open("rb") as stream:

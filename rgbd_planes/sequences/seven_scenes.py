@@ -15,7 +15,7 @@ def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     path : folder
         A ``seq-NN`` with ``frame-NNNNNN.depth.png``.
     camera : Camera, optional
-        `presets.seven_scenes`, to which 0 and 65535 are missing, if not given.
+        `presets.seven_scenes`, for which 0 and 65535 are missing, if not given.
 
     Returns
     -------
@@ -25,7 +25,7 @@ def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     Raises
     ------
     NotADirectoryError, ValueError
-        It is no such folder.
+        It is not such a folder.
     """
     root = existing_folder(path)
     files = some(numbered(root.glob("frame-*.depth.png")), "frame-*.depth.png", root)

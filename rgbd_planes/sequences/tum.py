@@ -31,7 +31,7 @@ def tum(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     Raises
     ------
     NotADirectoryError, FileNotFoundError, ValueError
-        It is no such folder, its ``depth.txt`` is damaged, or its name does not tell the camera.
+        It is not such a folder, its ``depth.txt`` is damaged, or its name does not tell the camera.
     """
     root = existing_folder(path)
     if camera is None:
@@ -65,7 +65,7 @@ def icl_nuim(path: str | os.PathLike[str], camera: Camera | None = None) -> Fram
     Raises
     ------
     NotADirectoryError, ValueError
-        It is no such folder.
+        It is not such a folder.
     """
     root = existing_folder(path)
     files = some(numbered((root / "depth").glob("*.png")), "depth/*.png", root)
@@ -73,7 +73,7 @@ def icl_nuim(path: str | os.PathLike[str], camera: Camera | None = None) -> Fram
 
 
 def read_index(path: Path) -> tuple[list[float], list[Path]]:
-    """Times and files of the lines "seconds file" of an index; a # that begins a word begins a comment."""
+    """Times and files of the lines "seconds file" of an index; a # at the start of a word begins a comment."""
     if not path.is_file():
         raise FileNotFoundError(f'{path.parent}: expected {path.name}, lines "seconds file", found none')
     times, files = [], []
