@@ -39,7 +39,7 @@ MOST_SEGMENTED = 64  # segmenting a frame takes tens of times as long as fitting
 FEWEST_FRAMES = 4
 MOST_ROWS = 600_000
 CONNECT_SECONDS = 30.0
-PROGRESS_SECONDS = 0.2  # between two calls, where no part is done
+PROGRESS_SECONDS = 0.2  # between two calls, while no part is done
 _ABOUT = "_about.json"
 
 Task = tuple[int, int, int]  # number of the part, first frame, one after the last

@@ -75,12 +75,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, without the usage: first of all options that there are not."""
+    """Says what is wrong in one line, without the usage; unknown options come first."""
 
     _given: Sequence[str] = ()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        if self._subparsers is None:  # the options of a command are not ours
+        if self._subparsers is None:  # a command's options are its own parser's
             self._given = args
         return super().parse_known_args(args, namespace)
 
@@ -91,7 +91,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
     def _unknown_options(self) -> list[str]:
-        """The options that are given and that there are not, each with the one that is most like it."""
+        """The given options that do not exist, each with the one that is most like it."""
         options = list(self._option_string_actions)
         unknown = []
         for text in takewhile("--".__ne__, self._given):

@@ -10,8 +10,8 @@ from rgbd_planes.plane_fits import TileStatus
 
 Floats = NDArray[np.float64]
 
-# Green, red and blue are the paper's (its figure of a segmented room corner); the green is bluish, and the red is
-# not, so that they differ for those who do not tell green from red.
+# Green, red and blue are the paper's (its figure of a segmented room corner); the green is bluish and the red is not,
+# so that they differ for those who cannot tell green from red.
 STATUS_COLOURS = {
     TileStatus.OK: (0.14, 0.63, 0.49),
     TileStatus.TOO_FEW: (0.90, 0.16, 0.06),

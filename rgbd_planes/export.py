@@ -168,7 +168,7 @@ def write_ply(
     columns = [("xyz"[i], "<f4", xyz[written, i]) for i in range(3)]
     if normals is not None:
         n = _single(_triples("normals", normals, len(xyz)))
-        n[~np.isfinite(n).all(axis=1)] = 0.0  # viewers show a point without a normal, but not one of NaN
+        n[~np.isfinite(n).all(axis=1)] = 0.0  # viewers show a point without a normal, but not one with NaN
         columns += [("n" + "xyz"[i], "<f4", n[written, i]) for i in range(3)]
     if colours is not None:
         shares = _triples("colours", colours, len(xyz))[written]
@@ -212,7 +212,7 @@ def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
 
 
 def _single(values: Floats) -> NDArray[np.float32]:
-    """Numbers in single precision: infinite where that holds none as large."""
+    """Numbers in single precision: infinite where they are too large for it."""
     with np.errstate(over="ignore"):
         return values.astype(np.float32)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
 
 # The colours of the paper's figure, which has none for pixels that determine no plane; as in `STATUS_COLOURS` the
-# green is bluish. They are brighter than the grey image, so that thin lines are seen on it.
+# green is bluish. They are brighter than the grey image, so that thin lines show on it.
 OUTLINES = {
     TileStatus.OK: "#00c272",
     TileStatus.TOO_FEW: "#f02a10",

@@ -132,7 +132,7 @@ def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.i
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)
     points = 72.0 / axes.figure.dpi * np.array(axes.figure.bbox.size)
-    high = _FONT * float(np.max(labels.shape[::-1] / points))  # pixels of the frame that the font takes
+    high = _FONT * float(np.max(labels.shape[::-1] / points))  # height of the font in pixels of the frame
     written: list[tuple[float, float, float]] = []
     for i in np.argsort(-segmentation.sizes, kind="stable"):
         if segmentation.sizes[i] < least:

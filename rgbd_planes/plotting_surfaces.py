@@ -65,7 +65,7 @@ def plot_surfaces(
 
 
 def _curvature_limits(known: npt.NDArray[np.float32]) -> tuple[float, float]:
-    """Bounds that a few stray values do not move; what is below a millionth is rounding, and no structure."""
+    """Bounds that a few stray values do not move; anything below a millionth is rounding, not structure."""
     low, high = np.percentile(known, (1.0, 99.5)) if known.size else (1e-3, 1.0)
     low = max(float(low), _FLAT)
     return low, max(float(high), 10.0 * low)

@@ -139,7 +139,7 @@ def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
                 yield rr, stream
                 in_block = False
                 stream.flush()
-        except RuntimeError as error:  # rerun's, of a full disk
+        except RuntimeError as error:  # rerun's, for a full disk
             if in_block:
                 raise
             raise OSError(str(error)) from error

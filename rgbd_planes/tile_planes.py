@@ -176,5 +176,5 @@ class TilePlanes(PlacedFits):
                 arrays["status"].max() > max(TileStatus)
                 or ((arrays["valid_count"] < 0) | (arrays["valid_count"] > pixels)).any()
             ):
-                raise ValueError("a status or a number of pixels that cannot be")
+                raise ValueError("an invalid status or number of pixels")
         return cls(camera=camera, method=method, tile=tile, **arrays)

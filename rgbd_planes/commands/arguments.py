@@ -106,7 +106,7 @@ def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffi
     from rgbd_planes.files import check_writable
 
     taken = {os.path.realpath(path) for path in read}
-    # No format has frames deeper. Not "**", which does not go into a folder that is linked.
+    # No format has frames deeper. Not "**", which does not follow links to folders.
     inside = [(place, pattern) for place in read if place.is_dir() for pattern in ("*", "*/*")]
     for name, allowed in suffixes.items():
         path: Path | None = getattr(arguments, name)

@@ -56,7 +56,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
             f"normals at {percent(share)} of the pixels."
         )
         if arguments.out is not None:
-            content = io.BytesIO()  # into a file NumPy would write it without saying why it cannot
+            content = io.BytesIO()  # writing to a file, NumPy would not say why it cannot
             np.save(content, found)
             with write_beside(arguments.out) as beside:
                 beside.write_bytes(content.getbuffer())
