@@ -47,13 +47,13 @@ def start(i, state, solution_u, solution_v, solution_1, rss, n, s_u, s_v, s_uu, 
     b_1 = p - u0[i] * a - v0[i] * b
     quotient = rss[i] / (1.0 + a * b_u + b * b_v + p * b_1)
     # tr A⁻¹ is tr C⁻¹ + μᵀC⁻¹μ + 1/n, with C the centred scatter of the rays and μ their mean.
-    mean = 1.0 / n[i]
-    mean_u, mean_v = s_u[i] * mean, s_v[i] * mean
+    per_pixel = 1.0 / n[i]
+    mean_u, mean_v = s_u[i] * per_pixel, s_v[i] * per_pixel
     c_uu, c_uv, c_vv = s_uu[i] - s_u[i] * mean_u, s_uv[i] - s_u[i] * mean_v, s_vv[i] - s_v[i] * mean_v
     u, v = u0[i] + mean_u, v0[i] + mean_v
     determinant = c_uu * c_vv - c_uv * c_uv
     adjugate = c_uu + c_vv + u * u * c_vv - 2.0 * u * v * c_uv + v * v * c_uu
-    bound = determinant / (adjugate + determinant * mean)
+    bound = determinant / (adjugate + determinant * per_pixel)
     state[ROOT, i] = bound if bound < quotient else quotient  # NaN stays NaN
     state[LOW, i], state[HIGH, i] = 0.0, quotient
     state[RSS, i], state[START_U, i], state[START_V, i], state[START_1, i] = rss[i], b_u, b_v, b_1

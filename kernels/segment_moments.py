@@ -23,8 +23,8 @@ def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
 
     The residual is -1 and α 0 where the pixels do not determine a plane.
     """
-    share = 1.0 / max(n, 1.0)
-    mean_u, mean_v, mean_q = s_u * share, s_v * share, s_q * share
+    per_pixel = 1.0 / max(n, 1.0)
+    mean_u, mean_v, mean_q = s_u * per_pixel, s_v * per_pixel, s_q * per_pixel
     uu = s_uu - s_u * mean_u
     uv = s_uv - s_u * mean_v
     vv = s_vv - s_v * mean_v

@@ -69,9 +69,9 @@ def at_angle(square, lens):
 @kernel(inline=True)
 def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
     """Variance x·a² + y·b² that slopes a and b make, over n pixels seen through a lens."""
-    share = 1.0 / max(n, 1.0)
-    across, along = at_angle((s_uu + s_vv) * share, lens)
-    of_radius = (a * a * s_uu + 2.0 * a * b * s_uv + b * b * s_vv) * share
+    per_pixel = 1.0 / max(n, 1.0)
+    across, along = at_angle((s_uu + s_vv) * per_pixel, lens)
+    of_radius = (a * a * s_uu + 2.0 * a * b * s_uv + b * b * s_vv) * per_pixel
     return across * (x * a * a + y * b * b) + along * math.sqrt(x * y) * of_radius
 
 

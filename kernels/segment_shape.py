@@ -86,11 +86,11 @@ def owned_means(owners, shares, number, region, pyramid, means):
                         s_u += shares.sums[s, 1]
                         s_v += shares.sums[s, 2]
                         s_q += shares.sums[s, 3]
-            share = 1.0 / max(n, 1.0)
+            per_pixel = 1.0 / max(n, 1.0)
             means[row, column, 0] = n
-            means[row, column, 1] = s_u * share
-            means[row, column, 2] = s_v * share
-            means[row, column, 3] = s_q * share
+            means[row, column, 1] = s_u * per_pixel
+            means[row, column, 2] = s_v * per_pixel
+            means[row, column, 3] = s_q * per_pixel
 
 
 @kernel()

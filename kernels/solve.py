@@ -53,10 +53,10 @@ def explicit(moments, reference, total, count, solution, residual, lost):
         Rounding errors as a share of the smaller eigenvalue of the scatter.
     """
     for i in range(count):
-        mean = 1.0 / moments[0, i]
-        mean_u = moments[1, i] * mean
-        mean_v = moments[2, i] * mean
-        mean_w = moments[3, i] * mean
+        per_pixel = 1.0 / moments[0, i]
+        mean_u = moments[1, i] * per_pixel
+        mean_v = moments[2, i] * per_pixel
+        mean_w = moments[3, i] * per_pixel
         c_uu = moments[4, i] - moments[1, i] * mean_u
         c_uv = moments[5, i] - moments[1, i] * mean_v
         c_uw = moments[6, i] - moments[1, i] * mean_w
@@ -111,10 +111,10 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
             residual[i] = own[i] * (1.0 + a * a + b * b + c * c)
             own[i] = math.sqrt(own[i] / moments[0, i])
     for i in range(count):
-        mean = 1.0 / moments[0, i]
+        per_pixel = 1.0 / moments[0, i]
         a, b, c = solution[0, i], solution[1, i], solution[2, i]
-        mean_q = reference[2, i] + moments[3, i] * mean
-        error = math.sqrt(residual[i] * mean)
+        mean_q = reference[2, i] + moments[3, i] * per_pixel
+        error = math.sqrt(residual[i] * per_pixel)
         if implicit is None:
             own[i] = error
         # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile.
@@ -134,32 +134,32 @@ def standard_planes(method, moments, reference, total, count, work):
     if method == STANDARD_EXPLICIT:
         explicit(moments, reference, total, count, solution, value, nearest)
         for i in range(count):
-            mean = 1.0 / moments[0, i]
+            per_pixel = 1.0 / moments[0, i]
             a, b = solution[0, i], solution[1, i]
             # aX + bY - Z + c = 0
             inverse = 1.0 / solution[2, i]
             solution[0, i] = -a * inverse
             solution[1, i] = -b * inverse
             solution[2, i] = inverse
-            own[i] = math.sqrt(value[i] * mean)
+            own[i] = math.sqrt(value[i] * per_pixel)
             metric[i] = own[i] / math.sqrt(1.0 + a * a + b * b)
-            nearest[i] = (CENTRE + nearest[i]) * (reference[2, i] + moments[3, i] * mean)
+            nearest[i] = (CENTRE + nearest[i]) * (reference[2, i] + moments[3, i] * per_pixel)
         return
     mean, matrix, determined = work[7:10], work[10:16], work[16]
     for i in range(count):
-        inverse = 1.0 / moments[0, i]
+        per_pixel = 1.0 / moments[0, i]
         s_x, s_y, s_z = moments[1, i], moments[2, i], moments[3, i]
-        c_xx = moments[4, i] - s_x * (s_x * inverse)
-        c_xy = moments[5, i] - s_x * (s_y * inverse)
-        c_xz = moments[6, i] - s_x * (s_z * inverse)
-        c_yy = moments[7, i] - s_y * (s_y * inverse)
-        c_yz = moments[8, i] - s_y * (s_z * inverse)
-        c_zz = moments[9, i] - s_z * (s_z * inverse)
+        c_xx = moments[4, i] - s_x * (s_x * per_pixel)
+        c_xy = moments[5, i] - s_x * (s_y * per_pixel)
+        c_xz = moments[6, i] - s_x * (s_z * per_pixel)
+        c_yy = moments[7, i] - s_y * (s_y * per_pixel)
+        c_yz = moments[8, i] - s_y * (s_z * per_pixel)
+        c_zz = moments[9, i] - s_z * (s_z * per_pixel)
         matrix[0, i], matrix[1, i], matrix[2, i] = c_xx, c_xy, c_xz
         matrix[3, i], matrix[4, i], matrix[5, i] = c_yy, c_yz, c_zz
-        mean[0, i] = reference[0, i] + s_x * inverse
-        mean[1, i] = reference[1, i] + s_y * inverse
-        mean[2, i] = reference[2, i] + s_z * inverse
+        mean[0, i] = reference[0, i] + s_x * per_pixel
+        mean[1, i] = reference[1, i] + s_y * per_pixel
+        mean[2, i] = reference[2, i] + s_z * per_pixel
         # At least λ₂λ₃, and at least λ₂ + λ₃: this bounds λ₂ against λ₃.
         minors = (c_yy * c_zz - c_yz * c_yz) + (c_xx * c_zz - c_xz * c_xz) + (c_xx * c_yy - c_xy * c_xy)
         trace = c_xx + c_yy + c_zz

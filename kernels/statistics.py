@@ -20,7 +20,7 @@ from .solve import ROUGH
 BLOCK = 64
 U_0, V_0, W_0 = 10, 11, 12
 N_X, N_Y, N_Z, D, ERROR = 13, 14, 15, 16, 17
-SHARE, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
+PER_PIXEL, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
 OF_COUNT, COLUMNS = 22, 6
 # What is written in the end; until then the covariances' rows are used for other things.
 P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
@@ -190,9 +190,9 @@ def store(room, results, first, last):
 def mean_inverse_depth(in_range_space, room):
     """Mean inverse depth of each tile of a block, and one over its number of pixels."""
     for i in range(BLOCK):
-        share = 1.0 / room[0, i]
-        room[SHARE, i] = share
-        room[MEAN_Q, i] = room[W_0, i] + room[3, i] * share
+        per_pixel = 1.0 / room[0, i]
+        room[PER_PIXEL, i] = per_pixel
+        room[MEAN_Q, i] = room[W_0, i] + room[3, i] * per_pixel
     if not in_range_space:
         for i in range(BLOCK):
             room[MEAN_Q, i] = 1.0 / room[MEAN_Q, i]
@@ -225,9 +225,9 @@ def pixel_variance(noise, count, room):
             variance += (position - room[SHARED, i]) * step
             # Averaged over the tile, as this power of q.
             power = min(max(position * step / max(variance, 1e-300), -STEEPEST), STEEPEST)
-            mean_w = room[3, i] * room[SHARE, i]
+            mean_w = room[3, i] * room[PER_PIXEL, i]
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
-            spread = room[9, i] * room[SHARE, i] - mean_w * mean_w
+            spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
             w = room[W_0, i] + mean_w
             room[SHARED, i] = variance * (1.0 + 0.5 * power * (power - 1.0) / (w * w) * spread)
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
@@ -326,19 +326,19 @@ def ray_scatter(in_range_space, room):
     of it.
     """
     for i in range(BLOCK):
-        share = room[SHARE, i]
+        per_pixel = room[PER_PIXEL, i]
         s_u = room[1, i]
         s_v = room[2, i]
-        room[1, i] = room[U_0, i] + s_u * share
-        room[2, i] = room[V_0, i] + s_v * share
-        room[4, i] -= s_u * s_u * share
-        room[5, i] -= s_u * s_v * share
-        room[7, i] -= s_v * s_v * share
+        room[1, i] = room[U_0, i] + s_u * per_pixel
+        room[2, i] = room[V_0, i] + s_v * per_pixel
+        room[4, i] -= s_u * s_u * per_pixel
+        room[5, i] -= s_u * s_v * per_pixel
+        room[7, i] -= s_v * s_v * per_pixel
         if not in_range_space:
             s_w = room[3, i]
-            c_uw = room[6, i] - s_u * s_w * share
-            c_vw = room[8, i] - s_v * s_w * share
-            c_ww = room[9, i] - s_w * s_w * share
+            c_uw = room[6, i] - s_u * s_w * per_pixel
+            c_vw = room[8, i] - s_v * s_w * per_pixel
+            c_ww = room[9, i] - s_w * s_w * per_pixel
             nearness = room[MEAN_Q, i]
             room[1, i] *= nearness
             room[2, i] *= nearness
@@ -384,7 +384,7 @@ def covariances(room):
         aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
         ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
         bb = (shared * room[OF_COUNT + 4, i] + independent) * inverse * c_uu
-        mean = (shared * room[OF_COUNT + 5, i] + independent) * room[SHARE, i]
+        mean = (shared * room[OF_COUNT + 5, i] + independent) * room[PER_PIXEL, i]
         write_covariances(i, aa, ab, bb, 0.0, 0.0, mean, room)
 
 
@@ -409,7 +409,7 @@ def uneven_covariances(room):
         bb = (shared * f_b + rounding) * slopes[2] + lateral * even[2]
         a_mean = (shared * math.sqrt(f_a * f_mean) + rounding) * with_mean[0]
         b_mean = (shared * math.sqrt(f_b * f_mean) + rounding) * with_mean[1]
-        mean = (shared * f_mean + rounding + lateral) * room[SHARE, i]
+        mean = (shared * f_mean + rounding + lateral) * room[PER_PIXEL, i]
         write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room)
 
 

@@ -75,16 +75,16 @@ def surface_row(
     inverse_fy = 1.0 / fy
     for i in range(needed.shape[0]):
         n = np.float64(valid_sums[i])
-        share = 1.0 / n
-        x = share * valid_sums[PITCH + i]
-        y = share * valid_sums[3 * PITCH + i]
-        q = share * sums[i]
-        c_xx = share * valid_sums[2 * PITCH + i] - x * x
-        c_xy = share * valid_sums[4 * PITCH + i] - x * y
-        c_yy = share * valid_sums[5 * PITCH + i] - y * y
-        c_xq = share * sums[PITCH + i] - x * q
-        c_yq = share * sums[2 * PITCH + i] - y * q
-        c_qq = share * squares[i] - q * q
+        per_pixel = 1.0 / n
+        x = per_pixel * valid_sums[PITCH + i]
+        y = per_pixel * valid_sums[3 * PITCH + i]
+        q = per_pixel * sums[i]
+        c_xx = per_pixel * valid_sums[2 * PITCH + i] - x * x
+        c_xy = per_pixel * valid_sums[4 * PITCH + i] - x * y
+        c_yy = per_pixel * valid_sums[5 * PITCH + i] - y * y
+        c_xq = per_pixel * sums[PITCH + i] - x * q
+        c_yq = per_pixel * sums[2 * PITCH + i] - y * q
+        c_qq = per_pixel * squares[i] - q * q
         determinant = c_xx * c_yy - c_xy * c_xy
         trace = c_xx + c_yy
         inverse_determinant = 1.0 / determinant
