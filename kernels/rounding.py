@@ -12,17 +12,17 @@ import math
 from ._jit import kernel
 
 # Variances of the first term of the series, and of all others, in Δ²: together 1/12 if there is no other noise.
-FIRST, OTHERS = 0.5 / math.pi**2, 1.0 / 12.0 - 0.5 / math.pi**2
+FIRST_TERM, OTHER_TERMS = 0.5 / math.pi**2, 1.0 / 12.0 - 0.5 / math.pi**2
 # From this (2πσ/Δ)² on, nothing of it is left.
-NOTHING = 12.0
+NOTHING_LEFT = 12.0
 # Steps that a surface may span although all its values are equal, so that its fit shows none.
-UNSEEN = 0.5
+UNSEEN_STEPS = 0.5
 
 
 @kernel(inline=True)
 def is_left(step_square, sigma_square):
     """Whether the common rounding error is worth counting beside the other errors; not if they are NaN."""
-    return 4.0 * math.pi**2 * sigma_square < NOTHING * step_square
+    return 4.0 * math.pi**2 * sigma_square < NOTHING_LEFT * step_square
 
 
 @kernel(inline=True)
@@ -31,14 +31,14 @@ def on_mean(steps):
 
     No less than its root mean square over similar lengths: the number of steps is not known that well.
     """
-    x = math.pi * max(steps, UNSEEN)
-    return max(abs(math.sin(x)), math.sqrt(0.5)) / x if steps > UNSEEN else 1.0
+    x = math.pi * max(steps, UNSEEN_STEPS)
+    return max(abs(math.sin(x)), math.sqrt(0.5)) / x if steps > UNSEEN_STEPS else 1.0
 
 
 @kernel(inline=True)
 def on_slope(steps):
     """Amplitude left in the slope, scaled so that independent errors would have the same in slope and mean."""
-    x = math.pi * max(steps, UNSEEN)
+    x = math.pi * max(steps, UNSEEN_STEPS)
     return math.sqrt(3.0) * max(abs(math.sin(x) / x - math.cos(x)), math.sqrt(0.5)) / x
 
 
@@ -63,7 +63,7 @@ def in_common(step_square, sigma_square, n, u_spread, v_spread):
     """
     exponent = 4.0 * math.pi**2 * sigma_square / step_square
     first = math.exp(-exponent) if is_left(step_square, sigma_square) else 0.0
-    variance = n * step_square * (FIRST * first + OTHERS * first**4)
+    variance = n * step_square * (FIRST_TERM * first + OTHER_TERMS * first**4)
     # Values spread evenly along a side span √12 of their standard deviations.
     scale = math.sqrt(12.0 / step_square)
     u_steps, v_steps = scale * u_spread, scale * v_spread

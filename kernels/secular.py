@@ -30,7 +30,7 @@ from ._jit import kernel
 TOGETHER = 64
 STEPS = 4
 # Steps, as shares of λ, that count as none, and that rounding alone may make.
-PRECISION, ROUNDING = 1e-14, 1e-10
+PRECISION, STEP_ROUNDING = 1e-14, 1e-10
 # Rows of the tiles' state: λ, the interval in which it lies, whether it is still to be found; α_λ in centred
 # coordinates; RSS; B α₀'.
 ROOT, LOW, HIGH, MOVES, ALPHA_U, ALPHA_V, ALPHA_1, RSS, START_U, START_V, START_1 = range(11)
@@ -97,7 +97,7 @@ def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
     found = (abs(move) <= PRECISION * eigenvalue) | (rss == 0.0)
     moves = (not found) & (low < after) & (after < high)
     # Where nothing is left between the bounds, only rounding moves it, or there is no such eigenvector.
-    stays = eigenvalue if found | (abs(move) <= ROUNDING * eigenvalue) else math.nan
+    stays = eigenvalue if found | (abs(move) <= STEP_ROUNDING * eigenvalue) else math.nan
     state[ROOT, i], state[LOW, i], state[HIGH, i] = after if moves else stays, low, high
     state[MOVES, i] = 1.0 if moves else 0.0
 

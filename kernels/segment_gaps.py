@@ -22,7 +22,7 @@ NO_RUN = np.int32(-1)  # label where there is no run
 # For any four bits, the first that is set, and the one after the last.
 FIRST = (0, 0, 1, 0, 2, 0, 1, 0, 3, 0, 1, 0, 2, 0, 1, 0)
 STOP = (0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4)
-OPEN = 0.1  # share of the rows or columns that may be open
+SEE_THROUGH_SHARE = 0.1  # share of the rows or columns that may be open
 
 
 @kernel(inline=True)
@@ -206,7 +206,7 @@ def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
 @kernel()
 def is_thin(gaps, opened, closed):
     """Whether a gap, as `gaps_across` or `gaps_down` gives it, is longer than wide and cannot be seen through."""
-    if opened > OPEN * (opened + closed):
+    if opened > SEE_THROUGH_SHARE * (opened + closed):
         return False
     crossed = 0
     for gap in range(len(gaps)):

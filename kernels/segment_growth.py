@@ -12,7 +12,7 @@ from .segment_merge import describe
 from .segment_moments import residual_of_two
 
 # Steps to the block on the right, and to the one below.
-DOWN, RIGHT = (0, 1), (1, 0)
+NEXT_DOWN, NEXT_RIGHT = (0, 1), (1, 0)
 
 
 @kernel()
@@ -41,15 +41,15 @@ def grow_together(region, moments, noise, rules, parent):
     for a in range(regions):
         parent[a] = a
     most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
-    last_a = np.full(len(DOWN), -1, np.int64)  # the last pair refused, in each direction
-    last_b = np.full(len(DOWN), -1, np.int64)
+    last_a = np.full(len(NEXT_DOWN), -1, np.int64)  # the last pair refused, in each direction
+    last_b = np.full(len(NEXT_DOWN), -1, np.int64)
     for row in range(rows):
         for column in range(columns):
             here = region[row, column]
             if here < 0:
                 continue
-            for side in range(len(DOWN)):
-                r, c = row + DOWN[side], column + RIGHT[side]
+            for side in range(len(NEXT_DOWN)):
+                r, c = row + NEXT_DOWN[side], column + NEXT_RIGHT[side]
                 if r == rows or c == columns or region[r, c] < 0 or region[r, c] == here:
                     continue
                 a, b = root_of(parent, here), root_of(parent, region[r, c])

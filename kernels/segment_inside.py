@@ -9,14 +9,13 @@ import numpy as np
 
 from ._jit import kernel
 from .copying import copy
+from .segment_merge import WORD
 from .segment_moments import add, ray_of, residual
 
 # In place of a label: beyond the frame, and where nothing is measured.
 BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
-# Flags that are tested together.
-WORD = 8
 # Smallest share of its pixels that a plane is fitted to.
-ENOUGH = 0.5
+LEAST_INSIDE = 0.5
 
 
 @kernel()
@@ -75,5 +74,5 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     for k in range(len(moments)):
         for j in range(10):
             inside[k, j] = moments[k, j] - inside[k, j]
-        if inside[k, 0] < ENOUGH * moments[k, 0] or residual(inside[k]) < 0.0:
+        if inside[k, 0] < LEAST_INSIDE * moments[k, 0] or residual(inside[k]) < 0.0:
             copy(moments[k], inside[k])

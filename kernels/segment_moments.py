@@ -14,7 +14,7 @@ from ._jit import kernel
 
 # Where 1 less the squared correlation of u and v is no more than this, or one of them is constant, pixels lie on a
 # line.
-COLLINEAR = 1e-6
+ON_A_LINE = 1e-6
 
 
 @kernel(inline=True)
@@ -32,7 +32,7 @@ def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
     vq = s_vq - s_v * mean_q
     qq = s_qq - s_q * mean_q
     determinant = uu * vv - uv * uv
-    known = (n >= 3.0) & (determinant > COLLINEAR * uu * vv)
+    known = (n >= 3.0) & (determinant > ON_A_LINE * uu * vv)
     inverse = 1.0 / (determinant if known else math.inf)
     a = (vv * uq - uv * vq) * inverse
     b = (uu * vq - uv * uq) * inverse

@@ -22,8 +22,8 @@ MIXTURE = 0.5  # residual, as a share of the mean inverse depth, of a square of 
 SOLID = 2  # level of the squares that are too large to be a speck
 LOW, TYPICAL = 0.2, 0.35  # quantiles that are noise
 # If the TYPICAL quantile exceeds LEAP times the LOW one (sensors: 1.2 to 2.1), edges or outliers fill the squares, and
-# lower quantiles are used, down to LOWEST, unless these show no noise at all: NOTHING times less.
-LEAP, NOTHING, LOWEST = 4.0, 1e6, 0.05
+# lower quantiles are used, down to LOWEST, unless these show no noise at all: NO_NOISE times less.
+LEAP, NO_NOISE, LOWEST = 4.0, 1e6, 0.05
 STEEP = 4.0  # where a squared slope is this many variances, its part of the residual shows
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
@@ -228,7 +228,7 @@ def estimate_noise(pyramid, sigma, growth, reach):
             typical = quantile(values[:count], TYPICAL)
             smallest = quantile(values[:count], LOW)
             share = LOW
-            while share > LOWEST and LEAP * smallest < typical < NOTHING * smallest:
+            while share > LOWEST and LEAP * smallest < typical < NO_NOISE * smallest:
                 share *= 0.5
                 typical, smallest = smallest, quantile(values[:count], share)
             lateral = lateral_of(mean_square[:count], slope_square[:count], typical)

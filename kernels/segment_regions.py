@@ -23,7 +23,7 @@ from .segment_planes import fit_regions
 from .segment_records import Contacts, Planes, Shares, Sums
 
 # The four blocks beside one.
-DOWN, RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
+BESIDE_DOWN, BESIDE_RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
 
 
 @kernel()
@@ -54,7 +54,7 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
             best = settled * settled
             joins[k] = -1
             for side in range(4):
-                r, c = row + DOWN[side], column + RIGHT[side]
+                r, c = row + BESIDE_DOWN[side], column + BESIDE_RIGHT[side]
                 if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] < 0:
                     continue
                 a = region[r, c]
@@ -69,7 +69,7 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
                 continue
             region[row, column] = joins[k]
             for side in range(4):
-                r, c = row + DOWN[side], column + RIGHT[side]
+                r, c = row + BESIDE_DOWN[side], column + BESIDE_RIGHT[side]
                 if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] >= 0 or owner[r, c] == EMPTY:
                     continue
                 next_row[joined], next_column[joined] = r, c

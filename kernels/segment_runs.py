@@ -17,7 +17,7 @@ TOP = np.int32((1 << BLOCK) - 1)
 LEFT = np.int32(sum(1 << BLOCK * y for y in range(BLOCK)))
 # Bits from a pixel to the one on its right, to the one below, and from one side of a block to the other.
 RIGHT_BY, DOWN_BY = np.int32(1), np.int32(BLOCK)
-ACROSS, DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
+BLOCK_ACROSS, BLOCK_DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
 # Pixels in a row, missing or without a label, that are still a hole in a surface.
 GAP = 3
 # Pieces that a share has at most: of any four pixels in a square only one can be alone.
@@ -114,14 +114,14 @@ def is_one_piece(pixels, free):
 @kernel(inline=True)
 def meet_across(left, right):
     """The pixels of a block's left column that touch one of the block to the left, if only at a corner."""
-    a = (left >> ACROSS) & LEFT
+    a = (left >> BLOCK_ACROSS) & LEFT
     return right & (a | (a << DOWN_BY) | (a >> DOWN_BY))
 
 
 @kernel(inline=True)
 def meet_down(above, below):
     """The pixels of a block's upper row that touch one of the block above, if only at a corner."""
-    a = above >> DOWN
+    a = above >> BLOCK_DOWN
     return below & (a | (a << RIGHT_BY) | (a >> RIGHT_BY)) & TOP
 
 
@@ -129,8 +129,8 @@ def meet_down(above, below):
 def meet_at_corner(above, below, side):
     """Whether blocks corner to corner touch; ``side`` is -1 if the one above is to the left, 1 to the right."""
     if side < 0:
-        return (above >> (DOWN + ACROSS)) & below & np.int32(1)
-    return (above >> DOWN) & (below >> ACROSS) & np.int32(1)
+        return (above >> (BLOCK_DOWN + BLOCK_ACROSS)) & below & np.int32(1)
+    return (above >> BLOCK_DOWN) & (below >> BLOCK_ACROSS) & np.int32(1)
 
 
 @kernel()
@@ -296,7 +296,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                             pixels[j], ALL & ~taken_here[c], own, free, True
                         ):
                             unite(parent, j, k)
-                            across[k] -= how_many((filled_x[j] >> ACROSS) & filled_x[k] & LEFT)
+                            across[k] -= how_many((filled_x[j] >> BLOCK_ACROSS) & filled_x[k] & LEFT)
                 for side in range(-1, 2):
                     d = c + 1 + side
                     for j in range(above[d], above[d] + many_above[d]):
@@ -310,7 +310,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                         ):
                             unite(parent, j, k)
                             if share[k] != WHOLE or share[j] != WHOLE:
-                                down[k] -= how_many((filled_y[j] >> DOWN) & filled_y[k] & TOP)
+                                down[k] -= how_many((filled_y[j] >> BLOCK_DOWN) & filled_y[k] & TOP)
                             elif c == max(start[j], start[k]):
                                 down[k] -= min(min(stop[j], stop[k]) * BLOCK, width) - c * BLOCK
     first[rows] = count

@@ -24,9 +24,9 @@ MARGIN = 1.0 / 32.0
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
-FEWEST = 3
+FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
-ENOUGH = 256  # blocks that are enough to show a shape
+SHAPE_BLOCKS = 256  # blocks that are enough to show a shape
 
 
 @kernel(inline=True)
@@ -235,7 +235,7 @@ def turn(m, alpha, h):
 def step_of(window):
     """Step between the rows, and the columns, of blocks that are enough."""
     area = (window[1] - window[0]) * (window[3] - window[2])
-    return max(1, int(math.sqrt(area / ENOUGH)))
+    return max(1, int(math.sqrt(area / SHAPE_BLOCKS)))
 
 
 @kernel()
@@ -252,7 +252,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
         turned[a] = 0.0
         bent[a] = False
         m = region_moments[a]
-        if breadth(box[a]) < FEWEST or not alpha[a, 0] < math.inf:
+        if breadth(box[a]) < FEWEST_ACROSS or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         deviation = math.sqrt(variance)

@@ -6,9 +6,9 @@ from ._jit import kernel
 from .segment_blocks import BLOCK
 from .segment_moments import misfit
 
-SIDE = 2 * BLOCK  # of the squares that are looked at, the pyramid's second level
+SQUARE_SIDE = 2 * BLOCK  # of the squares that are looked at, the pyramid's second level
 # Squares that a plane needs: with fewer, chance says more than the noise.
-ENOUGH = 32
+FEWEST_SQUARES = 32
 # Multiple of its plane's mean at which a square's variance is cut off: there may be an edge in it.
 MOST = 25.0
 
@@ -25,18 +25,18 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     moments, alpha, rss : (N, 10), (N, 3), (N,) float64
         Of the planes.
     weighted : (N, 5) float64, written
-        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SIDE pixels. Where there are fewer than
-        ENOUGH, all pixels count equally.
+        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SQUARE_SIDE pixels. Where there are fewer
+        than FEWEST_SQUARES, all pixels count equally.
     """
     height, width = label.shape
     first, columns = pyramid.offsets[1], pyramid.shapes[1, 1]
     of_squares = pyramid.moments
     squares, total = np.zeros(len(moments), np.int64), np.zeros(len(moments))
     weighted[:] = 0.0
-    for row in range(height // SIDE):
-        top, bottom = label[row * SIDE], label[row * SIDE + SIDE - 1]
-        for column in range(width // SIDE):
-            left, right = column * SIDE, column * SIDE + SIDE - 1
+    for row in range(height // SQUARE_SIDE):
+        top, bottom = label[row * SQUARE_SIDE], label[row * SQUARE_SIDE + SQUARE_SIDE - 1]
+        for column in range(width // SQUARE_SIDE):
+            left, right = column * SQUARE_SIDE, column * SQUARE_SIDE + SQUARE_SIDE - 1
             a = top[left]
             if (a == 0) | (top[right] != a) | (bottom[left] != a) | (bottom[right] != a):
                 continue
@@ -53,7 +53,7 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
             weighted[k, 3] += variance * of_squares[5, i]
             weighted[k, 4] += variance * of_squares[7, i]
     for k in range(len(moments)):
-        if squares[k] >= ENOUGH and total[k] > 0.0:
+        if squares[k] >= FEWEST_SQUARES and total[k] > 0.0:
             for j in range(5):
                 weighted[k, j] /= total[k]
         else:

@@ -24,7 +24,7 @@ COLLINEAR = 1e-9
 CENTRE = 1e-6
 # Second moments may be off by this share of what they were summed from: anything smaller is not scatter. Those about a
 # tile's own centre reach COLLINEAR long before: their kernels omit this test.
-ROUNDING = 128 * 2.0**-53
+MOMENT_ROUNDING = 128 * 2.0**-53
 
 # The methods in (X, Y, Z) by number.
 STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(3)
@@ -77,7 +77,7 @@ def explicit(moments, reference, total, count, solution, residual, lost):
         left = left if left > 0.0 else 0.0
         rounding = 0.0
         if total is not None:  # a scatter that is nothing but rounding may even be negative
-            rounding = ROUNDING * (total + moments[4, i] + moments[7, i])
+            rounding = MOMENT_ROUNDING * (total + moments[4, i] + moments[7, i])
             rounding *= max(trace, rounding)
         residual[i] = left if determinant > COLLINEAR * trace * trace + rounding else math.nan
         lost[i] = 0.0 if total is None else rounding * inverse
@@ -165,7 +165,7 @@ def standard_planes(method, moments, reference, total, count, work):
         trace = c_xx + c_yy + c_zz
         rounding = 0.0
         if total is not None:
-            rounding = ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i])
+            rounding = MOMENT_ROUNDING * (total + moments[4, i] + moments[7, i] + moments[9, i])
             rounding *= max(trace, rounding)  # as in `explicit`
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
         nearest[i] = (CENTRE + (0.0 if total is None else rounding / minors)) * mean[2, i]

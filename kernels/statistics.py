@@ -17,11 +17,11 @@ from .solve import ROUGH
 
 # Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
 # depth; variances; what follows from the number of pixels.
-BLOCK = 64
+TILES_AT_ONCE = 64
 U_0, V_0, W_0 = 10, 11, 12
 N_X, N_Y, N_Z, D, ERROR = 13, 14, 15, 16, 17
 PER_PIXEL, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
-OF_COUNT, COLUMNS = 22, 6
+OF_COUNT, TABLE_COLUMNS = 22, 6
 # What is written in the end; until then the covariances' rows are used for other things.
 P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
 RATIO, ROOT = P, P + 1
@@ -74,7 +74,7 @@ def assess(
     planes, rmse_metric : (R, C, 4) and (R, C) float64
     counts : (R, C) integers
         Which row of ``tables`` belongs to a tile.
-    tables : (K, COLUMNS) float64
+    tables : (K, TABLE_COLUMNS) float64
         By number of pixels. With the covariance C of errors that neighbours share, of variance 1, and the projection P
         on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x, on the covariance of
         the slopes, on the variance of the slope along y and on that of the mean inverse depth. Without rows, pixels are
@@ -95,15 +95,15 @@ def assess(
         the test is made.
     """
     # Allocated first: later deallocations would hide its shape from the compiler.
-    room = np.empty((ROWS, BLOCK))
+    room = np.empty((ROWS, TILES_AT_ONCE))
     tails = room[RATIO : RATIO + normal_distribution.WORK]
     tiles = status.size
     all_moments, all_reference = moments.reshape(10, tiles), reference.reshape(3, tiles)
     all_planes, all_errors, all_counts = planes.ravel(), rmse_metric.reshape(1, tiles), counts.ravel()
     all_status, all_results = status.ravel(), results.reshape(results.shape[0], tiles)
     everything = results.shape[0] > 0
-    for first in range(start, stop, BLOCK):
-        last = min(first + BLOCK, stop)
+    for first in range(start, stop, TILES_AT_ONCE):
+        last = min(first + TILES_AT_ONCE, stop)
         if everything:
             load(all_moments, first, last, room, 0)
             load(all_reference, first, last, room, U_0)
@@ -137,13 +137,13 @@ def assess(
         by_count(all_counts[first:last], tables, room)
         residual_ratio(room)
         if of_pixels.shape[0] == OF_DEPTHS:
-            for i in range(BLOCK):
+            for i in range(TILES_AT_ONCE):
                 room[ROOT, i] = min(room[ROOT, i] * room[UNEVENNESS, i], chi_square.LEAST_FREEDOM**-0.5)
         if limits.shape[0] > 0:
             if noise[INVERSE_FREEDOM] > 0.0:
-                variance_ratio.limits(limits[0], noise[INVERSE_FREEDOM], tails, BLOCK)
+                variance_ratio.limits(limits[0], noise[INVERSE_FREEDOM], tails, TILES_AT_ONCE)
             else:
-                for i in range(BLOCK):
+                for i in range(TILES_AT_ONCE):
                     limit = 0.0
                     for k in range(LIMITS - 1, -1, -1):
                         limit = limit * room[ROOT, i] + limits[k]
@@ -154,10 +154,10 @@ def assess(
                     mark[i] = ROUGH
         if everything:
             if noise[INVERSE_FREEDOM] > 0.0:
-                variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, BLOCK)
+                variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, TILES_AT_ONCE)
             else:
-                chi_square.deviates(tails, BLOCK)
-            normal_distribution.tails(tails, BLOCK)
+                chi_square.deviates(tails, TILES_AT_ONCE)
+            normal_distribution.tails(tails, TILES_AT_ONCE)
             ray_scatter(in_range_space, room)
             if noise[DEPTH_STEP] + noise[DISPARITY_STEP] > 0.0:
                 rounded_alike(noise, last - first, room)
@@ -189,12 +189,12 @@ def store(room, results, first, last):
 @kernel(inline=True)
 def mean_inverse_depth(in_range_space, room):
     """Mean inverse depth of each tile of a block, and one over its number of pixels."""
-    for i in range(BLOCK):
+    for i in range(TILES_AT_ONCE):
         per_pixel = 1.0 / room[0, i]
         room[PER_PIXEL, i] = per_pixel
         room[MEAN_Q, i] = room[W_0, i] + room[3, i] * per_pixel
     if not in_range_space:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             room[MEAN_Q, i] = 1.0 / room[MEAN_Q, i]
 
 
@@ -202,24 +202,24 @@ def mean_inverse_depth(in_range_space, room):
 def pixel_variance(noise, count, room):
     """Variances of errors along the ray and of rounding, of the pixels of each tile of a block."""
     if noise.shape[0] == VARIANCES + ONE:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             room[SHARED, i] = noise[VARIANCES]
     else:
         scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             position = room[MEAN_Q, i] * scale
             inside = position if position > 0.0 else 0.0  # also for NaN
             inside = inside if inside < last else last
             room[SHARED, i] = np.floor(inside)
             room[POSITION, i] = position
         # Neighbours in the table stay neighbours here: one load and one store for both.
-        found = room[FOUND : FOUND + 2].reshape(2 * BLOCK)
+        found = room[FOUND : FOUND + 2].reshape(2 * TILES_AT_ONCE)
         for i in range(count):
             k = VARIANCES + np.uintp(room[SHARED, i])
             below, above = noise[k], noise[k + ONE]
             found[2 * i] = below
             found[2 * i + 1] = above
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             variance, step = found[2 * i], found[2 * i + 1] - found[2 * i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
@@ -232,11 +232,11 @@ def pixel_variance(noise, count, room):
             room[SHARED, i] = variance * (1.0 + 0.5 * power * (power - 1.0) / (w * w) * spread)
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
     if depth > 0.0:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             square = room[MEAN_Q, i] * room[MEAN_Q, i]
             room[ROUNDING, i] = depth * square * square + disparity
     else:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             room[ROUNDING, i] = disparity
 
 
@@ -245,18 +245,18 @@ def lateral_variance(noise, room):
     """Variance of the errors that are independent: rounding, and what errors across the ray make of q."""
     x, y = noise[LATERAL_X], noise[LATERAL_Y]
     if x > 0.0:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
             room[INDEPENDENT, i] = room[ROUNDING, i] + (x * n_x * n_x + y * n_y * n_y) / (d * d)
     else:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             room[INDEPENDENT, i] = room[ROUNDING, i]
 
 
 @kernel(inline=True)
 def lateral_variance_of_lens(room):
     """As `lateral_variance`, where a lens makes rays differ over the image."""
-    for i in range(BLOCK):
+    for i in range(TILES_AT_ONCE):
         n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
         xx, xy, yy = room[LATERAL, i], room[LATERAL + 1, i], room[LATERAL + 2, i]
         lateral = (xx * n_x * n_x + 2.0 * xy * n_x * n_y + yy * n_y * n_y) / (d * d)
@@ -267,27 +267,27 @@ def lateral_variance_of_lens(room):
 def by_count(counts, tables, room):
     """What follows for each tile from its number of pixels: see ``tables`` of `assess`."""
     if tables.shape[0] == 0:
-        for i in range(BLOCK):
+        for i in range(TILES_AT_ONCE):
             freedom = room[0, i] - 3.0
             freedom = freedom if freedom > 0.0 else 0.0
             room[OF_COUNT, i] = freedom
             room[OF_COUNT + 1, i] = freedom
-            for k in range(2, COLUMNS):
+            for k in range(2, TABLE_COLUMNS):
                 room[OF_COUNT + k, i] = 1.0
     else:
-        found = room[FOUND : FOUND + COLUMNS].reshape(COLUMNS * BLOCK)
+        found = room[FOUND : FOUND + TABLE_COLUMNS].reshape(TABLE_COLUMNS * TILES_AT_ONCE)
         for i in range(counts.shape[0]):
             row = tables[np.uintp(counts[i])]
             a, b, c, d, e, f = row[0], row[1], row[2], row[3], row[4], row[5]
-            found[COLUMNS * i] = a
-            found[COLUMNS * i + 1] = b
-            found[COLUMNS * i + 2] = c
-            found[COLUMNS * i + 3] = d
-            found[COLUMNS * i + 4] = e
-            found[COLUMNS * i + 5] = f
-        for i in range(BLOCK):
-            for k in range(COLUMNS):
-                room[OF_COUNT + k, i] = found[COLUMNS * i + k]
+            found[TABLE_COLUMNS * i] = a
+            found[TABLE_COLUMNS * i + 1] = b
+            found[TABLE_COLUMNS * i + 2] = c
+            found[TABLE_COLUMNS * i + 3] = d
+            found[TABLE_COLUMNS * i + 4] = e
+            found[TABLE_COLUMNS * i + 5] = f
+        for i in range(TILES_AT_ONCE):
+            for k in range(TABLE_COLUMNS):
+                room[OF_COUNT + k, i] = found[TABLE_COLUMNS * i + k]
 
 
 @kernel(inline=True)
@@ -297,7 +297,7 @@ def residual_ratio(room):
     With C and P as in `assess` and the variance a of errors that are independent, half the variance of the sum is
     tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
     """
-    for i in range(BLOCK):
+    for i in range(TILES_AT_ONCE):
         n = room[0, i]
         shared, independent = room[SHARED, i], room[INDEPENDENT, i]
         freedom = n - 3.0
@@ -325,7 +325,7 @@ def ray_scatter(in_range_space, room):
     From the moments of (X, Y, Z) the scatter of the rays u = X/Z is taken to first order: noise along the ray drops out
     of it.
     """
-    for i in range(BLOCK):
+    for i in range(TILES_AT_ONCE):
         per_pixel = room[PER_PIXEL, i]
         s_u = room[1, i]
         s_v = room[2, i]
@@ -376,7 +376,7 @@ def covariances(room):
     In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a variance of
     its own.
     """
-    for i in range(BLOCK):
+    for i in range(TILES_AT_ONCE):
         c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
         nothing = 0.0 * room[D, i]  # NaN where there is no plane
         shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
@@ -394,7 +394,7 @@ def uneven_covariances(room):
 
     Errors that neighbours share raise them by the same factors as if all variances were alike.
     """
-    for i in range(BLOCK):
+    for i in range(TILES_AT_ONCE):
         w = WEIGHTED
         weighted = room[w, i], room[w + 1, i], room[w + 2, i], room[w + 3, i], room[w + 4, i]
         even, slopes, with_mean = sandwich(

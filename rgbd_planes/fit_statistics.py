@@ -213,7 +213,7 @@ class Assessment:
         level = DEFAULT_SIGNIFICANCE if significance is None else significance
         self._limits = _limits(level, camera.noise.spread)
         self._sizes = sizes
-        self._tables: Floats | None = np.empty((0, statistics.COLUMNS))
+        self._tables: Floats | None = np.empty((0, statistics.TABLE_COLUMNS))
         self._first: npt.NDArray[np.int32] | None = None
         if not camera.noise.is_independent:
             self._tables, self._first = _tables_of(camera.noise, sizes)
