@@ -26,19 +26,19 @@ SEE_THROUGH_SHARE = 0.1  # share of the rows or columns that may be open
 
 
 @kernel(inline=True)
-def overlap(box, a, b, side):
-    """Rows of blocks, or columns for ``side`` 1, that boxes a and b of `label_boxes` share; below 0 if apart."""
-    return min(box[a, 2 * side + 1], box[b, 2 * side + 1]) - max(box[a, 2 * side], box[b, 2 * side])
+def overlap(box, a, b, down):
+    """Rows of blocks, or columns if ``down`` is 1, that boxes a and b of `label_boxes` share; below 0 if apart."""
+    return min(box[a, 2 * down + 1], box[b, 2 * down + 1]) - max(box[a, 2 * down], box[b, 2 * down])
 
 
 @kernel(inline=True)
-def may_be_thin(box, a, b, side):
-    """Whether a gap between labels a and b may be longer than wide, along the rows or, for ``side`` 1, the columns.
+def may_be_thin(box, a, b, down):
+    """Whether a gap between labels a and b may be longer than wide, along the rows or, if ``down`` is 1, columns.
 
     A gap wider than the number of rows, or columns, that cross it is not thin; none is narrower than the distance of
     the boxes.
     """
-    widest, narrowest = BLOCK * overlap(box, a, b, side), -BLOCK * (overlap(box, a, b, 1 - side) + 1)
+    widest, narrowest = BLOCK * overlap(box, a, b, down), -BLOCK * (overlap(box, a, b, 1 - down) + 1)
     return widest >= LEAST and narrowest <= widest
 
 
@@ -234,13 +234,13 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, 
             continue
         reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this is seen through the gap
         thin = False
-        for side in range(2):
-            if thin or not may_be_thin(box, a + 1, b + 1, side):
+        for down in range(2):
+            if thin or not may_be_thin(box, a + 1, b + 1, down):
                 continue
-            widest = BLOCK * overlap(box, a + 1, b + 1, side)
+            widest = BLOCK * overlap(box, a + 1, b + 1, down)
             gaps = np.empty(widest + 1, np.int64)
             for look in (False, True):  # into the gaps only if they are not too wide anyway
-                if side == 0:
+                if not down:
                     opened, closed = gaps_across(
                         runs, inverse_depth, rays, a + 1, b + 1, alpha[a], reach, box, look, gaps
                     )  # fmt: skip

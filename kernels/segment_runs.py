@@ -134,15 +134,18 @@ def meet_at_corner(above, below, side):
 
 
 @kernel()
-def meet_over_gap(one, free_one, other, free_other, side):
-    """Whether pixels of two blocks meet over at most GAP free ones: side by side if ``side``, else stacked."""
+def meet_over_gap(one, free_one, other, free_other, across):
+    """Whether pixels of two blocks meet over at most GAP free ones.
+
+    The blocks are side by side if ``across``, else one above the other.
+    """
     for step in range(GAP + 1):
         a, b = one, other
         for _ in range(step):
-            a |= ((a << RIGHT_BY) & ~LEFT if side else a << DOWN_BY) & free_one
+            a |= ((a << RIGHT_BY) & ~LEFT if across else a << DOWN_BY) & free_one
         for _ in range(GAP - step):
-            b |= ((b & ~LEFT) >> RIGHT_BY if side else b >> DOWN_BY) & free_other
-        if (meet_across(a, b) if side else meet_down(a, b)) != 0:
+            b |= ((b & ~LEFT) >> RIGHT_BY if across else b >> DOWN_BY) & free_other
+        if (meet_across(a, b) if across else meet_down(a, b)) != 0:
             return True
     return False
 
