@@ -17,6 +17,16 @@ What calls what:
   `segment_noise`
 - tables on disk: `rows`
 
+Habits of these kernels, each because it was measured:
+
+- Indices of inner loops are unsigned where the compiler cannot see that they are not negative: it would test each for
+  counting from the end.
+- Rows are taken as one-dimensional arrays before a loop: their stride is known to the compiler, while elements that are
+  read by two indices look scattered.
+- Arrays to work in have sizes that are fixed when a kernel is compiled, so that the compiler sees that their rows are
+  apart, and uses vectors.
+- Fields of tuples get names before a loop: looking into a tuple within it costs more than most of what is done there.
+
 Names that mean the same everywhere:
 
 raw, lowest, highest

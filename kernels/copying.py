@@ -17,7 +17,7 @@ def copy(values, where):
 def copy_columns(values, first, last, where):
     """Copy columns ``first`` to ``last`` of all rows to the first columns of ``where``."""
     for row in range(len(values)):
-        # In one dimension, whose stride the compiler knows.
+        # One-dimensional: see `kernels`.
         source, target = values[row][first:last], where[row]
         for i in range(last - first):
             target[i] = source[i]

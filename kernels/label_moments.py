@@ -61,7 +61,7 @@ def add_run(points, start, stop, reference, sums, i):
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
     r_u, r_v, r_w = reference[i, 0], reference[i, 1], reference[i, 2]
     us, vs, ws, theres = points[0], points[1], points[2], points[3]
-    # Without a sign: so the compiler knows that they do not count from the end.
+    # Unsigned indices: see `kernels`.
     for k in range(np.uint64(start), np.uint64(stop)):
         there = theres[k]
         u = us[k] - there * r_u

@@ -49,7 +49,7 @@ def variances_of_run(
 def add_variances(us, vs, along, rounding, start, stop, sums, i):
     """Add the variances of a run to row ``i`` of ``sums``."""
     s_along = s_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
-    # Without a sign: so the compiler knows that they do not count from the end.
+    # Unsigned indices: see `kernels`.
     for k in range(np.uint64(start), np.uint64(stop)):
         u, v, total = us[k], vs[k], along[k] + rounding[k]
         s_along += along[k]

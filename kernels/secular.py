@@ -118,11 +118,11 @@ def smallest_eigenvectors(moments, reference, count, solution, eigenvalue):
         The explicit solution's sum of squared residuals on entry, λ on return: NaN, and α meaningless, where
         the plane passes through the camera's centre or NaN came in.
     """
-    # Of a size that is known beforehand: so the compiler sees that its rows are apart.
+    # Of a fixed size: see `kernels`.
     state = np.empty((START_1 + 1, TOGETHER))
     for first in range(0, count, TOGETHER):
         last = min(first + TOGETHER, count)
-        # In one dimension, whose stride the compiler knows.
+        # One-dimensional: see `kernels`.
         u0, v0, q0 = reference[0][first:last], reference[1][first:last], reference[2][first:last]
         n, s_u, s_v = moments[0][first:last], moments[1][first:last], moments[2][first:last]
         s_q, s_uu, s_uv = moments[3][first:last], moments[4][first:last], moments[5][first:last]

@@ -152,7 +152,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     tan_x, tan_y = rays.tan_x, rays.tan_y
     moments, rss, slope_square = pyramid.moments, pyramid.rss, pyramid.slope_square
     rows, columns = pyramid.shapes[0]
-    # Of a size that is known beforehand: so the compiler sees that their rows are apart, and uses vectors.
+    # Of fixed sizes: see `kernels`.
     q = np.zeros((BLOCK, CHUNK * BLOCK), np.float32)
     u, v = np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
     along = np.empty((10, CHUNK * BLOCK))

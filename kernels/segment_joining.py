@@ -28,7 +28,7 @@ def join_blocks(pyramid, noise, rules, sensor, state):
     """
     moments, rss, slope_square, offsets, shapes = pyramid
     lateral_variance = noise.lateral_variance
-    # Rows of their own: reads by two indices look scattered to the compiler.
+    # One-dimensional: see `kernels`.
     pixels, sum_q = moments[0], moments[3]
     variance = np.empty(len(rss))
     sensor_variances(pixels, sum_q, noise.sigma, variance)

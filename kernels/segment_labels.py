@@ -55,7 +55,7 @@ def write_labels(
         for i in range(first, stop):
             if run_share[i] == WHOLE:
                 a, b = run_label[i], why[part[i]]
-                # Without a sign: so the compiler knows that they do not count from the end.
+                # Unsigned indices: see `kernels`.
                 left, right = np.uint64(run_start[i] * BLOCK), np.uint64(run_stop[i] * BLOCK)
                 for x in range(left, right):
                     line_label[x] = a

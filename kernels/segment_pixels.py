@@ -181,7 +181,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
         Numbers of these sparse blocks, of contended ones, and of contenders.
     """
     columns = region.shape[1]
-    # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    # Names for fields of tuples: see `kernels`.
     tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
     of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
@@ -264,7 +264,7 @@ def contest(
     The shares are added after the first ``put``; returns how many there are then. Other arguments as in `own_pixels`.
     """
     columns = region.shape[1]
-    # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    # Names for fields of tuples: see `kernels`.
     tan_x, tan_y = rays.tan_x, rays.tan_y
     of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
@@ -274,7 +274,7 @@ def contest(
     limit, close = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
     cut = np.float32(rules.cut * rules.cut)
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
-    # Of sizes that are known beforehand, and few: so the compiler sees which rows are apart.
+    # Of fixed sizes: see `kernels`.
     space = np.empty((ROOM, LANES), np.float32)
     q, u, v = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA]
     plane, penalty = np.zeros((4 * NEIGHBOURS, LANES), np.float32), np.zeros((NEIGHBOURS, LANES), np.float32)

@@ -258,7 +258,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     tuple of int
         Number of runs, and of loose pixels.
     """
-    # All by names of their own: to look into a tuple within a loop costs more than most of what is done there.
+    # Names for fields of tuples: see `kernels`.
     owner, _, first_share, shares_of, measured = owners
     share_region, share_pixels, _ = shares
     first, start, stop, share, pixels, label, filled_x, filled_y, across, down, parent, _ = runs

@@ -117,7 +117,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
     for a in range(regions):
         copy(planes.alpha[a], about[a, :3])
         about[a, 3], about[a, 4] = planes.slope_variance[a], planes.waviness_square[a]
-    # Of a size that is known beforehand: so the compiler sees that it is apart from all else.
+    # Of a fixed size: see `kernels`.
     work = np.empty((7, CHUNK))
     for row in range(rows):
         for start in range(0, columns, CHUNK):

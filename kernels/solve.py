@@ -202,7 +202,7 @@ def write_planes(
     max_error : float
         Tiles with a larger ``rmse_metric`` get ROUGH.
     planes, alpha, rmse, rmse_metric, valid_count, status : (4 * N,), (3 * N,), (N,)..., written
-        In one dimension, whose stride the compiler knows.
+        One-dimensional: see `kernels`.
     """
     solution, own, metric, nearest, distance, reason = work[:3], work[3], work[4], work[5], work[6], work[7]
     for i in range(count):
