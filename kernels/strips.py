@@ -50,7 +50,7 @@ def strip_room():
 
 
 @kernel(inline=True)
-def first_valid(raw, row_start, row_stop, column_start, column_stop, lowest, highest):
+def reference_value(raw, row_start, row_stop, column_start, column_stop, lowest, highest):
     """Return a valid raw value of the tile, its centre's if that is valid, or 1 if there is none."""
     value = raw[(row_start + row_stop) // 2, (column_start + column_stop) // 2]
     if (lowest <= value) & (value <= highest):
@@ -80,7 +80,9 @@ def find_references(
     for tile in range(tile_start, tile_stop):
         start = tile * tile_width
         stop = min(start + tile_width, raw.shape[1])
-        references[tile - tile_start] = first_valid(raw, row_start, row_stop, start, stop, lowest, highest)
+        references[tile - tile_start] = reference_value(
+            raw, row_start, row_stop, start, stop, lowest, highest
+        )
     for i in range(tile_stop - tile_start):
         value = references[i]
         if offset is None:

@@ -34,10 +34,13 @@ def choose_windows(
     rounding : float64
         Variance of inverse depth by rounding to raw values, times their 4th power where they are depths.
     tan_x, tan_y : (H, W) float64
-    normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
-        Of `dense.separable` or `dense.distorted`.
     reach : int
         At least 1.
+    ratio : float64
+    normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
+        From `dense.separable` or `dense.distorted`.
+    row_start, row_stop
+        The rows to write.
     chosen_normals, chosen_variation : (H, W, 3) and (H, W) float32, written
     """
     height, width = raw.shape

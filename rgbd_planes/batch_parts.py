@@ -243,7 +243,7 @@ class _TileAdder:
         self._settings = settings
         self._camera: Camera | None = None
 
-    def __call__(self, frame: Frame, number: int, rows: Rows) -> None:
+    def __call__(self, frame: Frame, index: int, rows: Rows) -> None:
         if frame.camera is not self._camera:
             self._camera = frame.camera
             self._fitter = _fitter(frame.camera, self._settings)
@@ -251,13 +251,13 @@ class _TileAdder:
             tile = self._fitter.tile
             self._grid = Grid(grid_shape(frame.camera, tile), frame.camera.shape, tile)
         self._tiles = tiles = self._fitter.fit(frame.depth, self._tiles)
-        rows.add_tiles(number, self._grid, tiles)
+        rows.add_tiles(index, self._grid, tiles)
 
 
-def _add_segments(min_size: int, frame: Frame, number: int, rows: Rows) -> None:
+def _add_segments(min_size: int, frame: Frame, index: int, rows: Rows) -> None:
     segments = segment(frame.depth, frame.camera, min_size=min_size)
     places = [
         (label, down.start, across.start, down.stop - down.start, across.stop - across.start)
         for label, (down, across) in enumerate(segments._boxes, start=1)
     ]
-    rows.add_segments(number, np.array(places, np.int32).reshape(-1, 5).T, segments)
+    rows.add_segments(index, np.array(places, np.int32).reshape(-1, 5).T, segments)
