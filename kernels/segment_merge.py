@@ -2,7 +2,7 @@
 
 Joining regions a and b raises the sum of squared residuals by Δ = RSS(a ∪ b) - RSS(a) - RSS(b), which the
 moments give exactly. Were the noise independent, Δ/σ² would follow χ²(3); real noise is correlated and has a
-systematic part, so Δ is measured against the pixels of the smaller region: a bend of up to some standard deviations is
+systematic part, so Δ is measured against the pixels of the smaller region: a bend of up to a few standard deviations is
 still one plane. Pairs that are each other's best join in every round, best first in effect, and small regions join the
 large one that they fit best; so do pairs that even independent noise would explain.
 """
@@ -182,7 +182,7 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 def describe(moments, chosen, noise, described):
     """Write the plane, residual, variance of a pixel and squared waviness of regions to ``described``, in this order.
 
-    Of those that are ``chosen``, (N,) bool.
+    For the regions that are ``chosen``, (N,) bool.
     """
     sigma, x, y = noise.sigma, noise.lateral_variance_x, noise.lateral_variance_y
     lens, growth = noise.lens, noise.growth
@@ -383,10 +383,10 @@ def number_regions(parent, moments, least, number):
     number : (N,) int64, written
         New number of each old region, or -1.
 
-        Returns
-        -------
-        int
-            Number of regions left.
+    Returns
+    -------
+    int
+        Number of regions left.
     """
     count = 0
     for i in range(len(parent)):

@@ -139,8 +139,8 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
     ----------
     parts, count
         From `measure_parts`.
-        curved : (N,) bool
-            For each region.
+    curved : (N,) bool
+        For each region.
     rules : Rules
         A plane's runs have at least ``narrow`` pixels on average, and its pixels lie within ``rough`` deviations.
     least : int

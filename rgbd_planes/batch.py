@@ -109,11 +109,11 @@ def fit_sequence(
 ) -> BatchReport:
     """Fit every frame of a sequence and write a Parquet table of the planes, one row per tile or segment.
 
-    If `out` holds part of this very table, from a call that was interrupted, only the rest is done. It must be of the
-    same frames, read from the same files at the same paths, by the same function, with the same cameras and settings.
-    At most the part that each thread is at is lost: up to 512 frames, or 64 of segments. A table with a noise model
-    that is a function, or of a sequence that cannot be pickled, is not resumed. A frame that cannot be read or fitted
-    is skipped and reported, and tried again with `retry` only. Memory does not grow with the sequence.
+    If `out` holds part of this very table, from a call that was interrupted, only the rest is done. The table must be
+    of the same frames, read from the same files at the same paths, by the same function, with the same cameras and
+    settings. At most the part that each thread is at is lost: up to 512 frames, or 64 of segments. A table with a noise
+    model that is a function, or of a sequence that cannot be pickled, is not resumed. A frame that cannot be read or
+    fitted is skipped and reported, and tried again with `retry` only. Memory does not grow with the sequence.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
                 f"{folder} holds a table that cannot be told from one of another sequence or camera: "
                 f"{'; '.join(unknown)}; remove it, or choose another folder"
             )
-        for leftover in folder.glob(".part-*"):  # by a process that was killed while it wrote
+        for leftover in folder.glob(".part-*"):  # left by a process that was killed while it wrote
             leftover.unlink(missing_ok=True)
         parts = {_file(folder, number) for number in range(-(-len(sequence) // size))}
         others = sorted(p for p in folder.iterdir() if p not in parts and not p.name.startswith((".", "_")))

@@ -110,7 +110,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
 
     Notes
     -----
-    Depths are missing that are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
+    Depths are missing if they are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
     `camera.depth_range`; so are pixels of a fisheye without a ray within 85 degrees of the axis, and depths that
     float32 has no normal number for, below 1.2e-38 m or above 3.4e38 m. Raw values of a disparity image are missing
     where 1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a

@@ -106,10 +106,10 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
     segmentation : Segmentation
         Of at most 65535 planes.
 
-        Raises
-        ------
-        TypeError
-            It is not a `Segmentation`.
+    Raises
+    ------
+    TypeError
+        It is not a `Segmentation`.
     ValueError
         There are more than 65535 planes, or the path has another suffix.
     OSError
@@ -191,10 +191,10 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
     dict
         header and coefficients: for each plane its header and values [nx, ny, nz, d], by label.
 
-        Raises
-        ------
-        TypeError
-            It is not a `Segmentation`.
+    Raises
+    ------
+    TypeError
+        It is not a `Segmentation`.
     """
     _check(segmentation)
     return ros_planes(segmentation.planes, frame_id, stamp)
