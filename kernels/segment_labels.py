@@ -136,7 +136,7 @@ def settle_strays(
     least : int
         Pixels that a label keeps at least.
     needed : int
-        A loose pixel takes a label that at least so many of its eight neighbours have.
+        A loose pixel takes a label that at least this many of its eight neighbours have.
     loose, loose_count
         From `write_labels`; pixels that lose their label are added.
     label, reason : (H, W) int32 and uint8, changed

@@ -29,9 +29,9 @@ STEEP = 4.0  # where a squared slope is this many variances, its part of the res
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
 MOST_GROWTH = 8.0
 # Where things are small, or the frame is, hardly any large square holds one surface, and edges would pass for noise
-# that grows. There must be at least so many squares of 16 pixels to say anything about growth.
+# that grows. Fewer squares of 16 pixels than this say nothing about growth.
 FEWEST_GROWN = 40
-# Squares of 32 pixels add to the variance of those of 8 at most so many times as much as those of 16 do: sensors'
+# Squares of 32 pixels may add to the variance of those of 8 up to this many times what those of 16 add: sensors'
 # errors add up to 8.5 times as much, and most of them up to 3.8, which sets the limit where there are few squares.
 MOST_STEEPENING = 9.0
 FEW, MOST_OF_FEW = 100, 4.0

@@ -95,7 +95,7 @@ class Planes(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What regions own."""
+    """Sums over the pixels that each region owns."""
 
     moments: Array  # (N, 10) float64
     squares: Array  # (N,) float64: sum of squared residuals, in variances
@@ -112,7 +112,7 @@ class Owners(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """What regions have of MIXED blocks."""
+    """The pixels of MIXED blocks that regions own, a share for each region in a block."""
 
     region: Array  # (S,) int32
     pixels: Array  # (S,) int32: pixel (y, x) of the block is bit BLOCK·y + x

@@ -417,7 +417,7 @@ def uneven_covariances(room):
 def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room):
     """Covariances of α = (a, b, c) and of (n, d), and deviations, from those of a, b and the mean inverse depth.
 
-    Those of (n, d), to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
+    For (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
     σd² = d⁴nᵀΣn.
     """
     mean_u, mean_v = room[1, i], room[2, i]

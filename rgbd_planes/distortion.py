@@ -25,7 +25,7 @@ def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
     Raises
     ------
     ValueError
-        There is no such model, or none with so many coefficients.
+        There is no such model, or none with that many coefficients.
     """
     check_choice("distortion_model", model, MODELS)
     allowed = _COUNTS[model]

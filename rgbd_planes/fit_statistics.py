@@ -132,7 +132,7 @@ def _tables_of(
     return np.concatenate(tables), first[which.ravel()].astype(np.int32)
 
 
-# What `_made_limits` makes for the default level, so that most need no SciPy, which takes 0.3 s to load.
+# The result of `_made_limits` for the default level, so that most users need no SciPy, which takes 0.3 s to load.
 _DEFAULT_LIMITS = (
     0.99999997990416, 3.28995756496133, 2.94107146103008, -0.287355000926986, -0.564272188507147, 0.508657297303299,
     -0.595456492337689, 0.604215142100822, -0.356612220905266, 0.106879331901754, -0.0121882631104778,

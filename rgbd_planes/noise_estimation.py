@@ -61,7 +61,7 @@ _UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real 
 _BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
 _PARTS = 6, 3  # parts of the image along either side: a falloff must show without each of them
-_FRAMES = 4  # with so many or more, it must show without each of them, too
+_FRAMES = 4  # with this many or more, it must show without each of them, too
 _SURE = 3.0  # standard errors that a falloff must exceed
 _TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff; a relative change that counts as none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms that count as small, and steps to find their least sum
@@ -100,7 +100,7 @@ def estimate_noise(
     Warns
     -----
     UserWarning
-        What is taken for flat differs so much that it may be edges, or outliers: do not rely on the model then.
+        The windows taken for flat differ so much that they may hold edges or outliers: do not rely on the model then.
         Or surfaces without noise are bent when taken as depth, and flat as distances along the ray.
 
     Notes

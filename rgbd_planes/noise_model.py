@@ -48,7 +48,7 @@ class NoiseModel:
         Quantum of integer disparity in 1/m: adds disparity_step²/12.
     correlation : tuple of (share, length)
         Shares of the random variance that are correlated between pixels at distance r as
-        exp(-r²/(2·length²)), length in pixels. What is left of 1 is independent.
+        exp(-r²/(2·length²)), length in pixels. The rest, up to 1, is independent.
     floor : float
         Systematic error (lens, calibration, the sensor's own filters), which does not average out: its
         standard deviation as a multiple of σq.

@@ -189,10 +189,10 @@ def flat_windows(
     """Windows that are no rougher as a whole than their parts are.
 
     The residual of the window is compared with the median of those of the small tiles in it: the usual ratio, that of
-    the sensor's errors, is the commonest, and smaller ones, which no shape makes, tell how far it varies. So neither is
-    a surface missed that makes more noise than others, nor a bent one taken for flat. What is far rougher than usual,
-    clutter, is left out. For larger windows clutter may be the usual case: ``flat_parts`` says which windows of
-    `WINDOW` pixels are flat, and only windows whose parts all are come into question.
+    the sensor's errors, is the commonest, and smaller ones, which no shape makes, tell how far it varies. So no
+    surface that makes more noise than others is missed, and no bent one taken for flat. Windows far rougher than usual,
+    clutter, are left out. For larger windows clutter may be the usual case: ``flat_parts`` says which windows of
+    `WINDOW` pixels are flat, and only windows whose parts are all flat are considered.
     """
     _, rows, columns = planes.shape
     window = planes.tile[0]

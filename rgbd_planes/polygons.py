@@ -146,7 +146,7 @@ def plane_polygons(
         twice as far; in the plane, if a lens distorts, by a quarter of it more. 0 keeps every corner.
     min_part : float
         Parts and holes of fewer pixels are left out, unless nothing else is left of the plane. A missing pixel counts
-        as the plane's if every square of so many pixels around it contains one of the plane's.
+        as the plane's if every square of that many pixels around it contains one of the plane's.
 
     Returns
     -------

@@ -19,7 +19,7 @@ from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.tracking import MEMORY, Tracker
 
-_MOST_CLASSES = 65535  # the most that rerun has: after so many planes their numbers begin again
+_MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
 
 
 def record(

@@ -71,8 +71,8 @@ def noise_of(
 ) -> tuple[Noise, float, bool]:
     """Noise of a frame, and what is to be tolerated beside it: see `Rules.tolerating`.
 
-    And whether the frame is far rougher than the given noise, even where it is flattest. What is not given is estimated
-    from the frame: see `segment_noise_estimation.estimate_noise`.
+    Also whether the frame is far rougher than the given noise, even where it is flattest. Noise that is not given is
+    estimated from the frame: see `segment_noise_estimation.estimate_noise`.
 
     Parameters
     ----------

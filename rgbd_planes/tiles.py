@@ -230,7 +230,7 @@ class TileFitter:
         Raises
         ------
         TypeError, ValueError
-            As `fit`, in place of the frame's planes. What ``frames`` itself raises comes after the planes of all
+            As `fit`, in place of the frame's planes. Exceptions from ``frames`` itself come after the planes of all
             earlier frames.
 
         Warns
