@@ -335,7 +335,7 @@ def contest(
             for n in range(lanes):
                 c = listed[n]
                 row, column = place(block[c], columns)
-                own, quarter = before[row, column], 0.25 * of_block[0, block[c]]
+                own, third = before[row, column], of_block[0, block[c]] / 3.0
                 measured[row, column], first_share[row, column] = pixels[NEIGHBOURS, n], put
                 largest, most_pixels, stays = -1, 2.0, False
                 for j in range(many[c]):
@@ -346,10 +346,10 @@ def contest(
                     for k in range(11):
                         share_sums[put, k] = owned[11 * j + k, n]
                     put += 1
-                    # A thin region may not own most of any block: a block stays with a region that owns a quarter of
+                    # A thin region may not own most of any block: a block stays with a region that owns a third of
                     # it.
                     of_own = owned[11 * j, n]
-                    stays |= (a == own) & (of_own >= quarter) & (of_own > 2.0)
+                    stays |= (a == own) & (of_own >= third) & (of_own > 2.0)
                     if of_own > most_pixels:
                         largest, most_pixels = a, of_own
                 shares_of[row, column] = put - first_share[row, column]
