@@ -281,7 +281,7 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            The points are masked, no numbers, or of another shape.
+            The points are masked, not numbers, or of another shape.
         """
         array = real_array("points", points)
         if array.ndim == 0 or array.shape[-1] != 3:

@@ -46,7 +46,7 @@ _ROS_FILE = {  # a ROS calibration file's names for the matrices of the message
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
-    with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors begin a file with a byte order mark
+    with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors write a byte order mark
         try:
             values = json.load(file)
         except UnicodeDecodeError:

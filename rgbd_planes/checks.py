@@ -36,7 +36,7 @@ def check_camera(camera: Any) -> None:
 
 
 def check_figure(figure: Any) -> None:
-    """Raise TypeError unless it is a figure of Matplotlib's, or None for a new one."""
+    """Raise TypeError unless it is a Matplotlib figure, or None for a new one."""
     from matplotlib.figure import FigureBase
 
     if figure is not None and not isinstance(figure, FigureBase):
@@ -94,9 +94,9 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
 
 
 def real_array(name: str, values: Any) -> NDArray[np.float64]:
-    """Return numbers, in what is no masked array, as an array of floats."""
+    """Return numbers as an array of floats, unless they are in a masked array."""
     array = plain_array(name, values)
-    if array.dtype.kind not in "biufO":  # NumPy makes numbers of texts, and drops a part of complex ones
+    if array.dtype.kind not in "biufO":  # NumPy would read text as numbers, and drop imaginary parts
         raise TypeError(f"expected {name} as numbers, got an array of {array.dtype}")
     try:
         return array.astype(np.float64, copy=False)

@@ -159,7 +159,7 @@ def write_ply(
     Raises
     ------
     TypeError
-        Masked arrays, or none of numbers.
+        The arrays are masked, or not of numbers.
     ValueError
         Arrays of other shapes, colours outside 0..1, or a face with a point that does not exist.
     """

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 def needs(library: str, extra: str | None) -> Iterator[None]:
     """Say how to install the library whose import in the block fails, by itself if there is no extra.
 
-    Or, where it is installed, why it cannot be imported: mostly for want of another file of the system's.
+    If it is installed, say why it cannot be imported: mostly because a system library is missing.
     """
     try:
         yield

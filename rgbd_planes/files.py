@@ -104,7 +104,7 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
 
 
 def no_folder(path: str | os.PathLike[str]) -> Path:
-    """The path, if it exists and is no folder."""
+    """The path, if it exists and is not a folder."""
     file = Path(path)
     if not file.exists():
         raise FileNotFoundError(f"{path}: there is no such file")

@@ -93,7 +93,7 @@ class NoiseModel:
         if not 1 <= len(coefficients) <= 3:
             raise ValueError(f"expected 1 to 3 coefficients, got {self.coefficients!r}")
         if self.samples is not None:
-            coefficients = (KINECT_V1,)  # which are not looked at, and not saved
+            coefficients = (KINECT_V1,)  # neither used nor saved
             samples = _pairs("samples", self.samples, "inverse depth, sigma")
             if not (samples.size and (np.diff(samples[:, 0]) > 0.0).all() and (samples[:, 1] > 0.0).all()):
                 raise ValueError(

@@ -85,7 +85,7 @@ def write_json(
     Raises
     ------
     TypeError
-        It is not a `Segmentation`, or the polygons are none.
+        It is not a `Segmentation`, or the polygons are not `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     OSError

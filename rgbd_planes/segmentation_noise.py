@@ -109,7 +109,7 @@ def noise_of(
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, step_of_raw, q)), table)
     sigma = np.maximum(table, flattest)
-    # What is assumed beyond the noise that the frame shows has no company that it could show.
+    # Only the noise that the frame shows has the correlation that it shows, not what is assumed beyond it.
     shown = typical**0.5 * (known[1 + middle] if len(known) else 1.0)
     together = 1.0 + (max(together, 1.0) - 1.0) * min(shown / sigma[middle], 1.0) ** 2
     # Edges pass for waves where most squares have one, and with waves of any height all things would be planes.

@@ -19,7 +19,7 @@ def counted(count: int, what: str) -> str:
 
 
 def one_line(message: object) -> str:
-    """The text of an error: of the system's own, the file and the reason without the number."""
+    """The text of an error; for the system's own, the file and the reason without the number."""
     if isinstance(message, OSError) and message.strerror is not None:
         message = f"{message.filename}: {message.strerror}" if message.filename else message.strerror
     return " ".join(str(message).split())
