@@ -52,9 +52,7 @@ def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
             write_png(folder / f"{i}.png", frame)
 
         def sequence(count: int, where: Any, read: Any) -> FrameSequence:
-            return FrameSequence(
-                (FrameEntry(str(i), float(i), camera, where(i % KINDS)) for i in range(count)), read
-            )
+            return FrameSequence((FrameEntry(str(i), float(i), camera, where(i % KINDS)) for i in range(count)), read)
 
         in_memory = sequence(frames, lambda i: i, _from_memory)
         longer = sequence(LONGER * frames, lambda i: i, _from_memory)
@@ -96,8 +94,7 @@ def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
                     work = {name: Counter() for name in work}
     reference = np.array(seconds["fit_batch"])
     quartiles = {
-        which: np.quantile(reference / values, (0.25, 0.5, 0.75)).tolist()
-        for which, values in seconds.items()
+        which: np.quantile(reference / values, (0.25, 0.5, 0.75)).tolist() for which, values in seconds.items()
     }
     return {
         "frames": frames,

@@ -20,9 +20,7 @@ ROUNDS = 40
 def samples(of_a: int, of_z: int) -> tuple[np.ndarray, ...]:
     """Values of a, z, η and C, where SciPy has them."""
     s = (0.5 + 0.5 * np.cos(np.pi * (np.arange(of_a) + 0.5) / of_a)) / (LEAST_A + SHIFT)
-    a, z = np.meshgrid(
-        1.0 / s - SHIFT, 0.8 + 6.4 * np.cos(np.pi * (np.arange(of_z) + 0.5) / of_z), indexing="ij"
-    )
+    a, z = np.meshgrid(1.0 / s - SHIFT, 0.8 + 6.4 * np.cos(np.pi * (np.arange(of_z) + 0.5) / of_z), indexing="ij")
     x = np.where(z > 0.0, special.gammainccinv(a, special.ndtr(-z)), special.gammaincinv(a, special.ndtr(z)))
     with np.errstate(all="ignore"):
         more = x / a - 1.0
@@ -85,9 +83,7 @@ def main() -> None:
     made = np.polynomial.polynomial.polyval2d(eta, 1.0 / (a + SHIFT), powers)
     for low, high in ((0.5, 1.0), (1.0, 2.5), (2.5, 5.0), (5.0, np.inf)):
         inside = (a >= low) & (a < high)
-        print(
-            f"{2 * low:g} to {2 * high:g} degrees of freedom: {(abs(made - c) * to_error)[inside].max():.1e}"
-        )
+        print(f"{2 * low:g} to {2 * high:g} degrees of freedom: {(abs(made - c) * to_error)[inside].max():.1e}")
 
 
 if __name__ == "__main__":

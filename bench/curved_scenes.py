@@ -56,10 +56,7 @@ def render(scene: scenes.Scene, bodies: tuple[Body, ...], camera: Camera) -> tup
     rays = rays @ scene.camera_to_scene[:3, :3].T
     for body in bodies:
         start = scene.camera_to_scene[:3, 3] - body.centre
-        p, m = (
-            body.axes @ start,
-            rays @ body.axes.T,
-        )  # the ray is p + Z m, and the surface where that is 1 long
+        p, m = (body.axes @ start, rays @ body.axes.T)  # the ray is p + Z m, and the surface where that is 1 long
         a, b, c = (m * m).sum(axis=-1), m @ p, p @ p - 1.0
         root = np.sqrt(np.maximum(b * b - a * c, 0.0))
         z = np.where(b * b > a * c, (-b - root) / a, np.inf)

@@ -44,9 +44,7 @@ def _name(method: str) -> str:
 def integral_times_vs_points(result: Result) -> Figure:
     """The paper's figure of the same name: tables and one plane, against the points of the plane."""
     series = result["series"]["integral_times_vs_points"]
-    figure, (panel,) = _axes(
-        "Summed-area tables and one plane: constant with the window's size", "points", "ms"
-    )
+    figure, (panel,) = _axes("Summed-area tables and one plane: constant with the window's size", "points", "ms")
     for method, seconds in series["seconds"].items():
         _line(panel, series["points"], np.multiply(seconds, 1e3), method, _name(method))
     panel.set_ylim(bottom=0.0)
@@ -79,9 +77,7 @@ def integral_percent_faster_vs_iterations(result: Result) -> Figure:
         "Range space against standard, tables included", "planes fitted in a frame", "less time, %"
     )
     for form in ("implicit", "explicit"):
-        new, old = (
-            np.array(series["seconds"][f"{space}_{form}_integral"]) for space in ("range", "standard")
-        )
+        new, old = (np.array(series["seconds"][f"{space}_{form}_integral"]) for space in ("range", "standard"))
         _line(panel, series["planes"], 100.0 * (1.0 - new / old), f"range_{form}", form)
     panel.axhline(45.0, color="0.6", linewidth=0.8)
     panel.axhline(52.0, color="0.6", linewidth=0.8, linestyle="--")
@@ -96,9 +92,7 @@ def integral_percent_faster_vs_iterations(result: Result) -> Figure:
 def runtime_comparison(result: Result) -> Figure:
     """The paper's figure of the same name, (a) implicit and (b) explicit: planes of 50x50 pixels."""
     series = result["series"]["runtime_comparison"]
-    figure, panels = _axes(
-        "Planes of 50x50 pixels from one frame", "planes fitted in a frame", "ms", columns=2
-    )
+    figure, panels = _axes("Planes of 50x50 pixels from one frame", "planes fitted in a frame", "ms", columns=2)
     for panel, form, letter in zip(panels, ("implicit", "explicit"), "ab", strict=True):
         for method, seconds in series["seconds"].items():
             space, form_, implementation = method.split("_")
@@ -122,14 +116,10 @@ def planar_segmentation(result: Result) -> Figure:
 def measurement_noise(result: Result) -> Figure:
     """Residual in 1/Z of flat tiles against depth, beside the paper's noise model."""
     noise = result["noise"]
-    figure, (panel,) = _axes(
-        "Residual in 1/Z of flat 16x16 tiles, and the paper's noise model", "depth, m", "1e-3 / m"
-    )
+    figure, (panel,) = _axes("Residual in 1/Z of flat 16x16 tiles, and the paper's noise model", "depth, m", "1e-3 / m")
     panel.axhline(noise["paper"] * 1e3, color="black", linewidth=1.2, label="paper: σ_Z / Z² = 1.425e-3 /m")
     offset = -0.06
-    for (name, rows), colour in zip(
-        noise["sets"].items(), ("#1769aa", "#c1440e", "#2a9d4a", "0.5"), strict=False
-    ):
+    for (name, rows), colour in zip(noise["sets"].items(), ("#1769aa", "#c1440e", "#2a9d4a", "0.5"), strict=False):
         middle = np.array([np.mean(row["depth"]) for row in rows]) + offset
         sigma = np.array([row["sigma"] for row in rows]).reshape(-1, 3) * 1e3
         panel.errorbar(

@@ -77,8 +77,7 @@ def measure(rounds: int = 15, compiling: bool = True) -> dict[str, Any]:
         for name, code in codes.items():
             steps[name].append(run(code))
     result: dict[str, Any] = {
-        name: {step: [seconds[step] for seconds in taken] for step in taken[0]}
-        for name, taken in steps.items()
+        name: {step: [seconds[step] for seconds in taken] for step in taken[0]} for name, taken in steps.items()
     }
     if compiling:
         result["compiling"] = {name: [] for name in CALLS}
@@ -106,10 +105,7 @@ def table(result: dict[str, Any]) -> str:
             f"| `{name}` | {np.median(of['import']) * 1e3:.1f} ms | {np.median(of['first call']):.2f} s "
             f"| {of['first call'].max():.2f} s | {np.median(total):.1f} |"
         )
-    lines += [
-        "",
-        f"{len(base)} processes each; NumPy and Numba alone take {np.median(base):.2f} s to import.",
-    ]
+    lines += ["", f"{len(base)} processes each; NumPy and Numba alone take {np.median(base):.2f} s to import."]
     if "compiling" in result:
         times = [
             "`{}` takes {:.1f} s ({:.1f} to {:.1f})".format(name, *np.percentile(seconds, [50, 0, 100]))

@@ -22,14 +22,10 @@ class Case(NamedTuple):
 
 
 @cache
-def case(
-    width: int = 640, height: int = 480, holes: float = 0.05, distortion: tuple[float, ...] = ()
-) -> Case:
+def case(width: int = 640, height: int = 480, holes: float = 0.05, distortion: tuple[float, ...] = ()) -> Case:
     """The rendered room: uint16 millimetres, independent noise of a Kinect's size, missing pixels."""
     focal = 525.0 * width / 640
-    camera = rp.Camera(
-        width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, distortion, depth_scale=1000.0
-    )
+    camera = rp.Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, distortion, depth_scale=1000.0)
     rendering = scenes.room().render(camera)
     return Case(camera, rendering.measure(holes=holes, seed=1), rendering.labels, rendering.planes)
 
@@ -117,11 +113,7 @@ def numpy_fit(frame: Case, tile: int, form: str) -> Callable[[], Any]:
 def median_angle(planes: Any, frame: Case, tile: int) -> float:
     """Median angle in degrees between fitted and true normals, over tiles that see one plane."""
     height, width = frame.depth.shape
-    labels = (
-        frame.labels.reshape(height // tile, tile, width // tile, tile)
-        .swapaxes(1, 2)
-        .reshape(-1, tile * tile)
-    )
+    labels = frame.labels.reshape(height // tile, tile, width // tile, tile).swapaxes(1, 2).reshape(-1, tile * tile)
     pure = (labels == labels[:, :1]).all(axis=1) & (labels[:, 0] > 0)
     normals = planes.reshape(-1, 4)[pure, :3]
     truth = frame.planes[labels[pure, 0] - 1, :3]

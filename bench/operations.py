@@ -124,11 +124,7 @@ class Count:
 def plain(kernel: Any) -> Callable[..., Any]:
     """The plain Python function of a kernel, in which all kernels that it calls are plain too."""
     function = kernel.py_func
-    used = {
-        name: function.__globals__[name]
-        for name in function.__code__.co_names
-        if name in function.__globals__
-    }
+    used = {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
     scope = {name: plain(value) if hasattr(value, "py_func") else value for name, value in used.items()}
     # Scratch rows must hold numbers that count.
     scope["np"] = types.SimpleNamespace(empty=lambda shape: np.empty(shape, object))
@@ -174,24 +170,15 @@ def count(kernel: Any, tables: int, *, window: bool = False) -> Count:
     return Count(
         tables=tables,
         arguments=(of_depth["multiplications"] + of_depth["divisions"]) / pixels,
-        **{
-            name: everything[name] / pixels
-            for name in ("additions", "multiplications", "divisions", "conversions")
-        },
+        **{name: everything[name] / pixels for name in ("additions", "multiplications", "divisions", "conversions")},
     )
 
 
 def count_all() -> dict[str, dict[str, Count]]:
     """Counts of the standard and the range-space form: implicit, explicit (both from tables) and naive."""
     return {
-        "implicit": {
-            "standard": count(summed_area.standard_tables, 9),
-            "range": count(summed_area.range_tables, 4),
-        },
-        "explicit": {
-            "standard": count(summed_area.standard_tables, 8),
-            "range": count(summed_area.range_tables, 3),
-        },
+        "implicit": {"standard": count(summed_area.standard_tables, 9), "range": count(summed_area.range_tables, 4)},
+        "explicit": {"standard": count(summed_area.standard_tables, 8), "range": count(summed_area.range_tables, 3)},
         "naive": {
             "standard": count(naive.standard_window_moments, 10, window=True),
             "range": count(naive.range_window_moments, 10, window=True),

@@ -116,12 +116,8 @@ def _planes(rounds: int) -> Result:
         "time": {
             "plane_implicit": _pair(-15.0, seconds["range_implicit"], seconds["standard_implicit"]),
             "plane_explicit": _pair(-70.0, seconds["range_explicit"], seconds["standard_explicit"]),
-            "plane_implicit_new": _pair(
-                None, seconds["range_implicit_new"], seconds["standard_implicit_new"]
-            ),
-            "plane_explicit_new": _pair(
-                None, seconds["range_explicit_new"], seconds["standard_explicit_new"]
-            ),
+            "plane_implicit_new": _pair(None, seconds["range_implicit_new"], seconds["standard_implicit_new"]),
+            "plane_explicit_new": _pair(None, seconds["range_explicit_new"], seconds["standard_explicit_new"]),
             "plane_implicit_vs_explicit": _pair(None, seconds["range_implicit"], seconds["range_explicit"]),
         }
     }
@@ -145,10 +141,7 @@ def _naive(rounds: int, quick: bool) -> Result:
         old = seconds[f"standard_{form}"][chosen]
         result[f"naive_{form}"] = _pair(paper, seconds[f"range_{form}"][chosen], old)
         result[f"naive_{form}_disparity"] = _pair(None, seconds[f"range_{form}_disparity"][chosen], old)
-    return {
-        "time": result,
-        "series": {"naive_times_vs_points": {"points": points, "seconds": _fastest(seconds)}},
-    }
+    return {"time": result, "series": {"naive_times_vs_points": {"points": points, "seconds": _fastest(seconds)}}}
 
 
 def _integral_points(rounds: int, quick: bool) -> Result:
@@ -177,9 +170,7 @@ def _plane_counts(rounds: int, quick: bool) -> Result:
         "time": {
             "windows200_implicit_vs_integral": _pair(-37.0, new, at_200["standard_implicit_integral"]),
             "windows200_implicit_vs_naive": _pair(-28.0, new, at_200["standard_implicit_naive"]),
-            "windows200_explicit_vs_integral": _pair(
-                -62.0, new_explicit, at_200["standard_explicit_integral"]
-            ),
+            "windows200_explicit_vs_integral": _pair(-62.0, new_explicit, at_200["standard_explicit_integral"]),
             "windows200_explicit_vs_implicit": _pair(-50.0, new_explicit, new),
         },
         "series": {"runtime_comparison": {"planes": counts, "seconds": _fastest(seconds)}},
@@ -202,9 +193,7 @@ def _segmentation(count: int, rounds: int) -> Result:
         for name, fitter in fitters.items()
     }
     saved = {
-        form: (total[f"standard_{form}"].fastest - total[f"range_{form}"].fastest)
-        / len(frames)
-        * FLIGHT_FRAMES
+        form: (total[f"standard_{form}"].fastest - total[f"range_{form}"].fastest) / len(frames) * FLIGHT_FRAMES
         for form in ("implicit", "explicit")
     }
     direct = _pair(None, total["range_explicit_direct"], total["standard_implicit"])
@@ -212,9 +201,7 @@ def _segmentation(count: int, rounds: int) -> Result:
         "time": {
             "segmentation_implicit": _pair(-22.0, total["range_implicit"], total["standard_implicit"]),
             "segmentation_explicit": _pair(-32.0, total["range_explicit"], total["standard_explicit"]),
-            "segmentation_explicit_vs_implicit": _pair(
-                -66.0, total["range_explicit"], total["range_implicit"]
-            ),
+            "segmentation_explicit_vs_implicit": _pair(-66.0, total["range_explicit"], total["range_implicit"]),
             "segmentation_direct_vs_standard": direct,
             "flight_seconds_saved_implicit": _claim(30.0, saved["implicit"]),
             "flight_seconds_saved_explicit": _claim(None, saved["explicit"]),

@@ -55,16 +55,8 @@ THREADS = os.cpu_count() or 1
 
 # Time over the baseline's, least and most of several runs: by side of the tile.
 QUOTED = {
-    20: {
-        "CAPE, points given": "0.19–0.28",
-        "CAPE, from the depth": "0.43–0.64",
-        "PEAC, points given": "0.68",
-    },
-    10: {
-        "CAPE, points given": "0.21–0.23",
-        "CAPE, from the depth": "0.32–0.37",
-        "PEAC, points given": "0.42",
-    },
+    20: {"CAPE, points given": "0.19–0.28", "CAPE, from the depth": "0.43–0.64", "PEAC, points given": "0.68"},
+    10: {"CAPE, points given": "0.21–0.23", "CAPE, from the depth": "0.32–0.37", "PEAC, points given": "0.42"},
 }
 
 
@@ -78,9 +70,7 @@ def systems(frame: Case, tile: int) -> tuple[dict[str, Callable[[], Any]], dict[
     for method in METHODS:
         functions[method] = fit(frame, tile, method)
         angles[method] = median_angle(functions[method]().planes, frame, tile)
-    functions["fit_tiles, no fitter kept"] = lambda: rp.fit_tiles(
-        frame.depth, frame.camera, tile, num_threads=1
-    )
+    functions["fit_tiles, no fitter kept"] = lambda: rp.fit_tiles(frame.depth, frame.camera, tile, num_threads=1)
     for name, form in FORMS.items():
         functions[name] = numpy_fit(frame, tile, form)
         angles[name] = median_angle(functions[name](), frame, tile)
@@ -101,9 +91,7 @@ def opencv(frame: Case, tile: int) -> dict[str, Callable[[], Any]]:
     points = cv2.depthTo3d(frame.depth, matrix)
     return {
         "OpenCV depthTo3d alone": lambda: cv2.depthTo3d(frame.depth, matrix, points),
-        "OpenCV findPlanes, points given": lambda: cv2.findPlanes(
-            points, None, block_size=tile, min_size=NO_PLANE
-        ),
+        "OpenCV findPlanes, points given": lambda: cv2.findPlanes(points, None, block_size=tile, min_size=NO_PLANE),
     }
 
 
@@ -113,9 +101,7 @@ def open3d(frame: Case) -> dict[str, Callable[[], Any]]:
         import open3d
     except ImportError:
         return {}
-    cloud = open3d.geometry.PointCloud(
-        open3d.utility.Vector3dVector(frame.camera.points(frame.depth)[frame.depth > 0])
-    )
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(frame.camera.points(frame.depth)[frame.depth > 0]))
     search = open3d.geometry.KDTreeSearchParamKNN(30)
     return {
         "Open3D estimate_normals, 30 neighbours": lambda: cloud.estimate_normals(search),
@@ -150,25 +136,18 @@ def with_all_threads(frame: Case, tile: int, repeats: int) -> list[dict[str, Any
     both: dict[str, list[Callable[[], Any]]] = {}
     for method in ("range_explicit", "standard_pca"):
         both[method] = [fit(frame, tile, method, n) for n in (1, THREADS)]
-    both["normals 7"] = [
-        lambda n=n: rp.normals(frame.depth, frame.camera, 7, num_threads=n) for n in (1, THREADS)
-    ]
+    both["normals 7"] = [lambda n=n: rp.normals(frame.depth, frame.camera, 7, num_threads=n) for n in (1, THREADS)]
     if of_normals.OPENCV:
         import cv2
 
-        names = opencv(frame, tile) | {
-            "OpenCV FALS": of_normals.prepare("OpenCV FALS", of_normals.case(0.05)),
-        }
+        names = opencv(frame, tile) | {"OpenCV FALS": of_normals.prepare("OpenCV FALS", of_normals.case(0.05))}
         for name, function in names.items():
-            both[name] = [
-                lambda n=n, function=function: (cv2.setNumThreads(n), function()) for n in (1, THREADS)
-            ]
+            both[name] = [lambda n=n, function=function: (cv2.setNumThreads(n), function()) for n in (1, THREADS)]
     times = take_turns({f"{name} {i}": f for name, pair in both.items() for i, f in enumerate(pair)}, repeats)
     if of_normals.OPENCV:
         cv2.setNumThreads(1)
     return [
-        {"system": name, "threads": THREADS, "speedup": ratio(times[f"{name} 0"], times[f"{name} 1"])}
-        for name in both
+        {"system": name, "threads": THREADS, "speedup": ratio(times[f"{name} 0"], times[f"{name} 1"])} for name in both
     ]
 
 
@@ -207,9 +186,7 @@ def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
     frames = {size: case(*size) for size in (sizes[:3] if quick else sizes)}
     repeats = 10 if quick else 60
     by_size = take_turns({f"{w}x{h}": fit(frame, 20) for (w, h), frame in frames.items()}, repeats)
-    by_tile = take_turns(
-        {str(tile): fit(case(), tile) for tile in (4, 5, 8, 10, 16, 20, 32, 40, 64)}, repeats
-    )
+    by_tile = take_turns({str(tile): fit(case(), tile) for tile in (4, 5, 8, 10, 16, 20, 32, 40, 64)}, repeats)
     many = np.repeat(case().depth[None], 20 if quick else 100, axis=0)
     batches: dict[str, Callable[[], Any]] = {}
     for threads in range(1, THREADS + 1):
@@ -251,11 +228,7 @@ def figure(points: dict[str, list[tuple[Any, float]]], path: Path) -> None:
     drawing = Figure(figsize=(11, 3.4), layout="constrained")
     FigureCanvasAgg(drawing)
     axes = drawing.subplots(1, 3)
-    titles = (
-        "size of the frame, tiles of 20",
-        "side of a tile in pixels, 640 x 480",
-        "threads, batch of 640 x 480",
-    )
+    titles = ("size of the frame, tiles of 20", "side of a tile in pixels, 640 x 480", "threads, batch of 640 x 480")
     for axis, name, title in zip(axes, ("size", "tile", "threads"), titles, strict=True):
         labels, heights = zip(*points[name], strict=True)
         if name == "tile":
@@ -268,9 +241,7 @@ def figure(points: dict[str, list[tuple[Any, float]]], path: Path) -> None:
             axis.set_xticks(range(len(labels)), [str(label) for label in labels], fontsize=8)
         if name == "threads":
             axis.plot(range(len(labels)), labels, ":", color="grey", label="ideal")
-            axis.plot(
-                range(len(labels)), [value for _, value in points["threads, floor"]], "s--", label="floor"
-            )
+            axis.plot(range(len(labels)), [value for _, value in points["threads, floor"]], "s--", label="floor")
             axis.legend()
         axis.set_ylim(0.0)
         axis.set_xlabel(title)
@@ -355,9 +326,7 @@ def text_of_threads(rows: list[dict[str, Any]]) -> str:
 def measure() -> dict[str, Any]:
     """What `main` measures, in a process of its own, whose linear algebra has one thread."""
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run(
-            [sys.executable, "-m", "bench.peers", "--out", folder], check=True, stdout=subprocess.DEVNULL
-        )
+        subprocess.run([sys.executable, "-m", "bench.peers", "--out", folder], check=True, stdout=subprocess.DEVNULL)
         return dict(json.loads((Path(folder) / "peers.json").read_text(encoding="utf-8")))
 
 

@@ -60,13 +60,7 @@ def measure() -> list[dict[str, Any]]:
                 one, other, _ = np.median(found[rng.integers(len(found), size=len(found))], axis=0)
                 ratios.append(other / one)
             low, high = np.percentile(ratios, [2.5, 97.5]).tolist()
-            row = {
-                "data": name,
-                "tile": tile,
-                "tiles": len(found),
-                "range_explicit": ours,
-                "standard_pca": pca,
-            }
+            row = {"data": name, "tile": tile, "tiles": len(found), "range_explicit": ours, "standard_pca": pca}
             rows.append({**row, "standard_explicit": explicit, "ratio": [pca / ours, low, high]})
     return rows
 
@@ -79,8 +73,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         medians = " | ".join(f"{row[method]:.2f}°" for method in METHODS)
         ratio, low, high = row["ratio"]
         lines.append(
-            f"| {SETS[row['data']]} | {row['tile']} | {row['tiles']} | {medians} "
-            f"| {ratio:.2f} ({low:.2f}–{high:.2f}) |"
+            f"| {SETS[row['data']]} | {row['tile']} | {row['tiles']} | {medians} | {ratio:.2f} ({low:.2f}–{high:.2f}) |"
         )
     return "\n".join(lines)
 

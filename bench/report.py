@@ -15,11 +15,7 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
         "tables, so a pixel is read and divided once, and what is left is nearly the tables themselves: 9 "
         "to 4.",
     ),
-    (
-        "sat_explicit",
-        "Build the summed-area tables, explicit: 3 in range space for 8",
-        "As above: 8 tables to 3.",
-    ),
+    ("sat_explicit", "Build the summed-area tables, explicit: 3 in range space for 8", "As above: 8 tables to 3."),
     (
         "sat_implicit_cold",
         "The same, implicit, nothing in the caches",
@@ -68,11 +64,7 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
         "What the paper suspects would cure it: range space takes disparity as it is, without a division. "
         "Where the time goes into the ten sums of a pixel, one division less does not show.",
     ),
-    (
-        "naive_explicit_disparity",
-        "The same, explicit, range space from disparity",
-        "As above.",
-    ),
+    ("naive_explicit_disparity", "The same, explicit, range space from disparity", "As above."),
     (
         "windows200_implicit_vs_integral",
         "200 planes of 50x50 pixels, implicit: range space integral against standard integral",
@@ -102,11 +94,7 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
         "precomputation ignores them. What both do alike, such as choosing which squares to split, dilutes "
         "the difference.",
     ),
-    (
-        "segmentation_explicit",
-        "Segment frames, tables and planes, explicit: range space against standard",
-        "As above.",
-    ),
+    ("segmentation_explicit", "Segment frames, tables and planes, explicit: range space against standard", "As above."),
     (
         "segmentation_explicit_vs_implicit",
         "Segment frames, range space: explicit against implicit",
@@ -121,10 +109,7 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
     ),
 )
 FLIGHT = (
-    (
-        "flight_seconds_saved_implicit",
-        "Seconds saved in a five-minute flight at 30 frames per second, implicit",
-    ),
+    ("flight_seconds_saved_implicit", "Seconds saved in a five-minute flight at 30 frames per second, implicit"),
     ("flight_seconds_saved_explicit", "The same, explicit"),
 )
 COUNTS = (
@@ -173,9 +158,7 @@ def readme_table(result: Result) -> str:
     rows = ["| | paper | here |", "|---|---:|---:|"]
     for key, title in COUNTS[:2]:
         count = result["op_count"][key]
-        rows.append(
-            f"| Operations, {title[0].lower()}{title[1:]} | {count['paper']:.1f}x | {count['counted']:.1f}x |"
-        )
+        rows.append(f"| Operations, {title[0].lower()}{title[1:]} | {count['paper']:.1f}x | {count['counted']:.1f}x |")
     for key, title, _ in CLAIMS:
         claim = result["time"][key]
         if claim["paper"] is not None:
@@ -206,8 +189,7 @@ def _machine(machine: Result) -> str:
 
 def _counts(counts: Result) -> str:
     rows = [
-        "| | paper's ratio | counted | executed | standard, per pixel: paper's count / executed | range "
-        "space |",
+        "| | paper's ratio | counted | executed | standard, per pixel: paper's count / executed | range space |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for key, title in COUNTS:
@@ -224,10 +206,7 @@ def _counts(counts: Result) -> str:
 
 
 def _times(result: Result) -> str:
-    rows = [
-        "| | paper | here | median | ratio | new time | old time |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
+    rows = ["| | paper | here | median | ratio | new time | old time |", "|---|---:|---:|---:|---:|---:|---:|"]
     for key, title, _ in CLAIMS:
         claim = result["time"][key]
         new, old = (_duration(seconds) for seconds in claim["seconds"])
@@ -252,8 +231,7 @@ def _duration(seconds: float) -> str:
 def _segmentation(result: Result) -> str:
     segmentation = result["segmentation"]
     fitted = ", ".join(
-        f"{name} {count / segmentation['frames']:.0f}"
-        for name, count in segmentation["elements_fitted"].items()
+        f"{name} {count / segmentation['frames']:.0f}" for name, count in segmentation["elements_fitted"].items()
     )
     return (
         f"Segmented were {segmentation['frames']} {segmentation['source']}, squares of 32 pixels split at "

@@ -156,11 +156,7 @@ def figure(result: dict[str, Any], path: Path = PICTURE) -> None:
     axis = drawing.subplots()
     places = np.arange(len(rows))[::-1]
     axis.barh(places, [row["ns"] for row in rows], 0.62, color="#d5dde5", label="measured")
-    marks = (
-        ("reading", "#2a9d4a", "o"),
-        ("dividing", "#c1440e", "s"),
-        ("adding and multiplying", "#1769aa", "D"),
-    )
+    marks = (("reading", "#2a9d4a", "o"), ("dividing", "#c1440e", "s"), ("adding and multiplying", "#1769aa", "D"))
     for name, colour, marker in marks:
         drawn = [(row["limits"][name], place) for row, place in zip(rows, places, strict=True)]
         drawn = [(value, place) for value, place in drawn if value > 0.0]

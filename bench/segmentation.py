@@ -149,8 +149,7 @@ def report(title: str, rows: Sequence[Scores]) -> None:
     regions = sum(row.regions for row in rows)
     counts = "  ".join(f"{mean(rows, name):4.2f}" for name in ("over", "under", "missed", "noise"))
     others = "  ".join(
-        f"{mean(rows, name):5.3f}"
-        for name in ("f_50", "f_75", "panoptic", "covering", "information", "matched_iou")
+        f"{mean(rows, name):5.3f}" for name in ("f_50", "f_75", "panoptic", "covering", "information", "matched_iou")
     )
     print(
         f"{title:38s} {len(rows):3d}  {regions / len(rows):6.2f}  "
@@ -159,9 +158,7 @@ def report(title: str, rows: Sequence[Scores]) -> None:
     )
 
 
-HEADER = (
-    f"{'':38s} frames regions  c 80%   c 90%  over  undr  miss  nois  F .5   F .75  PQ     cover  VI     IoU"
-)
+HEADER = f"{'':38s} frames regions  c 80%   c 90%  over  undr  miss  nois  F .5   F .75  PQ     cover  VI     IoU"
 
 
 def read_set(folder: Path) -> list[Frame]:
@@ -290,9 +287,7 @@ def _worth(row: Scores) -> float:
 
 def _difference(rules: Rules) -> str:
     changed = [
-        f"{name} {getattr(rules, name)}"
-        for name in Rules._fields
-        if getattr(rules, name) != getattr(Rules(), name)
+        f"{name} {getattr(rules, name)}" for name in Rules._fields if getattr(rules, name) != getattr(Rules(), name)
     ]
     return ", ".join(changed) or "as shipped"
 
@@ -395,9 +390,7 @@ def picture(frames: Sequence[Frame], path: Path) -> None:
 def labelled_sets() -> Iterator[tuple[str, list[Frame]]]:
     """Every labelled set that is there."""
     for name, folders in LABELLED.items():
-        frames = [
-            frame for folder in folders if (DATA / folder).is_dir() for frame in read_set(DATA / folder)
-        ]
+        frames = [frame for folder in folders if (DATA / folder).is_dir() for frame in read_set(DATA / folder)]
         if frames:
             yield name, frames
         else:
@@ -435,9 +428,7 @@ def measure() -> dict[str, Any]:
 
 def table(results: dict[str, Any]) -> str:
     """The scores and times as Markdown."""
-    lines = [
-        "| frames | regions | correct at 80 % | at 90 % | over | under | missed | noise | F at IoU .75 |"
-    ]
+    lines = ["| frames | regions | correct at 80 % | at 90 % | over | under | missed | noise | F at IoU .75 |"]
     lines.append("|---|---:|---:|---:|---:|---:|---:|---:|---:|")
     for row in results["scores"]:
         counts = " | ".join(f"{row[name]:.2f}" for name in ("over", "under", "missed", "noise"))

@@ -23,9 +23,7 @@ try:
     import cv2
 except ImportError:
     cv2 = None
-OPENCV = (
-    ("FALS", "LINEMOD", "SRI", "CROSS_PRODUCT") if cv2 is not None and hasattr(cv2, "RgbdNormals") else ()
-)
+OPENCV = ("FALS", "LINEMOD", "SRI", "CROSS_PRODUCT") if cv2 is not None and hasattr(cv2, "RgbdNormals") else ()
 WINDOWS = (7, 3, 15, 31)
 OURS = tuple(f"{name} {w}" for w in WINDOWS for name in ("normals", "avoid_edges"))
 METHODS = (*OURS, *(f"OpenCV {name}" for name in OPENCV))

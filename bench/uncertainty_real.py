@@ -65,9 +65,7 @@ def real_sets() -> list[RealSet]:
         if len(frames) == 1:
             # Squares of 192 pixels of the one frame, as on a chessboard.
             row, column = np.indices(camera.shape) // 192
-            halves = [
-                [np.where((row + column) % 2 == i, frames[0], 0).astype(frames[0].dtype)] for i in (0, 1)
-            ]
+            halves = [[np.where((row + column) % 2 == i, frames[0], 0).astype(frames[0].dtype)] for i in (0, 1)]
             of = [[None], [None]]
         else:
             halves, of = [frames[::2], frames[1::2]], [labels[::2], labels[1::2]]
@@ -156,9 +154,7 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         predicted=float(np.sqrt(np.mean(np.concatenate(predicted) ** 2))) if len(seen) else np.nan,
         observed=float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan,
         rings=tuple(
-            (float(np.sqrt(np.mean(square[ring]))), float(np.mean(p_all[ring] < 0.01)))
-            for ring in rings
-            if len(ring)
+            (float(np.sqrt(np.mean(square[ring]))), float(np.mean(p_all[ring] < 0.01))) for ring in rings if len(ring)
         ),
     )
 
@@ -307,9 +303,7 @@ def ring_table(rows: list[dict[str, Any]]) -> list[str]:
 
     falloffs = {data: cell(data, lambda row: f"{row['falloff']:.2f}") for data in SETS}
     kept = [
-        f"{SETS[row['data']]} ({falloffs[row['data']]})"
-        for row in rows
-        if row["falloff"] and row["size"] == SIZES[0]
+        f"{SETS[row['data']]} ({falloffs[row['data']]})" for row in rows if row["falloff"] and row["size"] == SIZES[0]
     ]
     forms = {"residual": (0, "{:.2f}"), "rejected": (1, "{:.1%}")}
     kinds = [(name, kind, i) for name in forms for i, kind in enumerate(RINGS)]

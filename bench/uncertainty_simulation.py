@@ -69,13 +69,8 @@ def simulate(runs: int) -> list[Cell]:
             for method, fitter in fitters.items():
                 fits = fitter.fit(frame)
                 names = ("alpha", "alpha_covariance", "planes", "rmse_metric", "angle_std", "offset_std")
-                part = {
-                    name: getattr(fits, name).reshape(times**2, *getattr(fits, name).shape[2:])
-                    for name in names
-                }
-                part["mean_q"] = np.nanmean(
-                    (1.0 / frame).reshape(times, tile, times, tile), axis=(1, 3)
-                ).ravel()
+                part = {name: getattr(fits, name).reshape(times**2, *getattr(fits, name).shape[2:]) for name in names}
+                part["mean_q"] = np.nanmean((1.0 / frame).reshape(times, tile, times, tile), axis=(1, 3)).ravel()
                 parts[method].append(part)
         count = tile * tile - int(missing.sum())
         rays = np.stack([one.tan_x, one.tan_y, np.ones(one.shape)], axis=-1)[~missing]
@@ -169,13 +164,9 @@ def simulation_report(cells: list[Cell]) -> list[str]:
     for method in METHODS:
         of = [c for c in cells if c.method == method]
         groups = [[c for c in of if c.incidence == i] for i in INCIDENCES]
-        groups += [
-            [c for c in of if low <= c.predicted_degrees < high] for low, high in ((0, 1), (1, 10), (10, 1e9))
-        ]
+        groups += [[c for c in of if low <= c.predicted_degrees < high] for low, high in ((0, 1), (1, 10), (10, 1e9))]
         lines.append(
-            f"| {method} | "
-            + " | ".join(f"{np.median([c.efficiency for c in g]):.3f}" for g in groups)
-            + " |"
+            f"| {method} | " + " | ".join(f"{np.median([c.efficiency for c in g]):.3f}" for g in groups) + " |"
         )
     lines += [
         "",

@@ -47,9 +47,7 @@ def tiles_opencv(depth, camera):
 def tiles_open3d(depth, camera):
     intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
     image = open3d.geometry.Image(depth)
-    cloud = open3d.geometry.PointCloud.create_from_depth_image(
-        image, intrinsic, project_valid_depth_only=False
-    )
+    cloud = open3d.geometry.PointCloud.create_from_depth_image(image, intrinsic, project_valid_depth_only=False)
     points = np.asarray(cloud.points)
     tiles = points.reshape(30, 16, 40, 16, 3).swapaxes(1, 2).reshape(30, 40, 256, 3)
     planes, rmse = np.full((30, 40, 4), np.nan), np.full((30, 40), np.nan)
@@ -86,9 +84,7 @@ def segments_open3d(depth, camera):
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(30))
     patches = cloud.detect_planar_patches()
     points, labels = np.asarray(cloud.points), np.zeros((480, 640), int)
-    pixel = np.rint(points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]).astype(
-        int
-    )
+    pixel = np.rint(points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]).astype(int)
     for label, patch in enumerate(patches, start=1):
         inside = patch.get_point_indices_within_bounding_box(cloud.points)
         labels[pixel[inside, 1], pixel[inside, 0]] = label
@@ -103,9 +99,7 @@ def normals_ours(depth, camera):
 def normals_opencv(depth, camera):
     points = cv2.depthTo3d(depth, matrix(camera))
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
-    return cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 7, 50.0, method).apply(points)[
-        ..., :3
-    ]
+    return cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 7, 50.0, method).apply(points)[..., :3]
 
 
 def normals_open3d(depth, camera):
@@ -142,9 +136,9 @@ def table_opencv(folder, camera):
         planes, rmse = tiles_opencv(depth, camera)
         for index in np.ndindex(30, 40):
             rows.append((float(time_), name, *index, *planes[index], rmse[index]))
-    pandas.DataFrame(
-        rows, columns=["time", "name", "row", "column", "nx", "ny", "nz", "d", "rmse"]
-    ).to_parquet(folder / "p.parquet")
+    pandas.DataFrame(rows, columns=["time", "name", "row", "column", "nx", "ny", "nz", "d", "rmse"]).to_parquet(
+        folder / "p.parquet"
+    )
 
 
 class PclTask:
@@ -323,16 +317,12 @@ WITH = {
 
 def table(result):
     """The result as Markdown."""
-    shown = [
-        "| task | with | lines | time, ours = 1 | result | without holes |",
-        "|---|---|---:|---:|---|---|",
-    ]
+    shown = ["| task | with | lines | time, ours = 1 | result | without holes |", "|---|---|---:|---:|---|---|"]
     for row in result["rows"]:
         ours = row["with"] == "ours"
         task, name = (NAMES[row["task"]], "**ours**") if ours else ("", WITH[row["task"], row["with"]])
         shown.append(
-            f"| {task} | {name} | {row['lines']} | {_times(row['ratio'])} | {row['result']} "
-            f"| {row['without_holes']} |"
+            f"| {task} | {name} | {row['lines']} | {_times(row['ratio'])} | {row['result']} | {row['without_holes']} |"
         )
     shown += ["", ", ".join(f"{name} {version}" for name, version in result["versions"].items()) + "."]
     return "\n".join(shown)
@@ -352,9 +342,7 @@ def short_table(result):
     for task in ("tiles", "segments", "normals"):
         rows = {row["with"]: row for row in result["rows"] if row["task"] == task}
         cells = [
-            re.sub(
-                r" of \d+ planes", "", f"{_times(row['ratio'])} x, {row['result']} ({row['without_holes']})"
-            )
+            re.sub(r" of \d+ planes", "", f"{_times(row['ratio'])} x, {row['result']} ({row['without_holes']})")
             for row in (rows[name] for name in versions)
         ]
         shown.append(f"| {NAMES[task]} | {' | '.join(cells)} |")

@@ -99,9 +99,7 @@ def separable(
                 if surfaces:
                     sliding.move_sums(square_rows[old], square_rows[slot], columns, squares)
 
-            if (
-                centre <= max(row_start, half) or centre >= height - half
-            ):  # in between, windows have all their rows
+            if centre <= max(row_start, half) or centre >= height - half:  # in between, windows have all their rows
                 needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
             first = centre * width + left
             at_pixels = valid[row % slots, half:]

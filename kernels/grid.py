@@ -70,9 +70,7 @@ def fit_range_tiles(
                 copy_columns(centre, first, last, block_reference)
                 copy_columns_back(block_moments, first, last, moments)
                 copy_columns_back(block_reference, first, last, reference)
-                solve.range_planes(
-                    implicit, block_moments, block_reference, None, needed[first:last], filled, work
-                )
+                solve.range_planes(implicit, block_moments, block_reference, None, needed[first:last], filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
                     planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last],

@@ -115,9 +115,7 @@ def label_moments(
     moments[:] = 0.0
     reference[:] = 0.0
     for row in range(height):
-        points_of_row(
-            raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, points
-        )
+        points_of_row(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, points)
         line = labels[row]
         stop = 0
         while stop < width:

@@ -30,11 +30,7 @@ def variances_of_run(
     fitted = not math.isnan(a)
     for column in range(start, stop):
         value = values[column]
-        q = (
-            a * us[column] + b * vs[column] + c
-            if fitted
-            else inverse_depth(value, scale, offset, is_disparity)
-        )
+        q = a * us[column] + b * vs[column] + c if fitted else inverse_depth(value, scale, offset, is_disparity)
         there = (lowest <= value) & (value <= highest)
         variance = variance_at(q if there else 0.0, noise)
         square = q * q

@@ -74,9 +74,7 @@ def add_two_range_rows(
 
 
 @kernel(inline=True)
-def add_four_range_rows(
-    raw, lowest, highest, scale, offset, v, row, k, apart, left, count, reference_q, sums, codes
-):
+def add_four_range_rows(raw, lowest, highest, scale, offset, v, row, k, apart, left, count, reference_q, sums, codes):
     """Add four image rows, ``apart`` from one another, see `add_range_rows`."""
     sum_q, sum_qv, sum_qq = sums[0], sums[1], sums[2]
     row_b, row_c, row_d = row + apart, row + 2 * apart, row + 3 * apart
@@ -212,9 +210,7 @@ def range_pair_of_rays(
     clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
-    return sums_of_pair(
-        valid_a, valid_b, tan_xa - u0, tan_xb - u0, tan_ya - v0, tan_yb - v0, qa - q0, qb - q0
-    )
+    return sums_of_pair(valid_a, valid_b, tan_xa - u0, tan_xb - u0, tan_ya - v0, tan_yb - v0, qa - q0, qb - q0)
 
 
 @kernel(inline=True)

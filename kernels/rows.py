@@ -26,12 +26,7 @@ def add_tiles(
     count = status.size
     stop = start + count
     flat = planes.ravel()
-    n_x, n_y, n_z, d = (
-        floats[0, start:stop],
-        floats[1, start:stop],
-        floats[2, start:stop],
-        floats[3, start:stop],
-    )
+    n_x, n_y, n_z, d = (floats[0, start:stop], floats[1, start:stop], floats[2, start:stop], floats[3, start:stop])
     for i in range(count):
         n_x[i] = flat[4 * i]
         n_y[i] = flat[4 * i + 1]

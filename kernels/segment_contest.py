@@ -192,9 +192,7 @@ def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winn
                 meet = (a != 0.0) | (b != 0.0) | (c != 0.0)
                 by_side = meet & (sums[own, n] < close * sums[k, n]) & (sums[other, n] < close * sums[k, n])
                 beyond = a * u[p, n] + b * v[p, n] + c > 0.0
-                cheaper = (
-                    sums[other, n] + penalty[j, n] * sums[k, n] < sums[own, n] + penalty[i, n] * sums[k, n]
-                )
+                cheaper = sums[other, n] + penalty[j, n] * sums[k, n] < sums[own, n] + penalty[i, n] * sums[k, n]
                 wins = (winner[k, n] == i) & within & ((by_side & beyond) | (cheaper & ~by_side))
                 winner[k, n] = j if wins else winner[k, n]
 
@@ -254,9 +252,7 @@ def measured_pixels(q, pixels):
 
 
 @kernel(inline=True)
-def share_out(
-    contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels
-):
+def share_out(contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels):
     """Share out the pixels of LANES blocks among their contenders, of which each block has ``contending``.
 
     Parameters

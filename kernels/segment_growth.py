@@ -58,10 +58,7 @@ def grow_together(region, moments, noise, rules, parent):
                 together, joined = 0.0, False
                 if moments[a, 0] + moments[b, 0] <= most:
                     together = residual_of_two(moments, a, b)
-                    calm, smaller = (
-                        min(waviness_square[a], waviness_square[b]),
-                        min(moments[a, 0], moments[b, 0]),
-                    )
+                    calm, smaller = (min(waviness_square[a], waviness_square[b]), min(moments[a, 0], moments[b, 0]))
                     allowed = min(variances[a], variances[b]) * (floor * calm * smaller + spread)
                     joined = together - rss[a] - rss[b] <= allowed
                 if not joined:

@@ -84,9 +84,7 @@ def leaves(pyramid, state, region, owner, region_moments):
                 region[row, column] = -1
                 continue
             largest = block
-            for level in range(
-                1, levels
-            ):  # a planar square's squares need not be planar: some have too few pixels
+            for level in range(1, levels):  # a planar square's squares need not be planar: some have too few pixels
                 i = offsets[level] + (row >> level) * shapes[level, 1] + (column >> level)
                 largest = i if state[i] == 1 else largest
             if number[largest] < 0:

@@ -82,9 +82,7 @@ def neighbours(region, rays, contacts):
     around = np.full((rows + 2, columns + 4), np.int32(-1))
     for row in range(rows):
         copy(region[row], around[row, 2 : columns + 2])
-    differs = np.zeros(
-        -(-columns // WORD) * WORD, np.bool_
-    )  # blocks of a row beside which there is another region
+    differs = np.zeros(-(-columns // WORD) * WORD, np.bool_)  # blocks of a row beside which there is another region
     words = differs.view(np.uint64)
     slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: a small one stays in the cache
     count = 0
@@ -121,9 +119,7 @@ def neighbours(region, rays, contacts):
                     if b < 0 or b == a:
                         continue
                     a, b = min(a, b), max(a, b)
-                    if (
-                        i >= count or pairs[i, 0] != a or pairs[i, 1] != b
-                    ):  # mostly the same pair as just before
+                    if i >= count or pairs[i, 0] != a or pairs[i, 1] != b:  # mostly the same pair as just before
                         i = row_of(a, b, pairs, count, slots)
                         if i == count:
                             pairs[i, 0] = a

@@ -77,9 +77,7 @@ def own_pixels(
     task = tasks[: rows * columns].reshape(rows, columns)
     look_around(region, owners.block, task)
     if not is_first:
-        keep_unchanged(
-            region, before, number, planes, last_alpha, sigma, rays, sums.moments, owners.block, task
-        )
+        keep_unchanged(region, before, number, planes, last_alpha, sigma, rays, sums.moments, owners.block, task)
     for row in range(rows):
         copy(region[row], before[row])
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
@@ -97,19 +95,7 @@ def own_pixels(
     put = take_over(same[:same_count], number, owners, shares, new)
     put = share_sparse(opened[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
     put = contest(
-        contended,
-        count,
-        inverse_depth,
-        rays,
-        before,
-        pyramid,
-        sensor,
-        planes,
-        rules,
-        region,
-        owners,
-        new,
-        put,
+        contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
     )
     add_up(pyramid, owners, new, put, sums)
     return new
@@ -202,9 +188,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
             fits = error <= settled_square * pixels * total
             if fits and contending > 1:
                 distance = reach * math.sqrt(total)
-                fits = is_undisputed(
-                    a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance
-                )
+                fits = is_undisputed(a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance)
         if fits:
             owner[row, column] = region[row, column] = a
             errors[row, column] = max(error, 0.0) / total
@@ -256,9 +240,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
 
 
 @kernel()
-def contest(
-    contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put
-):
+def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put):
     """Give each pixel of the first ``count`` contended blocks to one of the contenders, or to none.
 
     The shares are added after the first ``put``; returns how many there are then. Other arguments as in `own_pixels`.
@@ -317,21 +299,7 @@ def contest(
                     q[p, n] = 0.0
             if separable:
                 repeat_rays(u, v)
-            share_out(
-                contending,
-                space,
-                plane,
-                penalty,
-                line,
-                limit,
-                close,
-                cut,
-                square,
-                sums,
-                winner,
-                owned,
-                pixels,
-            )
+            share_out(contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels)
             for n in range(lanes):
                 c = listed[n]
                 row, column = place(block[c], columns)

@@ -54,26 +54,15 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
     _, slopes, with_mean = sandwich(n, u, v, m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v, rays)
     a, c = slopes[0] * of_slope_x, slopes[2] * of_slope_y
     b = slopes[1] * math.sqrt(of_slope_x * of_slope_y)
-    a_mean, b_mean = (
-        with_mean[0] * math.sqrt(of_slope_x * of_mean),
-        with_mean[1] * math.sqrt(of_slope_y * of_mean),
-    )
+    a_mean, b_mean = (with_mean[0] * math.sqrt(of_slope_x * of_mean), with_mean[1] * math.sqrt(of_slope_y * of_mean))
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
     covariance[0, 2], covariance[1, 2] = a_mean - (a * u + b * v), b_mean - (b * u + c * v)
-    covariance[2, 2] = (
-        of_mean / n + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)
-    )
-    covariance[1, 0], covariance[2, 0], covariance[2, 1] = (
-        covariance[0, 1],
-        covariance[0, 2],
-        covariance[1, 2],
-    )
+    covariance[2, 2] = of_mean / n + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)
+    covariance[1, 0], covariance[2, 0], covariance[2, 1] = (covariance[0, 1], covariance[0, 2], covariance[1, 2])
 
 
 @kernel()
-def describe_planes(
-    moments, weighted, alpha, rss, deviation, together, least, step, planes, covariance, rmse
-):
+def describe_planes(moments, weighted, alpha, rss, deviation, together, least, step, planes, covariance, rmse):
     """Planes, their covariances and their residuals.
 
     Parameters

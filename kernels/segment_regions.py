@@ -7,15 +7,7 @@ from .copying import copy
 from .segment_blocks import EMPTY
 from .segment_growth import grow_together
 from .segment_joining import leaves
-from .segment_merge import (
-    find_rough,
-    keep_pairs_inside,
-    merge,
-    neighbours,
-    number_regions,
-    rename_pairs,
-    renumber,
-)
+from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, rename_pairs, renumber
 from .segment_moments import misfit
 from .segment_noise import in_square
 from .segment_pixels import own_pixels
@@ -128,9 +120,7 @@ def find_regions(
     for trip in range(rules.trips + 1):
         pair_count = neighbours(region, rays, contacts)
         first_moments = moments[:count].copy()
-        first = Contacts(
-            contacts.pairs[:pair_count].copy(), contacts.where[:pair_count].copy(), contacts.table
-        )
+        first = Contacts(contacts.pairs[:pair_count].copy(), contacts.where[:pair_count].copy(), contacts.table)
         parent = np.empty(count, np.int64)
         pair_count = merge(moments[:count], contacts, pair_count, noise, rules, 1.0, parent)
         several = np.empty(count, np.bool_)

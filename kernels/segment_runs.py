@@ -197,13 +197,7 @@ def list_runs(
                     if left_over != taken[left] and not is_one_piece(left_over, free):
                         piece = piece_of(left_over, free)
                     left_over &= ~piece
-                    start[count], stop[count], share[count], pixels[count], label[count] = (
-                        left,
-                        column,
-                        s,
-                        piece,
-                        a,
-                    )
+                    start[count], stop[count], share[count], pixels[count], label[count] = (left, column, s, piece, a)
                     filled_x[count] = spread_across(piece, ALL & ~measured[left])
                     filled_y[count] = spread_down(piece, ALL & ~measured[left])
                     across[count], down[count] = starts_across(filled_x[count]), starts_down(filled_y[count])
@@ -219,9 +213,7 @@ def list_runs(
                             across[count] += (
                                 starts_across(x) - starts_across(filled_x[k]) - starts_across(filled_x[count])
                             )
-                            down[count] += (
-                                starts_down(y) - starts_down(filled_y[k]) - starts_down(filled_y[count])
-                            )
+                            down[count] += starts_down(y) - starts_down(filled_y[k]) - starts_down(filled_y[count])
                     count += 1
             others = measured[left] & ~taken[left]
             many[left] = count - first

@@ -44,9 +44,7 @@ def look_around(region, owner, task):
         for c in range(width):
             a, b, d = above[c], own[c], below[c]
             most[c] = max(a, b, d)
-            lowest[c] = min(
-                a if a >= 0 else NO_REGION, b if b >= 0 else NO_REGION, d if d >= 0 else NO_REGION
-            )
+            lowest[c] = min(a if a >= 0 else NO_REGION, b if b >= 0 else NO_REGION, d if d >= 0 else NO_REGION)
         line, owners = task[row], owner[row]
         for c in range(columns):
             a = own[c + 1]
@@ -88,13 +86,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
             line[c] = (own[c] != became[b]) | (not abs(d) <= STILL)
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
-        above, here, below, line, owners = (
-            changed[row],
-            changed[row + 1],
-            changed[row + 2],
-            task[row],
-            owner[row],
-        )
+        above, here, below, line, owners = (changed[row], changed[row + 1], changed[row + 2], task[row], owner[row])
         for c in range(columns + 2):
             nearby[c] = above[c] | here[c] | below[c]
         for c in range(columns):

@@ -118,9 +118,7 @@ def add_blocks(region, means, a, reference, deviation, window, step, centre, sca
         Pixels of the blocks that were added.
     """
     # Sums of n·xⁱ·yʲ, of n·xⁱ·yʲ·e, and of n·e² over the blocks: each of them once.
-    n_00 = n_10 = n_01 = n_20 = n_11 = n_02 = n_30 = n_21 = n_12 = n_03 = n_40 = n_31 = n_22 = n_13 = n_04 = (
-        0.0
-    )
+    n_00 = n_10 = n_01 = n_20 = n_11 = n_02 = n_30 = n_21 = n_12 = n_03 = n_40 = n_31 = n_22 = n_13 = n_04 = 0.0
     e_00 = e_10 = e_01 = e_20 = e_11 = e_02 = ee = 0.0
     c_u, c_v, c_1 = reference[0], reference[1], reference[2]
     u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
@@ -354,9 +352,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
     turned = np.empty(regions)
     bent = np.empty(regions, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent)
-    find_faceted(
-        region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved
-    )
+    find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
     parent = np.arange(regions)
     smooth = 0
     for i in range(count):

@@ -148,9 +148,7 @@ def depth_sums_along_row(between, q, count, work, sums):
         if c == 1:
             join_depth_columns(shift, part, q[size:], part[size + 1 :], count - new_size + 1, target)
         else:
-            join_depth_columns_by_three(
-                shift, part, three[size:], part[size + 3 :], count - new_size + 1, target
-            )
+            join_depth_columns_by_three(shift, part, three[size:], part[size + 3 :], count - new_size + 1, target)
         part = target
         size = new_size
 
@@ -218,9 +216,7 @@ def valid_sums_along_row(between, valid, count, work, sums):
         if c == 1:
             join_valid_columns(shift, part, valid[size:], part[size + 1 :], count - new_size + 1, target)
         else:
-            join_valid_columns_by_three(
-                shift, part, three[size:], part[size + 3 :], count - new_size + 1, target
-            )
+            join_valid_columns_by_three(shift, part, three[size:], part[size + 3 :], count - new_size + 1, target)
         part = target
         size = new_size
 

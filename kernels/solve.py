@@ -70,9 +70,7 @@ def explicit(moments, reference, total, count, solution, residual, lost):
         b = (c_uu * c_vw - c_uv * c_uw) * inverse
         solution[0, i] = a
         solution[1, i] = b
-        solution[2, i] = (
-            (reference[2, i] + mean_w) - a * (reference[0, i] + mean_u) - b * (reference[1, i] + mean_v)
-        )
+        solution[2, i] = (reference[2, i] + mean_w) - a * (reference[0, i] + mean_u) - b * (reference[1, i] + mean_v)
         left = c_ww - a * c_uw - b * c_vw
         left = left if left > 0.0 else 0.0
         rounding = 0.0

@@ -140,14 +140,7 @@ def standard_from_sums(sums, count, reference, moments):
     """
     for i in range(count):
         z, zu, zuu, zz, zzu, zzuu = sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i], sums[5, i]
-        zv, zvu, zzv, zzvu, zvv, zzvv = (
-            sums[6, i],
-            sums[7, i],
-            sums[8, i],
-            sums[9, i],
-            sums[10, i],
-            sums[11, i],
-        )
+        zv, zvu, zzv, zzvu, zvv, zzvv = (sums[6, i], sums[7, i], sums[8, i], sums[9, i], sums[10, i], sums[11, i])
         u0, v0, z0 = reference[0, i], reference[1, i], reference[2, i]
         u, v, uu, uv, vv = moments[1, i], moments[2, i], moments[4, i], moments[5, i], moments[7, i]
         # Sums of Zu, Zv and their products.
@@ -222,14 +215,7 @@ def standard_pair_of_rays(
     valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
     za, zb = depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
     return sums_of_pair(
-        valid_a,
-        valid_b,
-        za * tan_xa - x0,
-        zb * tan_xb - x0,
-        za * tan_ya - y0,
-        zb * tan_yb - y0,
-        za - z0,
-        zb - z0,
+        valid_a, valid_b, za * tan_xa - x0, zb * tan_xb - x0, za * tan_ya - y0, zb * tan_yb - y0, za - z0, zb - z0
     )
 
 

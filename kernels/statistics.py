@@ -305,9 +305,7 @@ def residual_ratio(room):
         of_shared = shared * room[OF_COUNT, i]
         expected = of_shared + of_independent
         expected = expected if expected > 1e-150 else 1e-150
-        half_variance = shared * shared * room[OF_COUNT + 1, i] + independent * (
-            2.0 * of_shared + of_independent
-        )
+        half_variance = shared * shared * room[OF_COUNT + 1, i] + independent * (2.0 * of_shared + of_independent)
         # rmse_metric is d·Z̄·rmse: see ``solve.range_planes``. Three pixels fit exactly. One division instead of two.
         square = room[D, i] * room[D, i]
         inverse = 1.0 / (expected * square)

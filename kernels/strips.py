@@ -27,9 +27,7 @@ def columns_in_strip(left, last, tile_width, width):
     """Columns of each tile from ``left`` on, and the number of the image's to read for those up to ``last``."""
     right = min(left + COLUMNS, last)
     # Whole vectors: the sums of a few extra columns are not used.
-    return tile_width if tile_width <= COLUMNS else right - left, min(
-        (right - left + 7) // 8 * 8, width - left
-    )
+    return tile_width if tile_width <= COLUMNS else right - left, min((right - left + 7) // 8 * 8, width - left)
 
 
 @kernel(inline=True)
@@ -80,9 +78,7 @@ def find_references(
     for tile in range(tile_start, tile_stop):
         start = tile * tile_width
         stop = min(start + tile_width, raw.shape[1])
-        references[tile - tile_start] = reference_value(
-            raw, row_start, row_stop, start, stop, lowest, highest
-        )
+        references[tile - tile_start] = reference_value(raw, row_start, row_stop, start, stop, lowest, highest)
     for i in range(tile_stop - tile_start):
         value = references[i]
         if offset is None:

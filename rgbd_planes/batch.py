@@ -177,14 +177,11 @@ def fit_sequence(
     columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(
-            f"{folder}: expected a folder for the table, got a file; choose another name"
-        )
+        raise NotADirectoryError(f"{folder}: expected a folder for the table, got a file; choose another name")
     with _workers(scheduler, num_threads) as workers, alone_in(folder):
         size = _open_table(folder, sequence, settings, workers.slots)
         tasks: list[Task] = [
-            (i, start, min(start + size, len(sequence)))
-            for i, start in enumerate(range(0, len(sequence), size))
+            (i, start, min(start + size, len(sequence))) for i, start in enumerate(range(0, len(sequence), size))
         ]
         report = BatchReport(folder, len(sequence))
         missing = []
@@ -278,12 +275,7 @@ class _Threads:
         self.slots = num_threads or num_cores()
 
     def run(
-        self,
-        sequence: FrameSequence,
-        settings: FitSettings,
-        columns: Columns,
-        tasks: list[Task],
-        folder: Path,
+        self, sequence: FrameSequence, settings: FitSettings, columns: Columns, tasks: list[Task], folder: Path
     ) -> Iterator[tuple[int, Part | None]]:
         stopped = threading.Event()
         fitted: SimpleQueue[None] = SimpleQueue()  # an item for each frame
@@ -337,12 +329,7 @@ class _Cluster:
         self.slots = max(1, sum(client.ncores().values()))
 
     def run(
-        self,
-        sequence: FrameSequence,
-        settings: FitSettings,
-        columns: Columns,
-        tasks: list[Task],
-        folder: Path,
+        self, sequence: FrameSequence, settings: FitSettings, columns: Columns, tasks: list[Task], folder: Path
     ) -> Iterator[tuple[int, Part | None]]:
         from distributed import as_completed
 

@@ -170,9 +170,7 @@ class Rows:
             "name": dictionary(np.repeat(numbers, counts), list(names)),
             # Parquet has its own mark for missing values.
             "timestamp": pa.array(np.repeat(timestamps[numbers], counts), from_pandas=not self._timed),
-            **{
-                name: pa.array(values) for name, values in zip(self._place_names, self._places(), strict=True)
-            },
+            **{name: pa.array(values) for name, values in zip(self._place_names, self._places(), strict=True)},
             "status": dictionary(self._status[here], STATUSES),
             "valid_count": pa.array(self._valid_count[here]),
             **{n: pa.array(values[here]) for n, values in zip(self._float_names, self._floats, strict=True)},

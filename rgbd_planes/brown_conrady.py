@@ -58,9 +58,7 @@ def distort(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats
     return x * f + p1 * xy2 + p2 * (r2 + 2.0 * x * x), y * f + p1 * (r2 + 2.0 * y * y) + p2 * xy2
 
 
-def distortion_jacobian(
-    x: Floats, y: Floats, coefficients: Sequence[float]
-) -> tuple[Floats, Floats, Floats, Floats]:
+def distortion_jacobian(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats, Floats, Floats, Floats]:
     """Partial derivatives of `distort`: (dx'/dx, dx'/dy, dy'/dx, dy'/dy), each of the shape of `x`."""
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients8(coefficients)
     r2 = x * x + y * y
@@ -91,9 +89,7 @@ def fold_radius(coefficients: Sequence[float]) -> float:
     return first_zero(growth, denominator)
 
 
-def undistort(
-    x: Floats, y: Floats, coefficients: Sequence[float]
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def undistort(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The ray (x, y, 1) that the lens puts at the given place: the inverse of `distort`.
 
     A Newton iteration with the analytic Jacobian, started at the inverse of the radial part. A step is halved
@@ -131,20 +127,14 @@ def _radial_table(coefficients: Sequence[float], distorted_radius: float) -> tup
     fold = fold_radius(coefficients)
     radial = [c if i not in (2, 3) else 0.0 for i, c in enumerate(coefficients)]
     farthest = max(distorted_radius, 1e-3)
-    while (
-        farthest < fold and farthest < 1e3 and distort(zero + farthest, zero, radial)[0][0] < distorted_radius
-    ):
+    while farthest < fold and farthest < 1e3 and distort(zero + farthest, zero, radial)[0][0] < distorted_radius:
         farthest *= 1.5
     radius = np.linspace(0.0, min(farthest, fold * (1 - 1e-9)), 1025)
     return radius, distort(radius, np.zeros_like(radius), radial)[0]
 
 
 def _invert(
-    target_x: Floats,
-    target_y: Floats,
-    coefficients: Sequence[float],
-    radius: Floats,
-    distorted_radius: Floats,
+    target_x: Floats, target_y: Floats, coefficients: Sequence[float], radius: Floats, distorted_radius: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     target_radius = np.hypot(target_x, target_y)
     start = np.interp(target_radius, distorted_radius, radius)

@@ -146,9 +146,7 @@ class Camera:
                 )
             pair = numbers("disparity", self.disparity)
             if len(pair) != 2 or pair[0] == 0:
-                raise ValueError(
-                    f"expected disparity as (scale, offset), scale not 0, got {self.disparity!r}"
-                )
+                raise ValueError(f"expected disparity as (scale, offset), scale not 0, got {self.disparity!r}")
             self._set("disparity", pair)
         if self.depth_range is not None:
             pair = numbers("depth_range", self.depth_range, finite=False)
@@ -292,9 +290,7 @@ class Camera:
             if self.is_distorted:
                 x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
             pixels = np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
-        finite = np.isfinite(array).all(axis=-1, keepdims=True) & np.isfinite(pixels).all(
-            axis=-1, keepdims=True
-        )
+        finite = np.isfinite(array).all(axis=-1, keepdims=True) & np.isfinite(pixels).all(axis=-1, keepdims=True)
         return np.where(finite, pixels, np.nan)
 
     def to_dict(self) -> dict[str, Any]:
@@ -336,9 +332,7 @@ class Camera:
             )
         missing = [name for name in known[:6] if name not in values]
         if missing:
-            raise ValueError(
-                f"expected the camera keys {', '.join(known[:6])}; missing: {', '.join(missing)}"
-            )
+            raise ValueError(f"expected the camera keys {', '.join(known[:6])}; missing: {', '.join(missing)}")
         made = dict(values)
         if isinstance(made.get("noise"), Mapping):
             made["noise"] = NoiseModel.from_dict(made["noise"])

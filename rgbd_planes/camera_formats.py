@@ -59,11 +59,7 @@ def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
 
 
 def from_opencv(
-    camera_matrix: ArrayLike,
-    distortion: ArrayLike | None,
-    size: tuple[int, int],
-    model: str,
-    pixel_center: float,
+    camera_matrix: ArrayLike, distortion: ArrayLike | None, size: tuple[int, int], model: str, pixel_center: float
 ) -> dict[str, Any]:
     """Arguments of `Camera`; see `Camera.from_opencv`."""
     check_choice("distortion_model", model, ("brown_conrady", "fisheye"))
@@ -165,9 +161,7 @@ def from_open3d(values: Any) -> dict[str, Any]:
     elif numbers.shape == (9,):
         matrix = _matrix("intrinsic_matrix, column-major,", numbers.reshape(3, 3).T)
     else:
-        raise ValueError(
-            f"expected intrinsic_matrix as nine numbers, column-major, got shape {numbers.shape}"
-        )
+        raise ValueError(f"expected intrinsic_matrix as nine numbers, column-major, got shape {numbers.shape}")
     return {"width": _get(intrinsic, "width"), "height": _get(intrinsic, "height"), **_pinhole(matrix)}
 
 
@@ -234,9 +228,7 @@ def _get(source: Any, *names: str, **default: Any) -> Any:
     if "default" in default:
         return default["default"]
     if isinstance(source, str | os.PathLike):
-        raise TypeError(
-            f"expected a mapping, or an object, got the path {os.fspath(source)!r}: read it first"
-        )
+        raise TypeError(f"expected a mapping, or an object, got the path {os.fspath(source)!r}: read it first")
     raise ValueError(f"expected {' or '.join(names)} in the {type(source).__name__}, got none")
 
 
@@ -261,8 +253,7 @@ def _matrix(name: str, values: ArrayLike) -> Floats:
     empty[[0, 1, 0, 1], [0, 1, 2, 2]] = 0
     if matrix[0, 0] == 0 or matrix[1, 1] == 0 or not np.array_equal(empty, np.diag([0.0, 0.0, 1.0])):
         raise ValueError(
-            f"expected {name} as [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx and fy not 0, "
-            f"got {matrix.tolist()}"
+            f"expected {name} as [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx and fy not 0, got {matrix.tolist()}"
         )
     return matrix
 

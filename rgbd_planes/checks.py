@@ -70,9 +70,7 @@ def check_whole(name: str, value: int, least: int, kind: str = "whole number", b
 
 def check_num_threads(num_threads: int | None) -> int | None:
     """Return a whole number of at least 1 as an int, or None."""
-    return (
-        None if num_threads is None else check_whole("num_threads", num_threads, 1, "whole number, or None")
-    )
+    return None if num_threads is None else check_whole("num_threads", num_threads, 1, "whole number, or None")
 
 
 def check_error(max_error: float | None) -> float:
@@ -118,9 +116,7 @@ TOO_LARGE = 0.2
 LARGEST_NOISE = 1e60  # 1/m: the square of its square is finite, and so are sums of these over a frame
 
 
-def check_noise(
-    sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True
-) -> NDArray[np.float64]:
+def check_noise(sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True) -> NDArray[np.float64]:
     """Return standard deviations at inverse depths, one for each, as floats: 0 or more, except where q is 0."""
     made = for_each(sigma, inverse_depth)
     bad = ~(made >= 0.0) | (finite & (made > LARGEST_NOISE))

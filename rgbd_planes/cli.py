@@ -33,13 +33,9 @@ def main(argv: list[str] | None = None) -> int:
     if sys.stdout is sys.__stdout__ and isinstance(sys.stdout, io.TextIOWrapper):
         # If the encoding lacks a name's character, the rest is still printed. A pipe gets all at the end, even with
         # PYTHONUNBUFFERED: by then the work is done, even if its reader has left.
-        sys.stdout.reconfigure(
-            errors="backslashreplace", line_buffering=sys.stdout.isatty(), write_through=False
-        )
+        sys.stdout.reconfigure(errors="backslashreplace", line_buffering=sys.stdout.isatty(), write_through=False)
     parser = _Parser(
-        prog="rgbd-planes",
-        description="Fit planes to depth images.",
-        epilog="rgbd-planes COMMAND --help tells more",
+        prog="rgbd-planes", description="Fit planes to depth images.", epilog="rgbd-planes COMMAND --help tells more"
     )
     parser.add_argument("--version", action="version", version=__version__)
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")

@@ -156,9 +156,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         invalid.append(camera._without_ray)
         _warn_of_lost_pixels((sample >= lowest) & (sample <= highest) & some_of(camera._without_ray))
     if invalid:
-        raw, lowest, highest = _without(
-            raw, functools.reduce(np.logical_or, invalid), lowest, highest, missing
-        )
+        raw, lowest, highest = _without(raw, functools.reduce(np.logical_or, invalid), lowest, highest, missing)
     raw = raw.view()
     step = 0.0 if kind == "f" else 1.0
     raw.setflags(write=False)  # one type for the kernels, and the caller's frame is safe
@@ -187,9 +185,7 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     elif array.ndim == 3 and array.shape[1:] == expected:
         reason = ": TileFitter.fit_batch takes several frames"
     elif array.shape == expected[1:]:
-        reason = (
-            ": is it a row of a frame, in the place of several? TileFitter.fit and rp.segment take one frame"
-        )
+        reason = ": is it a row of a frame, in the place of several? TileFitter.fit and rp.segment take one frame"
     elif array.shape == expected[::-1]:
         reason = ": is it transposed, or are the camera's width and height swapped?"
     elif array.ndim == 2 and array.size and array.shape[0] * expected[1] == array.shape[1] * expected[0]:
@@ -197,8 +193,7 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     else:
         reason = ""
     raise ValueError(
-        f"expected a depth frame of shape (height, width) = {expected}, as the camera's, "
-        f"got {array.shape}{reason}"
+        f"expected a depth frame of shape (height, width) = {expected}, as the camera's, got {array.shape}{reason}"
     )
 
 
@@ -245,11 +240,7 @@ def _warn_of_the_nearest(
         return
     if depth_range is not None and depth_range[1] <= _NEARER_THAN_ANY:
         return
-    said = (
-        "float depth is in metres, but"
-        if dtype.kind == "f"
-        else f"with a depth_scale of {depth_scale:g} per metre"
-    )
+    said = "float depth is in metres, but" if dtype.kind == "f" else f"with a depth_scale of {depth_scale:g} per metre"
     warn_caller(
         f"{said} all of this frame is nearer than {_NEARER_THAN_ANY:g} m: is it in other units, "
         "or metres that were divided by 1000 or made integers?"

@@ -57,9 +57,7 @@ def _differs(noise: NoiseModel | None) -> bool:
     return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0)
 
 
-def sums_of_labels(
-    frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats
-) -> Floats | None:
+def sums_of_labels(frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats) -> Floats | None:
     """(K, 8) float64: see `kernels.label_variances`; None where all pixels have one variance."""
     if not _differs(camera.noise):
         return None

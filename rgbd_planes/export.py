@@ -104,12 +104,7 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
                 "polygon": polygon.tolist() if np.isfinite(polygon).all() else None,
             }
         )
-    return {
-        "camera": tiles.camera.to_dict(),
-        "method": tiles.method,
-        "tile": list(tiles.tile),
-        "planes": planes,
-    }
+    return {"camera": tiles.camera.to_dict(), "method": tiles.method, "tile": list(tiles.tile), "planes": planes}
 
 
 def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
@@ -187,9 +182,7 @@ def write_ply(
     if faces is not None:
         corners = np.asarray(faces)
         if corners.ndim != 2 or not 3 <= corners.shape[1] < 256 or corners.dtype.kind not in "iu":
-            raise ValueError(
-                f"faces must be (F, K) integers, K from 3 to 255, got {corners.shape} of {corners.dtype}"
-            )
+            raise ValueError(f"faces must be (F, K) integers, K from 3 to 255, got {corners.shape} of {corners.dtype}")
         if corners.size and not 0 <= corners.min() <= corners.max() < len(xyz):
             raise ValueError(
                 f"faces must be numbers of points, 0 to {len(xyz) - 1}, got {corners.min()} to {corners.max()}"
@@ -351,9 +344,7 @@ def _check_one_frame(tiles: TilePlanes) -> None:
     if not isinstance(tiles, TilePlanes):
         raise TypeError(f"expected TilePlanes, got {type(tiles).__name__}")
     if len(tiles.shape) != 2:
-        raise ValueError(
-            f"expected the tiles of one frame, got a batch of shape {tiles.shape}: take tiles[i]"
-        )
+        raise ValueError(f"expected the tiles of one frame, got a batch of shape {tiles.shape}: take tiles[i]")
 
 
 def _number(value: float) -> float | None:

@@ -14,8 +14,6 @@ def needs(library: str, extra: str | None) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         what = library if extra is None else f'"rgbd-planes[{extra}]"'
-        raise ModuleNotFoundError(
-            f"this needs {library}: pip install {what} ({error})", name=error.name
-        ) from None
+        raise ModuleNotFoundError(f"this needs {library}: pip install {what} ({error})", name=error.name) from None
     except (ImportError, OSError) as error:
         raise ImportError(f"this needs {library}, which cannot be imported: {error}") from error

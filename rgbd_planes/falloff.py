@@ -36,9 +36,7 @@ def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
         return EVEN
     top, left, height, width = windows.T
     table, bottom, right = _summed(camera), top + height, left + width
-    return _mean(
-        *(table[:, bottom, right] - table[:, top, right] - table[:, bottom, left] + table[:, top, left])
-    )
+    return _mean(*(table[:, bottom, right] - table[:, top, right] - table[:, bottom, left] + table[:, top, left]))
 
 
 def growth_of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:

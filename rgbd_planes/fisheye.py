@@ -47,9 +47,7 @@ def distort(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats
     return x * ratio, y * ratio
 
 
-def undistort(
-    x: Floats, y: Floats, coefficients: Sequence[float]
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def undistort(x: Floats, y: Floats, coefficients: Sequence[float]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The ray (x, y, 1) that the lens puts at the given place: the inverse of `distort`.
 
     Parameters

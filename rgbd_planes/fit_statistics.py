@@ -110,9 +110,7 @@ def _all_tables(noise: NoiseModel, height: int, width: int) -> Floats:
     return _some_tables(noise, np.arange(height * width + 1), np.array([height, width]))
 
 
-def _tables_of(
-    noise: NoiseModel, sizes: npt.NDArray[Any]
-) -> tuple[Floats | None, npt.NDArray[np.int32] | None]:
+def _tables_of(noise: NoiseModel, sizes: npt.NDArray[Any]) -> tuple[Floats | None, npt.NDArray[np.int32] | None]:
     """A row for every number of valid pixels, and each tile's first row, if not all have the same.
 
     None if tiles are of many sizes, large, or few: then each is worked out alone.
@@ -265,10 +263,5 @@ class Assessment:
         of_pixels[: len(self._of_lens)] = self._of_lens
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
         total = np.where(along + rounding > 0.0, along + rounding, 1.0)
-        of_pixels[statistics.OF_LENS :] = [
-            along,
-            rounding,
-            np.sqrt(squares) / total,
-            *(of / total for of in weighted),
-        ]
+        of_pixels[statistics.OF_LENS :] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
         return of_pixels

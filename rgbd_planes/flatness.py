@@ -19,9 +19,7 @@ CELL = 8
 _STEPS = 300
 
 
-def flatness(
-    frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera
-) -> tuple[Floats, Indices, Floats]:
+def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera) -> tuple[Floats, Indices, Floats]:
     """The bias over the image, from how many pixels each cell's is, and its deviation by chance: see `NoiseEvidence`.
 
     A plane that covers a part of the image absorbs the part of the bias that is planar there. So bias and planes are
@@ -52,8 +50,7 @@ def flatness(
         total = np.bincount(key, weight)
         some = np.flatnonzero(total)
         means = [
-            np.bincount(key, weight * of[seen])[some] / total[some]
-            for of in (residual, camera.tan_x, camera.tan_y)
+            np.bincount(key, weight * of[seen])[some] / total[some] for of in (residual, camera.tan_x, camera.tan_y)
         ]
         parts.append((planes + some // cells, some % cells, total[some], *means))
         planes += len(alpha)
@@ -79,14 +76,7 @@ def _inside(labels: Indices) -> Indices:
 
 
 def _bias(
-    plane: Indices,
-    cell: Indices,
-    weight: Floats,
-    residual: Floats,
-    rays: Floats,
-    prior: float,
-    planes: int,
-    cells: int,
+    plane: Indices, cell: Indices, weight: Floats, residual: Floats, rays: Floats, prior: float, planes: int, cells: int
 ) -> Floats:
     """Least squares of residual = δα(plane)·ray + bias(cell), with a weight for bias = 0; NaN where no plane is.
 
@@ -109,9 +99,7 @@ def _bias(
     shared = csr_array(((weight[:, None] * white).ravel(), where), shape=(cells, 3 * planes))
     wanted = np.zeros(3 * planes)
     np.add.at(wanted, unknown, (weight * (residual - mean[cell]))[:, None] * white)
-    system = LinearOperator(
-        (3 * planes, 3 * planes), lambda v: v - shared.T @ (share * (shared @ v)), dtype=np.float64
-    )
+    system = LinearOperator((3 * planes, 3 * planes), lambda v: v - shared.T @ (share * (shared @ v)), dtype=np.float64)
     bias = mean - share * (shared @ cg(system, wanted, rtol=1e-4, maxiter=_STEPS)[0])
     some = np.flatnonzero(total)
     centre = np.stack([np.bincount(cell, weight * of, cells)[some] / total[some] for of in rays.T], axis=1)

@@ -39,9 +39,7 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         image of one channel, or holds numbers of another kind.
     """
     if Path(path).is_dir():
-        raise ValueError(
-            f"{path}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)"
-        )
+        raise ValueError(f"{path}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)")
     file = existing_file(path)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
@@ -162,9 +160,7 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
             f"{path}: a TIFF image that is to be turned or mirrored (Orientation {tags[_ORIENTATION]}): save it upright"
         )
     if frame is None:
-        reason = (
-            f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
-        )
+        reason = f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
         raise ValueError(f"{path}: expected one depth image of one channel, got {reason}")
     if file_format == "PNG" and mode == "I":  # how some versions of Pillow open 16 bits
         frame = frame.astype(np.uint16)
@@ -215,9 +211,7 @@ def _read_pfm(path: Path) -> Frame:
     if kind == b"F":
         raise ValueError(f"{path}: expected one depth image of one channel, got a colour image (PF)")
     # The scale is for display; its sign tells the byte order.
-    values = _pixels(
-        content, header.end(), np.dtype("<f4" if scale.startswith(b"-") else ">f4"), height * width
-    )
+    values = _pixels(content, header.end(), np.dtype("<f4" if scale.startswith(b"-") else ">f4"), height * width)
     return _rows(path, "PFM", values, height, width)[::-1].astype(np.float32)  # the lowest row comes first
 
 

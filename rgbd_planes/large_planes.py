@@ -79,10 +79,7 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     of = labels[on_plane] - 1
     on_plane[on_plane] = (
         same_plane(
-            tiles.alpha[on_plane],
-            tiles.alpha_covariance[on_plane],
-            merged.alpha[of],
-            merged.alpha_covariance[of],
+            tiles.alpha[on_plane], tiles.alpha_covariance[on_plane], merged.alpha[of], merged.alpha_covariance[of]
         )
         > 1e-3
     )
@@ -100,11 +97,7 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     off = (q - (a * u + b * v + c)) / np.sqrt(variance)
     for k in np.flatnonzero(large):
         large[k] = not _is_in_two(off[number == k])
-    squares = (
-        count * variance,
-        count * tiles.rmse[on_plane] ** 2,
-        noise._rounding(q),
-    )
+    squares = (count * variance, count * tiles.rmse[on_plane] ** 2, noise._rounding(q))
     along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
     lateral = noise.lateral**2 * slope_square(merged.alpha, tiles.camera, merged._footprint)
     # Each tile's own three coefficients absorb as much of the independent errors.

@@ -67,16 +67,10 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     if array.dtype.kind not in "iu":
         raise TypeError(f"labels must be integers, got dtype {array.dtype}")
     if len(fits.shape) == 3:
-        raise ValueError(
-            f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]"
-        )
+        raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
     if array.shape != fits.shape:
-        of_pixels = (
-            ": Segmentation.tile_labels has those of tiles" if array.shape == fits.camera.shape else ""
-        )
-        raise ValueError(
-            f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{of_pixels}"
-        )
+        of_pixels = ": Segmentation.tile_labels has those of tiles" if array.shape == fits.camera.shape else ""
+        raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{of_pixels}")
     # There may be more labels of segments than tiles, and more of overlapping windows than pixels.
     check_labels(array, max(array.size, fits.camera.width * fits.camera.height))
     flat = np.array(array, np.int32, order="C").ravel()  # which the result keeps
@@ -111,10 +105,7 @@ def _sums(values: npt.NDArray[Any], labels: npt.NDArray[np.int32], count: int) -
 
 
 def _means(
-    moments: npt.NDArray[np.float64],
-    reference: npt.NDArray[np.float64],
-    labels: npt.NDArray[np.int32],
-    count: int,
+    moments: npt.NDArray[np.float64], reference: npt.NDArray[np.float64], labels: npt.NDArray[np.int32], count: int
 ) -> npt.NDArray[np.float64]:
     """(3, N): the mean of each union's valid pixels, about which nothing cancels."""
     valid = moments[0] > 0.0

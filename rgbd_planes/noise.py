@@ -70,9 +70,7 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
     """
     baseline = _positive("baseline", baseline)
     if baseline > _LONGEST_BASELINE:
-        warn_caller(
-            f"the baseline is in metres, but {baseline:g} m is longer than any sensor's: millimetres?"
-        )
+        warn_caller(f"the baseline is in metres, but {baseline:g} m is longer than any sensor's: millimetres?")
     focal_length = _positive("focal_length", focal_length)
     return NoiseModel((_positive("disparity_noise", disparity_noise) / (focal_length * baseline),))
 

@@ -65,9 +65,7 @@ _FRAMES = 4  # with this many or more, it must show without each of them, too
 _SURE = 3.0  # standard errors that a falloff must exceed
 _TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff; a relative change that counts as none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms that count as small, and steps to find their least sum
-_NO_NOISE = (
-    "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"
-)
+_NO_NOISE = "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"
 _ENOUGH_LARGE = 48  # windows twice as large that are enough to tell how far errors reach
 
 
@@ -217,13 +215,7 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),
         np.concatenate([sigma[0] * farther**power, sigma, sigma[-1] * nearer**power]),
     )
-    return replace(
-        along,
-        lateral=lateral,
-        falloff=known.falloff,
-        step=known.step,
-        disparity_step=known.disparity_step,
-    )
+    return replace(along, lateral=lateral, falloff=known.falloff, step=known.step, disparity_step=known.disparity_step)
 
 
 def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
@@ -289,9 +281,7 @@ def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int)
     return np.asarray(_alone(part).statistics(sizes**2).tilt_x - shared)
 
 
-def _fit_reach(
-    samples: dict[int, Samples], model: NoiseModel, large: Sequence[LargePlanes] = ()
-) -> NoiseModel:
+def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[LargePlanes] = ()) -> NoiseModel:
     """How the variance is shared out over correlation lengths, from how residuals and slopes change with size.
 
     And from how far large planes are bent, if there are any.
@@ -322,10 +312,7 @@ def _fit_reach(
         return _per_pixel(part, sides) - _per_pixel(part, TILE)
 
     def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Floats]:
-        terms = [
-            np.concatenate([_per_pixel(part, sizes), _tilts(part, small, window), bent(part)])
-            for part in parts
-        ]
+        terms = [np.concatenate([_per_pixel(part, sizes), _tilts(part, small, window), bent(part)]) for part in parts]
         shares, distance = nnls(np.stack(terms, axis=1) / scale[:, None], values / scale, maxiter=1000)
         return distance**2, np.asarray(shares)
 
@@ -350,9 +337,7 @@ def _fit_reach(
         model,
         samples=tuple((q, np.sqrt(random) * sigma) for q, sigma in model.samples or ()),
         correlation=tuple(
-            (float(share / random), length)
-            for share, length in zip(shares[1:-1], LENGTHS, strict=True)
-            if share > 0.0
+            (float(share / random), length) for share, length in zip(shares[1:-1], LENGTHS, strict=True) if share > 0.0
         ),
         floor=float(np.sqrt(shares[-1] / random)),
         floor_length=floor_length,

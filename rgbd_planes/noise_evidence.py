@@ -87,11 +87,7 @@ class NoiseEvidence:
 
 
 def evidence_of(
-    frames: Sequence[Any],
-    camera: Camera,
-    model: NoiseModel,
-    samples: dict[int, Samples],
-    windows: int,
+    frames: Sequence[Any], camera: Camera, model: NoiseModel, samples: dict[int, Samples], windows: int
 ) -> NoiseEvidence:
     """What the flat tiles of frames, by size, say for and against a model."""
     from scipy.special import ndtr

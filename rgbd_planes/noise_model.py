@@ -96,9 +96,7 @@ class NoiseModel:
             coefficients = (KINECT_V1,)  # neither used nor saved
             samples = _pairs("samples", self.samples, "inverse depth, sigma")
             if not (samples.size and (np.diff(samples[:, 0]) > 0.0).all() and (samples[:, 1] > 0.0).all()):
-                raise ValueError(
-                    f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}"
-                )
+                raise ValueError(f"expected samples of growing inverse depth and positive sigma, got {self.samples!r}")
             object.__setattr__(self, "samples", tuple((float(q), float(s)) for q, s in samples))
         object.__setattr__(self, "coefficients", coefficients)
         for name in ("step", "disparity_step", "floor", "floor_length", "spread", "lateral", "falloff"):
@@ -265,9 +263,7 @@ class NoiseModel:
         """
         known = {f.name for f in fields(cls)} - {"formula", "evidence"}
         if not isinstance(values, Mapping) or not set(values) <= known:
-            raise ValueError(
-                f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}"
-            )
+            raise ValueError(f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}")
         model = cls(**values)
         if not {"coefficients", "samples"} & set(values):
             raise ValueError(f"expected a noise model with coefficients or samples, got {dict(values)!r}")

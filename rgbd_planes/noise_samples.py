@@ -66,9 +66,7 @@ class Samples:
     place: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
-    def of(
-        cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes, most_missing: float
-    ) -> "Samples":
+    def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes, most_missing: float) -> "Samples":
         """The tiles of ``planes`` that lie in flat windows, and the slopes of ``windows``."""
         _, rows, columns = planes.shape
         size = planes.tile[0]
@@ -118,9 +116,7 @@ class Samples:
     # far.
     def independent(self, model: NoiseModel) -> Floats:
         """Variance of q from the lateral error and from rounding."""
-        return np.asarray(
-            model.lateral**2 * self.slope_square + WEIGHTS_OF_PLACES @ model._rounding(self.depths)
-        )
+        return np.asarray(model.lateral**2 * self.slope_square + WEIGHTS_OF_PLACES @ model._rounding(self.depths))
 
     def growth(self, model: NoiseModel) -> Floats:
         """The variance of q before rounding, as a multiple of that on the optical axis."""
@@ -163,10 +159,7 @@ class Samples:
 
 
 def all_samples(
-    tiles: dict[int, TilePlanes],
-    flat: npt.NDArray[np.bool_],
-    most_missing: float,
-    window: int = WINDOW,
+    tiles: dict[int, TilePlanes], flat: npt.NDArray[np.bool_], most_missing: float, window: int = WINDOW
 ) -> dict[int, Samples]:
     """The tiles in flat windows, for each size that has enough of them."""
     samples = {size: Samples.of(planes, flat, tiles[window], most_missing) for size, planes in tiles.items()}
@@ -181,10 +174,7 @@ def mean_depth(planes: TilePlanes) -> Floats:
 
 
 def flat_windows(
-    planes: TilePlanes,
-    small: TilePlanes,
-    most_missing: float,
-    flat_parts: npt.NDArray[np.bool_] | None = None,
+    planes: TilePlanes, small: TilePlanes, most_missing: float, flat_parts: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.bool_]:
     """Windows that are no rougher as a whole than their parts are.
 

@@ -20,8 +20,6 @@ def triangle_mesh(
     with needs("open3d", None):
         import open3d
     vector = open3d.utility.Vector3dVector
-    mesh = open3d.geometry.TriangleMesh(
-        vector(points), open3d.utility.Vector3iVector(triangles.astype(np.int32))
-    )
+    mesh = open3d.geometry.TriangleMesh(vector(points), open3d.utility.Vector3iVector(triangles.astype(np.int32)))
     mesh.vertex_normals, mesh.vertex_colors = vector(normals), vector(colours)
     return mesh

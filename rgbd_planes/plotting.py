@@ -85,8 +85,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     else:
         draw_measured_depth(panels[0], legends[0], depth_metres)
     panels[1].imshow(
-        _to_pixels(normal_colours(in_image(fits.planes[..., :3], fits.camera)), fits, MISSING),
-        interpolation="nearest",
+        _to_pixels(normal_colours(in_image(fits.planes[..., :3], fits.camera)), fits, MISSING), interpolation="nearest"
     )
     panels[1].set_title("Normals of the planes")
     draw_legend_of_normals(legends[1])
@@ -94,9 +93,7 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
     return figure
 
 
-def panels_with_legends(
-    count: int, camera: Camera, figure: Figure | None
-) -> tuple[Figure, list[Axes], list[Axes]]:
+def panels_with_legends(count: int, camera: Camera, figure: Figure | None) -> tuple[Figure, list[Axes], list[Axes]]:
     """A figure, a new one for None, with ``count`` panels for images, and places for legends below them."""
     check_figure(figure)
     if figure is None:
@@ -146,9 +143,7 @@ def _draw_depth(panel: Axes, legend: Axes, shown: Floats, label: str) -> None:
 
 def draw_scale(legend: Axes, image: AxesImage, label: str) -> Colorbar:
     """Draw the scale of an image's colours into the place for a legend."""
-    bar = legend.figure.colorbar(
-        image, cax=legend.inset_axes((0.1, 0.72, 0.8, 0.16)), orientation="horizontal"
-    )
+    bar = legend.figure.colorbar(image, cax=legend.inset_axes((0.1, 0.72, 0.8, 0.16)), orientation="horizontal")
     bar.ax.tick_params(labelsize=9, length=2)
     bar.ax.set_xlabel(label, fontsize=9)
     return bar

@@ -72,9 +72,7 @@ def _draw_depth(axes: "Axes", evidence: "NoiseEvidence") -> None:
 
 
 def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
-    axes.plot(
-        evidence.sizes, evidence.residuals, "o", color=_SEEN, label="flat tiles and large planes (median)"
-    )
+    axes.plot(evidence.sizes, evidence.residuals, "o", color=_SEEN, label="flat tiles and large planes (median)")
     axes.plot(evidence.sizes, evidence.expected, color=_MODEL, label="model")
     independent = np.sqrt(1.0 - 3.0 / evidence.sizes**2)
     reference = int(np.argmin(np.abs(evidence.sizes - REFERENCE)))

@@ -35,9 +35,7 @@ _SHADE = 0.55
 
 
 def plot_quadtree(
-    segmentation: "QuadtreeSegmentation",
-    depth_metres: NDArray[np.float64] | None = None,
-    figure: Figure | None = None,
+    segmentation: "QuadtreeSegmentation", depth_metres: NDArray[np.float64] | None = None, figure: Figure | None = None
 ) -> Figure:
     """Draw a segmented frame: its depth in colours, and the elements over its depth in grey.
 
@@ -85,8 +83,7 @@ def plot_quadtree(
         )
     panels[1].set_title(f"{counts[TileStatus.OK]} squares fitted, {len(segmentation.planes)} clusters")
     styles = {
-        status: {"facecolor": "none", "edgecolor": colour, "linewidth": 2.0}
-        for status, colour in OUTLINES.items()
+        status: {"facecolor": "none", "edgecolor": colour, "linewidth": 2.0} for status, colour in OUTLINES.items()
     }
     draw_legend_of_statuses(
         legends[1], elements.status, styles, "outlined by status, filled by cluster; light grey: missing"
@@ -96,6 +93,4 @@ def plot_quadtree(
 
 def _palette_order(count: int) -> NDArray[np.int64]:
     """Indices into tab20: its strong colours, then the pale ones, then again; no green, the outlines' own."""
-    return np.concatenate([[0, 2, 8, 6, 12, 18, 16, 10, 14], [1, 3, 9, 7, 13, 19, 17, 11, 15]])[
-        np.arange(count) % 18
-    ]
+    return np.concatenate([[0, 2, 8, 6, 12, 18, 16, 10, 14], [1, 3, 9, 7, 13, 19, 17, 11, 15]])[np.arange(count) % 18]

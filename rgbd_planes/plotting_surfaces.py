@@ -11,21 +11,13 @@ from matplotlib.figure import Figure
 from rgbd_planes.camera import Camera
 from rgbd_planes.colours import MISSING, in_image, normal_colours
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.plotting import (
-    draw_legend_of_normals,
-    draw_measured_depth,
-    draw_scale,
-    panels_with_legends,
-)
+from rgbd_planes.plotting import draw_legend_of_normals, draw_measured_depth, draw_scale, panels_with_legends
 
 _FLAT = 1e-6
 
 
 def plot_surfaces(
-    depth: npt.ArrayLike,
-    camera: Camera,
-    normals: npt.NDArray[np.float32],
-    curvature: npt.NDArray[np.float32],
+    depth: npt.ArrayLike, camera: Camera, normals: npt.NDArray[np.float32], curvature: npt.NDArray[np.float32]
 ) -> Figure:
     """Draw a frame's depth, its normals as colours and its surface variation.
 

@@ -63,10 +63,6 @@ def measurement_noise(
     else:
         sigma = number("sigma_inverse_depth", sigma_inverse_depth, finite=False)
         if not 0.0 <= sigma < np.inf:
-            raise ValueError(
-                f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}"
-            )
+            raise ValueError(f"sigma_inverse_depth must be 0 or more, and finite (1/m), got {sigma_inverse_depth!r}")
         along_axis *= sigma
-    return np.stack(
-        [np.abs(camera.tan_x) * along_axis, np.abs(camera.tan_y) * along_axis, along_axis], axis=-1
-    )
+    return np.stack([np.abs(camera.tan_x) * along_axis, np.abs(camera.tan_y) * along_axis, along_axis], axis=-1)

@@ -59,9 +59,7 @@ class PlanePolygon:
 
     def __repr__(self) -> str:
         holes = sum(len(part.interiors) for part in self.metric.geoms)
-        return (
-            f"<PlanePolygon {self.label}: {self.area:.3g} m², {len(self.metric.geoms)} parts, {holes} holes>"
-        )
+        return f"<PlanePolygon {self.label}: {self.area:.3g} m², {len(self.metric.geoms)} parts, {holes} holes>"
 
     @property
     def area(self) -> float:
@@ -133,9 +131,7 @@ class PlanePolygon:
         }
 
 
-def plane_polygons(
-    segmentation: Segmentation, *, tolerance: float = 1.0, min_part: float = 16.0
-) -> list[PlanePolygon]:
+def plane_polygons(segmentation: Segmentation, *, tolerance: float = 1.0, min_part: float = 16.0) -> list[PlanePolygon]:
     """Outline every plane of a segmentation.
 
     Parameters
@@ -286,10 +282,7 @@ def _bent_by_lens(image: MultiPolygon, camera: Camera, tolerance: float) -> Mult
         return _with_bends(corners, camera, _SHARE_OF_BENDS * tolerance)
 
     return shapely.MultiPolygon(
-        [
-            shapely.Polygon(bent(part.exterior), [bent(hole) for hole in part.interiors])
-            for part in image.geoms
-        ]
+        [shapely.Polygon(bent(part.exterior), [bent(hole) for hole in part.interiors]) for part in image.geoms]
     )
 
 

@@ -137,9 +137,7 @@ def realsense_d435(width: int = 1280, height: int = 720) -> Camera:
             "Camera.from_realsense takes what the device says of any"
         )
     focal_length = 1.93 / 0.003 * width / 1280
-    return Camera(
-        width, height, focal_length, focal_length, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0
-    )
+    return Camera(width, height, focal_length, focal_length, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0)
 
 
 def tum_freiburg1() -> Camera:

@@ -77,9 +77,7 @@ def fits_html(fits: PlacedFits) -> str:
     )
 
 
-def segments_html(
-    segments: "Segmentation", title: str | None = None, ids: NDArray[np.int32] | None = None
-) -> str:
+def segments_html(segments: "Segmentation", title: str | None = None, ids: NDArray[np.int32] | None = None) -> str:
     """Return a few lines of HTML: what was found, a picture of the planes, and the largest of them.
 
     With ``ids`` planes have the numbers and colours of these.

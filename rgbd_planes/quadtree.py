@@ -69,9 +69,7 @@ class QuadtreeSegmentation:
     def labels(self) -> npt.NDArray[np.int32]:
         """(H, W) int32: the cluster of each pixel's element, 0 none."""
         labels = np.zeros(self.elements.camera.shape, np.int32)
-        for (row, column, height, width), label in zip(
-            self.elements.windows, self.element_labels, strict=True
-        ):
+        for (row, column, height, width), label in zip(self.elements.windows, self.element_labels, strict=True):
             labels[row : row + height, column : column + width] = label
         return labels
 

@@ -59,8 +59,7 @@ def _at_places(tables: Sequence[Floats] | Floats, footprint: npt.NDArray[np.int6
     n, x, y, xx, yy = footprint.T.astype(np.float64)
     number = np.maximum(n, 1.0)
     columns, rows = (
-        sum_ / number
-        + GAUSS_PLACES[:, None] * np.sqrt(np.maximum(square / number - (sum_ / number) ** 2, 0.0))
+        sum_ / number + GAUSS_PLACES[:, None] * np.sqrt(np.maximum(square / number - (sum_ / number) ** 2, 0.0))
         for sum_, square in ((x, xx), (y, yy))
     )
     places = np.stack(np.broadcast_arrays(rows[:, None], columns))  # (2, 3, 3, N)

@@ -76,9 +76,7 @@ def record(
             stream.log("fitted", rr.Scalars(float(np.count_nonzero(tiles.fitted))))
 
 
-def record_segments(
-    sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = SMALLEST
-) -> None:
+def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = SMALLEST) -> None:
     """Segment a sequence and write a recording that rerun shows; whole or not at all.
 
     Parameters

@@ -50,9 +50,7 @@ class ResidualStatistics:
     tilt_y: Floats
     offset: Floats
 
-    def with_independent(
-        self, along: Floats, independent: Floats, count: NDArray[Any]
-    ) -> tuple[Floats, Floats]:
+    def with_independent(self, along: Floats, independent: Floats, count: NDArray[Any]) -> tuple[Floats, Floats]:
         """Expected sum of squared residuals and degrees of freedom, with an independent part of the variance.
 
         ``along`` is this model's σq², ``independent`` the other; ``count`` the pixels, three or more.
@@ -174,10 +172,7 @@ def _along(components: Components, n: int) -> _Side:
     p1 = lags - 0.5 * (n - 1)
     p1 = p1 / np.linalg.norm(p1)
     by_lag = np.array(
-        [
-            np.exp(-0.5 * (lags / length) ** 2) if length else (lags == 0).astype(float)
-            for _, length in components
-        ]
+        [np.exp(-0.5 * (lags / length) ** 2) if length else (lags == 0).astype(float) for _, length in components]
     )
     rows = [np.concatenate([rho[:0:-1], rho]) for rho in by_lag]
     t0, t1 = (np.array([np.convolve(row, p, "valid") for row in rows]) for p in (p0, p1))
@@ -205,11 +200,7 @@ def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats
         n = round(m * long)
         b = _along(components, m)
         a = b if n == m else _along(components, n)
-        offset, along, across = (
-            w @ (a.constant * b.constant),
-            w @ (a.slope * b.constant),
-            w @ (a.constant * b.slope),
-        )
+        offset, along, across = (w @ (a.constant * b.constant), w @ (a.slope * b.constant), w @ (a.constant * b.slope))
         expected = n * m * w.sum() - offset - along - across
         a_00, a_11, b_00, b_11 = (t @ t.T for t in (a.on_constant, a.on_slope, b.on_constant, b.on_slope))
         of_all = (a.by_lag * a.often) @ a.by_lag.T * ((b.by_lag * b.often) @ b.by_lag.T)

@@ -36,10 +36,7 @@ def saved_arrays(path: str | os.PathLike[str], writer: str) -> Iterator[tuple[di
             raise ValueError("not an NPZ file")
         opened.seek(0)
         with np.load(opened, allow_pickle=False) as file:
-            yield (
-                json.loads(str(file["about"])),
-                {name: np.ascontiguousarray(file[name]) for name in file.files},
-            )
+            yield (json.loads(str(file["about"])), {name: np.ascontiguousarray(file[name]) for name in file.files})
 
 
 def check_alike(arrays: Arrays, expected: Arrays) -> None:

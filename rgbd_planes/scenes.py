@@ -82,9 +82,7 @@ class Scene:
         rays = np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1).reshape(-1, 3)
         nearest = np.zeros(len(rays))  # inverse depth: 0 is infinitely far, so the largest is the nearest
         seen = np.full(len(rays), -1)
-        planes = np.array(
-            [_facing_camera(self.camera_to_scene.T @ surface.plane) for surface in self.surfaces]
-        )
+        planes = np.array([_facing_camera(self.camera_to_scene.T @ surface.plane) for surface in self.surfaces])
         for index, (surface, (*normal, offset)) in enumerate(zip(self.surfaces, planes, strict=True)):
             if offset == 0.0:  # seen edge-on: no pixel shows it
                 continue
@@ -263,9 +261,7 @@ def polygon(name: str, vertices: ArrayLike) -> Surface:
     heights = (points - points[0]) @ normal
     inside = points @ inward.T + sides[:, 3]
     if np.abs(heights).max() > 1e-9 * size or inside.min() < -1e-9 * size**2:
-        raise ValueError(
-            f"the corners of {name!r} are not those of a flat, convex polygon: {points.tolist()}"
-        )
+        raise ValueError(f"the corners of {name!r} are not those of a flat, convex polygon: {points.tolist()}")
     return Surface(name, np.append(normal, -normal @ points[0]), sides)
 
 
@@ -364,9 +360,7 @@ def look_at(eye: Sequence[float], target: Sequence[float]) -> Floats:
     forward = np.asarray(target, dtype=np.float64) - position
     right = np.cross((0.0, 1.0, 0.0), forward)
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
-        raise ValueError(
-            f"the camera must look somewhere, not straight up or down, got eye {eye}, target {target}"
-        )
+        raise ValueError(f"the camera must look somewhere, not straight up or down, got eye {eye}, target {target}")
     forward /= np.linalg.norm(forward)
     right /= np.linalg.norm(right)
     motion = np.eye(4)

@@ -41,9 +41,7 @@ FILLED = 5  # of eight neighbours, how many of one label give it to a stray pixe
 
 
 # For parts and for pixels, as the kernels take them.
-_REASONS = tuple(
-    np.uint8(r) for r in (Reason.PLANE, Reason.SMALL, Reason.ROUGH, Reason.CURVED, Reason.NARROW)
-)
+_REASONS = tuple(np.uint8(r) for r in (Reason.PLANE, Reason.SMALL, Reason.ROUGH, Reason.CURVED, Reason.NARROW))
 _REASON_OF_PIXELS = np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED)
 
 
@@ -135,9 +133,7 @@ def _given(noise: Any) -> Given:
     return Given(lambda q: np.full_like(q, sigma))
 
 
-def segment_frame(
-    frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules
-) -> Segmentation:
+def segment_frame(frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules) -> Segmentation:
     """`segment` with other rules, for experiments."""
     with workspaces.lent(camera) as work:
         return _segment(frame, camera, given, min_size, rules, rays_of(camera), work)
@@ -175,20 +171,7 @@ def _segment(
         region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
     )
     found = _result(
-        frame,
-        step_of_raw,
-        camera,
-        rays,
-        work,
-        shares,
-        number,
-        planes,
-        sums,
-        curved,
-        noise,
-        given,
-        min_size,
-        rules,
+        frame, step_of_raw, camera, rays, work, shares, number, planes, sums, curved, noise, given, min_size, rules
     )
     if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
         warn_caller(
@@ -223,9 +206,7 @@ def _result(
     segment_planes.deviations(sums.moments, region_planes, noise.sigma, deviation)
 
     runs = work.runs_for(len(shares.region))
-    run_count, loose_count = segment_runs.find_runs(
-        owners, shares, number_of, camera.height, camera.width, runs, loose
-    )
+    run_count, loose_count = segment_runs.find_runs(owners, shares, number_of, camera.height, camera.width, runs, loose)
     parts = Parts(np.empty((run_count, 10)), *np.empty((2, run_count)), *np.empty((4, run_count), np.int64))
     count = segment_parts.measure_parts(runs, owners, shares, work.pyramid, inverse_depth, rays, sums, parts)
     why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)

@@ -70,9 +70,7 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
 
 
 def write_json(
-    path: str | os.PathLike[str],
-    segmentation: Segmentation,
-    polygons: Sequence[PlanePolygon] | None = None,
+    path: str | os.PathLike[str], segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None = None
 ) -> None:
     """Write the planes as JSON; whole or not at all.
 
@@ -117,9 +115,7 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
     """
     _check(segmentation)
     if len(segmentation) > 65535:
-        raise ValueError(
-            f"expected at most 65535 planes, which 16 bits can tell apart, got {len(segmentation)}"
-        )
+        raise ValueError(f"expected at most 65535 planes, which 16 bits can tell apart, got {len(segmentation)}")
     write_png(path, segmentation.labels.astype(np.uint16))
 
 
@@ -200,9 +196,7 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
     return ros_planes(segmentation.planes, frame_id, stamp)
 
 
-def to_ros_polygons(
-    polygons: Sequence[PlanePolygon], frame_id: str = "", stamp: float = 0.0
-) -> dict[str, Any]:
+def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
     """Return the outlines in the shape of jsk_recognition_msgs/PolygonArray.
 
     Parameters

@@ -102,9 +102,7 @@ def noise_of(
     is_rougher = bool(0.0 < UNLIKE * expected < typical**0.5)
     if given.sigma is None:
         # Between the first two entries it must not fall to zero: far surfaces may lie there.
-        table = np.maximum(
-            np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, step_of_raw, q)
-        )
+        table = np.maximum(np.minimum(typical**0.5, FORMLESS * np.maximum(q, step)), _rounding(frame, step_of_raw, q))
     elif given.at_large and typical > 0.0:
         # An error that neighbours share is not seen within a square: it shows as growth.
         table = np.minimum(np.maximum(typical**0.5 * table, _rounding(frame, step_of_raw, q)), table)

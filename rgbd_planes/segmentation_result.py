@@ -184,9 +184,7 @@ class Segmentation:
             There are more than 255 planes.
         """
         if len(self) > 255:
-            raise ValueError(
-                f"expected at most 255 planes, which is all that uint8 labels hold, got {len(self)}"
-            )
+            raise ValueError(f"expected at most 255 planes, which is all that uint8 labels hold, got {len(self)}")
         return (self.labels - 1).astype(np.uint8)  # -1 becomes 255
 
     def to_table(self) -> dict[str, NDArray[Any]]:

@@ -158,9 +158,7 @@ def _surfaces(
     else:
 
         def work(start: int, stop: int) -> None:
-            dense.distorted(
-                *values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
-            )
+            dense.distorted(*values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays)
 
     with announced(("normals", camera.is_separable, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)

@@ -88,10 +88,7 @@ def central_rays(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.float6
     heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
     centre = np.empty((2, len(heights), len(widths)))
     if camera.is_separable:
-        centre[0], centre[1] = (
-            _means(camera.tan_x_columns, widths),
-            _means(camera.tan_y_rows, heights)[:, None],
-        )
+        centre[0], centre[1] = (_means(camera.tan_x_columns, widths), _means(camera.tan_y_rows, heights)[:, None])
     else:
         centre[0] = _means(_means(camera.tan_x, widths).T, heights).T
         centre[1] = _means(_means(camera.tan_y, widths).T, heights).T

@@ -73,9 +73,7 @@ class TilePlanes(PlacedFits):
             The planes are those of a single frame.
         """
         if len(self.shape) != 3:
-            raise TypeError(
-                "only the planes of a batch of frames can be indexed; index an array, such as .planes"
-            )
+            raise TypeError("only the planes of a batch of frames can be indexed; index an array, such as .planes")
         one = TilePlanes(
             camera=self.camera, method=self.method, tile=self.tile,
             **{name: getattr(self, name)[frame] for name in ARRAYS},
@@ -112,9 +110,7 @@ class TilePlanes(PlacedFits):
         *frames, rows, columns = self.shape
         count = f"{frames[0]} frames of " if frames else ""
         height, width = self.tile
-        return (
-            f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
-        )
+        return f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
 
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row per tile as a dict of equally long columns, which `pandas.DataFrame` takes.

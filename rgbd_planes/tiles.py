@@ -17,26 +17,11 @@ from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.falloff import growth_of_tiles
 from rgbd_planes.fit_statistics import Assessment
-from rgbd_planes.fitting import (
-    ARRAYS,
-    METHODS,
-    SOLVES,
-    Arrays,
-    flat,
-    solve_planes,
-    valid_needed,
-)
+from rgbd_planes.fitting import ARRAYS, METHODS, SOLVES, Arrays, flat, solve_planes, valid_needed
 from rgbd_planes.kernels import grid
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import (
-    central_rays,
-    check_tile,
-    grid_shape,
-    relative_rays,
-    tile_footprints,
-    tile_windows,
-)
+from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_footprints, tile_windows
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.window_moments import WindowMoments
 
@@ -100,11 +85,7 @@ class TileFitter:
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
             centre = central_rays(camera, self.tile)
-            rays = (
-                relative_rays(camera, self.tile, centre)
-                if camera.is_separable
-                else (camera.tan_x, camera.tan_y)
-            )
+            rays = relative_rays(camera, self.tile, centre) if camera.is_separable else (camera.tan_x, camera.tan_y)
             self._of_camera = (
                 *rays, *self.tile, centre.reshape(2, -1), self._needed, implicit if standard is None else standard,
                 self._max_error,
@@ -187,9 +168,7 @@ class TileFitter:
             As `fit_tiles`, for each frame.
         """
         if not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
-            raise TypeError(
-                f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any"
-            )
+            raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any")
         if len(frames) == 0:
             raise ValueError("expected at least one frame, got none")
         arrays = self._arrays((len(frames),), out)
@@ -207,9 +186,7 @@ class TileFitter:
         # A frame that two threads share is read twice; but of a few whole ones, some threads would get many more than
         # others.
         step = rows if len(frames) >= _MANY * threads else 1
-        run_in_ranges(
-            lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads
-        )
+        run_in_ranges(lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads)
         return self._result(arrays) if out is None else out
 
     def fit_stream(self, frames: Iterable[npt.ArrayLike]) -> Iterator[TilePlanes]:
@@ -285,9 +262,7 @@ class TileFitter:
         arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
         for name, array in arrays.items():
             if not (array.flags.c_contiguous and array.flags.writeable):
-                raise ValueError(
-                    f"expected an out whose arrays are contiguous and may be written, {name} is not"
-                )
+                raise ValueError(f"expected an out whose arrays are contiguous and may be written, {name} is not")
         statistics = out._asked_for
         if statistics is not None:
             arrays["_statistics"] = statistics.rows

@@ -43,9 +43,7 @@ class TrackedSegmentation:
     ids: NDArray[np.int32]
 
     def __repr__(self) -> str:
-        return (
-            f"<TrackedSegmentation: {counted(len(self.ids), 'plane')}, newest id {self.ids.max(initial=0)}>"
-        )
+        return f"<TrackedSegmentation: {counted(len(self.ids), 'plane')}, newest id {self.ids.max(initial=0)}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture, in the colours of the ids."""
@@ -178,9 +176,7 @@ class Tracker:
             sums(table[::2, ::2].ravel()[places])[rows, columns] / pixels
             for table in (found.camera.tan_x, found.camera.tan_y)
         )
-        before, now = (
-            a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns])
-        )
+        before, now = (a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns]))
         near = (np.abs(errors.offset) <= MOVED * old[:, 3]) | (np.abs(now - before) <= MOVED * before)
         smaller = np.minimum(lengths[rows], np.bincount(labels, minlength=count)[1:][columns])
         same = (pixels >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near

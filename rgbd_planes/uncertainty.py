@@ -21,10 +21,7 @@ _RANK = 1e-12
 
 
 def same_plane(
-    alpha: npt.ArrayLike,
-    covariance: npt.ArrayLike,
-    other_alpha: npt.ArrayLike,
-    other_covariance: npt.ArrayLike,
+    alpha: npt.ArrayLike, covariance: npt.ArrayLike, other_alpha: npt.ArrayLike, other_covariance: npt.ArrayLike
 ) -> Floats:
     """Test whether planes fitted to different pixels are one plane.
 
@@ -67,10 +64,7 @@ def same_plane(
         axes = _axes_across(first[..., :3] + second[..., :3]) @ _about(_surest(first, first_covariance))
         turned = np.swapaxes(axes, -1, -2)
         first, second = (np.sum(axes * plane[..., None, :], axis=-1) for plane in (first, second))
-        first_covariance, second_covariance = (
-            axes @ first_covariance @ turned,
-            axes @ second_covariance @ turned,
-        )
+        first_covariance, second_covariance = (axes @ first_covariance @ turned, axes @ second_covariance @ turned)
 
     def flat(array: Floats, entries: tuple[int, ...]) -> Floats:
         # Always copied: the kernel would be compiled both for writable and for read-only arrays.
@@ -127,10 +121,7 @@ def point_distance(
 
 
 def angle_between(
-    planes: npt.ArrayLike,
-    plane_covariance: npt.ArrayLike,
-    other_planes: npt.ArrayLike,
-    other_covariance: npt.ArrayLike,
+    planes: npt.ArrayLike, plane_covariance: npt.ArrayLike, other_planes: npt.ArrayLike, other_covariance: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
     """Angle between the normals of planes fitted to different pixels, and its standard deviation.
 
@@ -146,10 +137,7 @@ def angle_between(
         an error, never negative; the standard deviation is then that of a component along the line between
         the normals, or along the most uncertain direction where they coincide.
     """
-    first, second = (
-        _array("planes", planes, (4,))[..., :3],
-        _array("other_planes", other_planes, (4,))[..., :3],
-    )
+    first, second = (_array("planes", planes, (4,))[..., :3], _array("other_planes", other_planes, (4,))[..., :3])
     first_covariance = _array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
     second_covariance = _array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
     _leading(
@@ -214,9 +202,7 @@ def transform_planes(
         and (np.linalg.det(rotation) > 0.0).all()
     ):
         raise ValueError(f"expected transform as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}")
-    pose = (
-        None if transform_covariance is None else _array("transform_covariance", transform_covariance, (6, 6))
-    )
+    pose = None if transform_covariance is None else _array("transform_covariance", transform_covariance, (6, 6))
     _leading(
         planes=plane.shape[:-1],
         plane_covariance=covariance.shape[:-2],

@@ -8,14 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import (
-    check_camera,
-    check_choice,
-    check_error,
-    check_num_threads,
-    check_share,
-    plain_array,
-)
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share, plain_array
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.falloff import growth_of_windows

@@ -27,9 +27,7 @@ def messages(store, frames, encoding="16UC1", padding=0, big_endian=False):
                 is_bigendian=int(big_endian), step=rows.shape[1], data=rows.ravel(),
             )
         )  # fmt: skip
-    info = SimpleNamespace(
-        k=[7.0, 0, 3.5, 0, 7.5, 2.5, 0, 0, 1], p=[7.1, 0, 3.5, 0, 0, 7.6, 2.5, 0, 0, 0, 1, 0]
-    )
+    info = SimpleNamespace(k=[7.0, 0, 3.5, 0, 7.5, 2.5, 0, 0, 1], p=[7.1, 0, 3.5, 0, 0, 7.6, 2.5, 0, 0, 0, 1, 0])
     letters = str.upper if ros1 else str
     arrays = {
         letters("d"): np.array([0.01, 0.0, 0.0, 0.0, 0.0]), letters("k"): np.array(info.k),

@@ -32,9 +32,7 @@ def write_recording(path, tracks, attachments, stop=None):
     entries, blocks = [], []
     for number, (name, frames) in enumerate(tracks.items(), start=1):
         height, width = frames[0][1].shape
-        bitmap = struct.pack(
-            "<IiiHH4sIiiII", 40, width, height, 1, 16, b"b16g", 2 * width * height, 0, 0, 0, 0
-        )
+        bitmap = struct.pack("<IiiHH4sIiiII", 40, width, height, 1, 16, b"b16g", 2 * width * height, 0, 0, 0, 0)
         about = {"TrackNumber": number, "TrackUID": number, "TrackType": 1, "FlagLacing": 0, "Name": name}
         about |= {"CodecID": "V_MS/VFW/FOURCC", "CodecPrivate": bitmap}
         video = element("Video", [element("PixelWidth", width), element("PixelHeight", height)])
@@ -55,10 +53,7 @@ def write_recording(path, tracks, attachments, stop=None):
     clusters = [
         element(
             "Cluster",
-            [
-                element("Timestamp", time),
-                element("SimpleBlock", bytes([0x80 | number]) + b"\0\0\x80" + content),
-            ],
+            [element("Timestamp", time), element("SimpleBlock", bytes([0x80 | number]) + b"\0\0\x80" + content)],
         )
         for time, number, content in sorted(blocks)
     ]

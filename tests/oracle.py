@@ -141,9 +141,7 @@ def fit_windows(depth, camera, windows, method, **options):
     planes = []
     for row, column, height, width in windows:
         part = (slice(row, row + height), slice(column, column + width))
-        planes.append(
-            fit(method, camera.tan_x[part].ravel(), camera.tan_y[part].ravel(), q[part].ravel(), **options)
-        )
+        planes.append(fit(method, camera.tan_x[part].ravel(), camera.tan_y[part].ravel(), q[part].ravel(), **options))
     return planes
 
 

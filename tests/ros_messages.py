@@ -39,8 +39,7 @@ def type_store():
             "std_msgs/Header header\npcl_msgs/ModelCoefficients[] coefficients"
         ),
         "jsk_recognition_msgs/msg/PolygonArray": (
-            "std_msgs/Header header\ngeometry_msgs/PolygonStamped[] polygons\n"
-            "uint32[] labels\nfloat32[] likelihood"
+            "std_msgs/Header header\ngeometry_msgs/PolygonStamped[] polygons\nuint32[] labels\nfloat32[] likelihood"
         ),
     }.items():
         store.register(get_types_from_msg(text, name))

@@ -110,10 +110,7 @@ def test_a_time_that_is_not_known_is_null(recording, tmp_path):
 
 def test_some_times_may_be_known_and_others_not(recording, tmp_path):
     plain = rp.open_sequence(recording)
-    known = [
-        e if e.location.stem > "2" else FrameEntry(e.name, np.nan, e.camera, e.location)
-        for e in plain.entries
-    ]
+    known = [e if e.location.stem > "2" else FrameEntry(e.name, np.nan, e.camera, e.location) for e in plain.entries]
     sequence = FrameSequence(known, images.read_depth)
     rp.fit_sequence(sequence, tmp_path / "out", num_threads=1)
     check_rows(tmp_path / "out", sequence)
@@ -127,8 +124,7 @@ def test_each_frame_may_have_its_own_camera(recording, tmp_path):
     other = rp.Camera(width=80, height=60, fx=60.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=900.0)
     sequence = rp.open_sequence(recording)
     entries = [
-        FrameEntry(e.name, e.timestamp, [CAMERA, other][i % 2], e.location)
-        for i, e in enumerate(sequence.entries)
+        FrameEntry(e.name, e.timestamp, [CAMERA, other][i % 2], e.location) for i, e in enumerate(sequence.entries)
     ]
     mixed = FrameSequence(entries, images.read_depth)
     rp.fit_sequence(mixed, tmp_path / "out")
@@ -453,9 +449,7 @@ def test_arguments_that_cannot_be_used_are_refused(recording, tmp_path):
         rp.fit_sequence(sequence[:0], out)
     assert not out.exists()
     out.write_text("mine")
-    with pytest.raises(
-        NotADirectoryError, match="expected a folder for the table, got a file; choose another"
-    ):
+    with pytest.raises(NotADirectoryError, match="expected a folder for the table, got a file; choose another"):
         rp.fit_sequence(sequence, out)
     assert out.read_text() == "mine"
 
@@ -665,16 +659,7 @@ def cluster(tmp_path):
         return process
 
     about = tmp_path / "scheduler.json"
-    start(
-        "dask_scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        str(about),
-    )
+    start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(about))
     until(lambda: about.exists() and about.read_text().endswith("}"))
     address = json.loads(about.read_text())["address"]
     workers = [

@@ -50,9 +50,7 @@ def test_counted_ratios_are_the_papers():
     """44N/20N, 39N/15N and 8NM²/4NM², from counts."""
     counts = operations.count_all()
     per_pixel = {
-        (form, space): count.paper_convention
-        for form, pair in counts.items()
-        for space, count in pair.items()
+        (form, space): count.paper_convention for form, pair in counts.items() for space, count in pair.items()
     }
     assert per_pixel["implicit", "standard"] == 44
     assert per_pixel["implicit", "range"] == 20

@@ -87,9 +87,7 @@ def test_processes_that_compile_at_a_time_lose_nothing(of_a_process, monkeypatch
 
 
 @pytest.mark.parametrize("elsewhere", [True, False])
-def test_who_cannot_write_reads_what_the_installation_has(
-    of_a_process, files, tmp_path, monkeypatch, elsewhere
-):
+def test_who_cannot_write_reads_what_the_installation_has(of_a_process, files, tmp_path, monkeypatch, elsewhere):
     """As of a container's image, whose kernels its administrator has compiled."""
     monkeypatch.setattr(_jit, "has_cache", True)
     if elsewhere:

@@ -65,9 +65,7 @@ def test_rays_with_distortion(distortion, fy):
     assert not camera.is_separable
     x, y = distort(camera.tan_x, camera.tan_y, distortion)
     np.testing.assert_allclose(x, np.broadcast_to(camera.tan_x_columns, x.shape), atol=TOLERANCE, rtol=0)
-    np.testing.assert_allclose(
-        y, np.broadcast_to(camera.tan_y_rows[:, None], y.shape), atol=TOLERANCE, rtol=0
-    )
+    np.testing.assert_allclose(y, np.broadcast_to(camera.tan_y_rows[:, None], y.shape), atol=TOLERANCE, rtol=0)
     assert_rays_land_on_their_pixels(camera, 1e-8)
 
 
@@ -122,9 +120,7 @@ def test_a_fisheye_sees_only_what_is_in_front_of_the_camera():
 
 def test_a_fisheye_with_its_focal_length_in_millimetres():
     camera = small(distortion_model="fisheye", fx=2.0, fy=2.0)
-    message = (
-        r"inside the image, got 30\d\d of 3072 pixels, the first at row 0, column 0, .* up to 85 degrees"
-    )
+    message = r"inside the image, got 30\d\d of 3072 pixels, the first at row 0, column 0, .* up to 85 degrees"
     with pytest.raises(ValueError, match=message):
         _ = camera.tan_x
 
@@ -148,20 +144,13 @@ def test_a_distortion_that_folds_inside_the_image(model):
     camera = small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model)
     with pytest.raises(ValueError, match=r"inside the image, got \d+ of 3072 pixels, .* radius 0\.577"):
         _ = camera.tan_x
-    assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (
-        48,
-        64,
-    )
+    assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (48, 64)
 
 
 def test_a_fold_between_the_axis_and_an_image_beside_it():
     # All of the image lies where the model grows again, past its fold.
     camera = small(
-        fx=500.0,
-        fy=500.0,
-        cx=-700.0,
-        distortion=(-2.0, 1.2, 0, 0, 0),
-        distortion_model="inverse_brown_conrady",
+        fx=500.0, fy=500.0, cx=-700.0, distortion=(-2.0, 1.2, 0, 0, 0), distortion_model="inverse_brown_conrady"
     )
     with pytest.raises(ValueError, match="of 3072 pixels"):
         _ = camera.tan_x
@@ -193,10 +182,7 @@ def test_tables_are_made_once_and_cannot_be_written(distortion):
 
 
 def test_a_camera_is_a_value():
-    a, b = (
-        small(distortion=[0.1, 0, 0, 0], invalid_values=[7]),
-        small(distortion=(0.1, 0, 0, 0), invalid_values=(7,)),
-    )
+    a, b = (small(distortion=[0.1, 0, 0, 0], invalid_values=[7]), small(distortion=(0.1, 0, 0, 0), invalid_values=(7,)))
     _ = a.tan_x
     assert a == b
     assert hash(a) == hash(b)
@@ -219,10 +205,7 @@ def test_a_camera_is_a_value():
         ({"cx": np.inf}, "expected cx as a finite number, got inf"),
         ({"distortion": (1, 2, 3)}, "expected 0, 4, 5, 8 distortion coefficients .* got 3"),
         ({"distortion": (1, 2, 3, np.nan)}, "expected distortion as a finite number"),
-        (
-            {"distortion": (0,) * 8, "distortion_model": "inverse_brown_conrady"},
-            "expected 0, 5 distortion .* got 8",
-        ),
+        ({"distortion": (0,) * 8, "distortion_model": "inverse_brown_conrady"}, "expected 0, 5 distortion .* got 8"),
         ({"distortion_model": "ftheta"}, "distortion_model must be one of .* got 'ftheta'"),
         (
             {"distortion": (0.1,) * 5, "distortion_model": "fisheye"},
@@ -317,9 +300,7 @@ def test_json_gives_the_same_camera_back(camera):
 
 
 def test_save_and_load(tmp_path):
-    camera = Camera(
-        640, 480, 525.0, -525.0, 319.5, 239.5, KINECT, disparity=(-0.0028, 3.1), invalid_values=(2047,)
-    )
+    camera = Camera(640, 480, 525.0, -525.0, 319.5, 239.5, KINECT, disparity=(-0.0028, 3.1), invalid_values=(2047,))
     camera = replace(camera, noise=noise.quantised(noise.kinect_v1(), camera))
     path = tmp_path / "camera.json"
     camera.save(path)
@@ -345,10 +326,7 @@ def test_save_where_nothing_can_be_written(tmp_path):
         ("[1]", "expected a JSON object in .*camera.json, got list"),
         ('{"width": 1', "expected a JSON file"),
         ('{"width": 1, "height": 2, "fx": 3, "cx": 5}', "missing: fy, cy"),
-        (
-            '{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "scale": 7, "k1": 0}',
-            "also k1, scale$",
-        ),
+        ('{"width": 1, "height": 2, "fx": 3, "fy": 3, "cx": 5, "cy": 5, "scale": 7, "k1": 0}', "also k1, scale$"),
         ('{"width": 1, "height": 2, "intrinsic_matrix": []}', "Camera.from_open3d takes that"),
         ('{"width": 1, "height": 2, "K": []}', "Camera.from_ros takes that"),
         (
@@ -390,9 +368,7 @@ def test_from_opencv():
     column = np.reshape(FISHEYE, (4, 1))  # as cv2.fisheye.calibrate returns them
     fisheye = Camera.from_opencv(MATRIX, column, (640, 480), distortion_model="fisheye")
     assert fisheye == Camera(640, 480, 525.0, 520.0, 319.5, 239.5, FISHEYE, "fisheye")
-    with pytest.raises(
-        ValueError, match="distortion_model must be one of brown_conrady, fisheye, got 'ftheta'"
-    ):
+    with pytest.raises(ValueError, match="distortion_model must be one of brown_conrady, fisheye, got 'ftheta'"):
         Camera.from_opencv(MATRIX, FISHEYE, (640, 480), distortion_model="ftheta")
     assert Camera.from_opencv(MATRIX, (*RATIONAL, 0, 0, 0, 0), (640, 480)).distortion == RATIONAL
     shifted = Camera.from_opencv(MATRIX, None, (640, 480), pixel_center=0.5)
@@ -469,14 +445,8 @@ def test_from_ros_region_and_binning(form):
 @pytest.mark.parametrize(
     ("roi", "message"),
     [
-        (
-            {"x_offset": 300, "width": 400},
-            "a roi inside the image, of width 640, got x_offset 300 and width 400",
-        ),
-        (
-            {"y_offset": 1, "height": 0},
-            "a roi inside the image, of height 480, got y_offset 1 and height 480",
-        ),
+        ({"x_offset": 300, "width": 400}, "a roi inside the image, of width 640, got x_offset 300 and width 400"),
+        ({"y_offset": 1, "height": 0}, "a roi inside the image, of height 480, got y_offset 1 and height 480"),
     ],
 )
 def test_a_region_beyond_the_image_is_refused(roi, message):
@@ -493,9 +463,7 @@ def test_from_ros_models():
     assert (fisheye.distortion, fisheye.distortion_model) == (FISHEYE, "fisheye")
     with pytest.raises(ValueError, match="4 coefficients in D for equidistant, got 5"):
         Camera.from_ros(camera_info(distortion_model="equidistant", D=KINECT))
-    with pytest.raises(
-        ValueError, match="one of plumb_bob, rational_polynomial, equidistant, got 'thin_prism'"
-    ):
+    with pytest.raises(ValueError, match="one of plumb_bob, rational_polynomial, equidistant, got 'thin_prism'"):
         Camera.from_ros(camera_info(distortion_model="thin_prism", D=[0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match="4 or 5 coefficients in D for plumb_bob, got 8"):
         Camera.from_ros(camera_info(D=RATIONAL))
@@ -620,9 +588,7 @@ def test_from_realsense_of_a_fisheye():
 
 
 def test_from_realsense_without_a_lens():
-    assert Camera.from_realsense(realsense(model=0)) == Camera.from_realsense(
-        realsense()
-    )  # RS2_DISTORTION_NONE
+    assert Camera.from_realsense(realsense(model=0)) == Camera.from_realsense(realsense())  # RS2_DISTORTION_NONE
     for unknown in (-1, 6):
         with pytest.raises(ValueError, match="model"):
             Camera.from_realsense(realsense(model=unknown))
@@ -634,10 +600,7 @@ def test_from_realsense_without_a_lens():
         (lambda: small(fx=10**400), "expected fx as a finite number, got 1000"),
         (lambda: small(width=10**400), r"width must be below 2\*\*31, got 1000"),
         (lambda: small(distortion=np.array(5.0)), r"expected distortion as a sequence of numbers, got array"),
-        (
-            lambda: small(distortion=np.zeros((1, 5))),
-            r"expected distortion as a sequence of numbers, got array",
-        ),
+        (lambda: small(distortion=np.zeros((1, 5))), r"expected distortion as a sequence of numbers, got array"),
         (
             lambda: Camera.from_opencv(MATRIX, None, (640, 480), pixel_center="a"),
             "expected pixel_center as a number, got 'a'",
@@ -648,31 +611,19 @@ def test_from_realsense_without_a_lens():
         (lambda: Camera.from_ros(camera_info(width=math.inf)), "width must be a whole number, got inf"),
         (lambda: Camera.from_ros(camera_info(binning_x=2.7)), "binning_x must be a whole number, got 2.7"),
         (lambda: Camera.from_ros(camera_info(binning_y=-1)), "binning_y must be at least 0, got -1"),
-        (
-            lambda: Camera.from_ros(camera_info(roi={"x_offset": "4"})),
-            "x_offset must be a whole number, got '4'",
-        ),
+        (lambda: Camera.from_ros(camera_info(roi={"x_offset": "4"})), "x_offset must be a whole number, got '4'"),
         (lambda: Camera.from_ros(camera_info(K=[10**400] * 9)), "expected K as numbers, got"),
         (lambda: Camera.from_ros(camera_info(D=5)), "4 or 5 coefficients in D for plumb_bob, got 1"),
         (lambda: Camera.from_open3d({"intrinsic": None}), "expected intrinsic_matrix in the NoneType"),
         (lambda: Camera.from_open3d({"intrinsic_matrix": [[1], 2]}), "expected intrinsic_matrix as numbers"),
         (lambda: Camera.from_realsense(realsense(coeffs=["k"] * 5)), "expected coeffs as numbers, got"),
-        (
-            lambda: Camera.from_realsense(realsense(), depth_units="a"),
-            "expected depth_units as a number, got 'a'",
-        ),
+        (lambda: Camera.from_realsense(realsense(), depth_units="a"), "expected depth_units as a number, got 'a'"),
         # What says how the lens bends must not be left out in silence.
         (lambda: Camera.from_realsense(without(realsense(coeffs=KINECT), "model")), "expected model in"),
         (lambda: Camera.from_realsense(without(realsense(), "coeffs")), "expected coeffs in"),
         (lambda: Camera.from_ros(without(camera_info(), "D")), "expected D or d in"),
-        (
-            lambda: Camera.from_ros(without(as_file(camera_info()), "distortion_coefficients")),
-            "expected D or d in",
-        ),
-        (
-            lambda: Camera.from_ros("camera.yaml"),
-            "expected a mapping, or an object, got the path 'camera.yaml'",
-        ),
+        (lambda: Camera.from_ros(without(as_file(camera_info()), "distortion_coefficients")), "expected D or d in"),
+        (lambda: Camera.from_ros("camera.yaml"), "expected a mapping, or an object, got the path 'camera.yaml'"),
     ],
 )
 def test_formats_refuse_what_they_do_not_have(make, message):
@@ -770,10 +721,7 @@ def test_real_frames_give_points_in_their_stated_range(path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            {"fx": 3.6},
-            "with fx = 3.6 and cx = 319.5, an image of width 640 reaches 89 degrees from the optical",
-        ),
+        ({"fx": 3.6}, "with fx = 3.6 and cx = 319.5, an image of width 640 reaches 89 degrees from the optical"),
         ({"fy": -0.9}, "with fy = -0.9 and cy = 239.5, an image of height 480 reaches 90 degrees"),
         ({"cx": 3195.0}, "cx = 3195, an image of width 640 reaches 81 degrees"),
         ({"cy": -1500.0}, "cy = -1500, an image of height 480 reaches 75 degrees"),

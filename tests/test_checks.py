@@ -183,9 +183,7 @@ def test_an_error_that_is_larger_than_any_float():
 
 def test_p_values_of_the_largest_noise():
     """They are numbers: the square of a variance is one."""
-    noisy = replace(
-        CAMERA, noise=noise.NoiseModel((1e60,), correlation=((0.5, 2.0),), floor=2.0, falloff=50.0)
-    )
+    noisy = replace(CAMERA, noise=noise.NoiseModel((1e60,), correlation=((0.5, 2.0),), floor=2.0, falloff=50.0))
     tiles = rp.fit_tiles(DEPTH, noisy)
     assert (tiles.p_value == 1.0).all()
     assert (rp.merge(tiles, np.ones(tiles.shape, int)).p_value == 1.0).all()
@@ -240,9 +238,7 @@ def test_labels_that_count_something_else():
         with pytest.raises(ValueError, match=message):
             rp.fit_labels(DEPTH, CAMERA, np.full(CAMERA.shape, label))
     # Of segments there may be more than tiles, and of windows that overlap more than pixels.
-    assert rp.merge(tiles, np.full(tiles.shape, DEPTH.size)).fitted.tolist() == [False] * (DEPTH.size - 1) + [
-        True
-    ]
+    assert rp.merge(tiles, np.full(tiles.shape, DEPTH.size)).fitted.tolist() == [False] * (DEPTH.size - 1) + [True]
     windows = rp.fit_windows(DEPTH, CAMERA, np.tile([0, 0, 8, 8], (DEPTH.size + 1, 1)))
     assert rp.merge(windows, np.arange(1, DEPTH.size + 2)).fitted.all()
 
@@ -288,11 +284,7 @@ def test_scores_of_a_segmentation_are_told_apart():
     """Not compared array by array, of which the truth is ambiguous."""
     labels = np.ones(CAMERA.shape, int)
     first, second = metrics.compare_labels(labels, labels), metrics.compare_labels(labels, labels)
-    for one, other in (
-        (first, second),
-        (first.hoover(), second.hoover()),
-        (first.detection(), second.detection()),
-    ):
+    for one, other in ((first, second), (first.hoover(), second.hoover()), (first.detection(), second.detection())):
         assert one == one
         assert one != other
         assert hash(one) != hash(other)
@@ -303,7 +295,5 @@ def test_scores_of_a_segmentation_are_told_apart():
     "use", [lambda maker: replace(CAMERA, noise=maker), lambda maker: rp.segment(DEPTH, CAMERA, noise=maker)]
 )
 def test_a_function_that_makes_a_noise_model_is_none(maker, use):
-    with pytest.raises(
-        TypeError, match=rf"got the function {maker.__name__}: {maker.__name__}\(\.\.\.\) makes one"
-    ):
+    with pytest.raises(TypeError, match=rf"got the function {maker.__name__}: {maker.__name__}\(\.\.\.\) makes one"):
         use(maker)

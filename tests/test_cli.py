@@ -67,13 +67,9 @@ def test_demo_writes_a_picture_and_says_what_it_found(tmp_path, monkeypatch, cap
     angle = np.median(np.degrees(np.arccos(cosines)))
     x, y = np.meshgrid(np.arange(10, 640, 20), np.arange(10, 480, 20))
     ray = np.stack([(x - 319.5) / 525, (y - 239.5) / 525, np.ones(x.shape)], -1)[labels > 0]
-    true, found = (
-        -planes[:, 3] / (planes[:, :3] * ray).sum(axis=1) for planes in (truth, tiles.planes[labels > 0])
-    )
+    true, found = (-planes[:, 3] / (planes[:, :3] * ray).sum(axis=1) for planes in (truth, tiles.planes[labels > 0]))
     cosine = np.abs((tiles.planes[labels > 0][:, :3] * ray).sum(axis=1))
-    off = (
-        np.median(np.abs(true - found) * cosine) * 1000
-    )  # from the point on the surface along the plane's normal
+    off = np.median(np.abs(true - found) * cosine) * 1000  # from the point on the surface along the plane's normal
     count, *printed = re.search(r"^  all\s+(\d+)\s+([\d.]+)°\s+([\d.]+) mm", out, re.M).groups()
     printed_angle, printed_off = map(float, printed)
     assert int(count) == (labels > 0).sum()
@@ -104,9 +100,7 @@ def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
 def test_fit_writes_what_fit_tiles_returns(folder, capsys, method):
     arguments = ["--tile", "12x16", "--method", method, "--max-missing", "0.04", "--max-error", "0.02"]
     assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz", *arguments]) == 0
-    expected = rp.fit_tiles(
-        images.read_depth("depth.png"), CAMERA, (12, 16), method, max_missing=0.04, max_error=0.02
-    )
+    expected = rp.fit_tiles(images.read_depth("depth.png"), CAMERA, (12, 16), method, max_missing=0.04, max_error=0.02)
     loaded = rp.TilePlanes.load("p.npz")
     assert np.array_equal(loaded.planes, expected.planes, equal_nan=True)
     assert np.array_equal(loaded.status, expected.status)
@@ -193,16 +187,12 @@ def test_noise_is_a_name_or_a_number(folder, capsys):
         value = 2e-3 if given == "2e-3" else model  # a segmentation takes a number at its word
         assert cli.main(["segment", *arguments[1:4], "--out", "p.json", "--noise", given]) == 0
         wanted_planes = [list(plane) for plane in rp.segment(depth, CAMERA, noise=value).planes]
-        assert [
-            plane["plane"] for plane in json.loads((folder / "p.json").read_text())["planes"]
-        ] == wanted_planes
+        assert [plane["plane"] for plane in json.loads((folder / "p.json").read_text())["planes"]] == wanted_planes
     capsys.readouterr()
     for command in (["fit", "depth.png"], ["segment", "depth.png"], ["batch", "here", "--out", "table"]):
         for given in ("kinect", "-1", "0", "nan"):
             message = fails(capsys, *command, "--camera", "camera.json", "--noise", given)
-            assert (
-                f"expected kinect_v1, kinect_v1_nguyen or a positive number in 1/m, got '{given}'" in message
-            )
+            assert f"expected kinect_v1, kinect_v1_nguyen or a positive number in 1/m, got '{given}'" in message
 
 
 def test_an_option_that_there_is_not_is_named_before_one_that_is_missing(folder, capsys):
@@ -211,9 +201,7 @@ def test_an_option_that_there_is_not_is_named_before_one_that_is_missing(folder,
         "rgbd-planes fit: unrecognized arguments: --camra (did you mean --camera?) (see rgbd-planes fit --help)\n"
     )
     arguments = ["fit", "depth.png", "--camera", "camera.json"]
-    assert "--tiles (did you mean --tile?), --methd (did" in fails(
-        capsys, *arguments, "--tiles=20", "--methd", "x"
-    )
+    assert "--tiles (did you mean --tile?), --methd (did" in fails(capsys, *arguments, "--tiles=20", "--methd", "x")
     assert "--xyzzy (see" in fails(capsys, *arguments, "--xyzzy", "3")
     assert "unrecognized arguments: more" in fails(capsys, *arguments, "more")
     assert "invalid choice: 'fitt'" in fails(capsys, "fitt", "depth.png", "--camera", "camera.json")
@@ -239,9 +227,7 @@ def test_fit_reads_every_format(folder, suffix):
     assert cli.main(["fit", f"frame{suffix}", "--camera", "camera.json", "--out", "p.npz"]) == 0
     expected = rp.fit_tiles(frame, CAMERA)
     rtol = 1e-4 if suffix == ".pfm" else 1e-9  # single precision
-    np.testing.assert_allclose(
-        rp.TilePlanes.load("p.npz").planes, expected.planes, rtol=rtol, atol=rtol / 1e3
-    )
+    np.testing.assert_allclose(rp.TilePlanes.load("p.npz").planes, expected.planes, rtol=rtol, atol=rtol / 1e3)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
@@ -303,11 +289,7 @@ BAD_INPUT = {
     "figure is no picture": (None, ["--figure", "p.docx"], r"\.png or"),
     "out in no folder": (None, ["--out", "none/p.npz"], "no folder"),
     "out is a folder": (lambda folder: os.mkdir("p.npz"), ["--out", "p.npz"], "is a folder"),
-    "figure is read": (
-        None,
-        ["--figure", "./depth.png"],
-        r"depth\.png: --figure would write over another file",
-    ),
+    "figure is read": (None, ["--figure", "./depth.png"], r"depth\.png: --figure would write over another file"),
     "unknown option": (None, ["--colour"], "--colour"),
 }
 
@@ -410,9 +392,7 @@ def test_help_shows_an_example(capsys, command, monkeypatch):
 
 
 def run_module(*arguments, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "rgbd_planes", *arguments], capture_output=True, text=True, **options
-    )
+    return subprocess.run([sys.executable, "-m", "rgbd_planes", *arguments], capture_output=True, text=True, **options)
 
 
 def test_python_m_and_version():
@@ -477,8 +457,7 @@ def test_a_name_that_stdout_has_no_letters_for(folder):
 
 
 @pytest.mark.parametrize(
-    ("error", "words"),
-    [(MemoryError(), "not enough memory"), (ImportError("no libGL\nat all"), "no libGL at all")],
+    ("error", "words"), [(MemoryError(), "not enough memory"), (ImportError("no libGL\nat all"), "no libGL at all")]
 )
 def test_what_the_machine_lacks_is_one_line(folder, capsys, monkeypatch, error, words):
     def fail(*arguments, **options):

@@ -41,17 +41,13 @@ def expected_valid(depth, cam):
     return valid
 
 
-ranges = st.one_of(
-    st.none(),
-    st.tuples(st.floats(0, 30), st.floats(0.001, 80)).filter(lambda r: r[0] < r[1]),
-)
+ranges = st.one_of(st.none(), st.tuples(st.floats(0, 30), st.floats(0.001, 80)).filter(lambda r: r[0] < r[1]))
 units = st.one_of(
     st.fixed_dictionaries({"depth_scale": st.sampled_from([1.0, 1000.0, 5000.0, 999.7, 256.0])}),
     st.fixed_dictionaries(
         {
             "disparity": st.tuples(
-                st.floats(-0.01, 0.01).filter(lambda s: abs(s) > 1e-6),
-                st.floats(-2, 4).map(lambda v: round(v, 3)),
+                st.floats(-0.01, 0.01).filter(lambda s: abs(s) > 1e-6), st.floats(-2, 4).map(lambda v: round(v, 3))
             )
         }
     ),
@@ -110,13 +106,10 @@ def test_uint16_validity(depth, unit, depth_range, invalid, take):
         st.sampled_from([np.float32, np.float64]),
         (4, 6),
         elements=st.one_of(
-            st.floats(-10, 40, width=32),
-            st.sampled_from([0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, 8.0, 30.0, -1.0]),
+            st.floats(-10, 40, width=32), st.sampled_from([0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, 8.0, 30.0, -1.0])
         ),
     ),
-    disparity=st.one_of(
-        st.none(), st.tuples(st.sampled_from([-0.3, 0.02, 1.7]), st.sampled_from([0.0, 2.5, -1.0]))
-    ),
+    disparity=st.one_of(st.none(), st.tuples(st.sampled_from([-0.3, 0.02, 1.7]), st.sampled_from([0.0, 2.5, -1.0]))),
     depth_range=st.one_of(ranges, st.sampled_from([(0.5, 8.0)])),
     invalid=st.lists(st.sampled_from([0.0, 0.5, 8.0, 30.0, -1.0, 0.1]), max_size=3).map(tuple),
 )
@@ -278,9 +271,7 @@ def test_metres_that_are_taken_for_millimetres_draw_a_warning(dtype):
     metres = np.linspace(1.0, 9.5, 480 * 640).reshape(480, 640)
     metres[::3] = 0.0
     divided = metres / 1000.0 if dtype in (np.float32, np.float64) else metres
-    said = (
-        "float depth is in metres, but" if divided is not metres else "with a depth_scale of 1000 per metre"
-    )
+    said = "float depth is in metres, but" if divided is not metres else "with a depth_scale of 1000 per metre"
     with pytest.warns(UserWarning, match=f"{said} all of this frame is nearer than 0.02 m") as caught:
         as_depth_frame(divided.astype(dtype), camera((480, 640), depth_scale=1000.0))
     assert (len(caught), caught[0].filename) == (1, __file__)

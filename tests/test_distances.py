@@ -51,21 +51,12 @@ def test_depth_and_what_does_not_tell_pass(camera):
     depth = rendering.depth
     noisy = rendering.measure(quantise=False)
     with_sky = np.where(np.indices(depth.shape)[0] < camera.height // 4, 1e10, depth)
-    for frame in (
-        depth,
-        depth.astype(np.float32),
-        depth.astype(np.float16),
-        with_sky,
-        noisy,
-        noisy * ray(camera),
-    ):
+    for frame in (depth, depth.astype(np.float32), depth.astype(np.float16), with_sky, noisy, noisy * ray(camera)):
         assert not says_so(frame, camera)
     assert not says_so(depth / ray(camera), camera)  # divided twice
     assert not says_so(np.full_like(depth, np.nan), camera)
     scale, offset = 0.01, 0.2
-    assert not says_so(
-        (1.0 / (depth * ray(camera)) - offset) / scale, replace(camera, disparity=(scale, offset))
-    )
+    assert not says_so((1.0 / (depth * ray(camera)) - offset) / scale, replace(camera, disparity=(scale, offset)))
 
 
 @cameras
@@ -166,9 +157,7 @@ def test_a_batch_says_so_once_a_call(tmp_path):
     assert rp.fit_sequence(sequence, out).resumed == 12  # nothing is done, and nothing is said
     (out / "part-000002.parquet").unlink()
     assert batch_says(sequence, out, num_threads=1) == ["8.npy"]
-    np.save(
-        tmp_path / "frames" / "0.npy", scenes.room().render(CAMERAS["small"]).depth * ray(CAMERAS["small"])
-    )
+    np.save(tmp_path / "frames" / "0.npy", scenes.room().render(CAMERAS["small"]).depth * ray(CAMERAS["small"]))
     assert batch_says(sequence, out, num_threads=1, retry=True) == ["0.npy"]
 
 

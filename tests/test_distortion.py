@@ -6,14 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rgbd_planes import fisheye
-from rgbd_planes.brown_conrady import (
-    TOLERANCE,
-    distort,
-    distortion_jacobian,
-    fold_radius,
-    undistort,
-    unfolded,
-)
+from rgbd_planes.brown_conrady import TOLERANCE, distort, distortion_jacobian, fold_radius, undistort, unfolded
 
 KINECT = (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
 AZURE = (0.5479397, -0.0209714, 2.0557e-05, -7.2104e-05, -0.0026522, 0.889679, 0.0861302, -0.0139104)
@@ -43,12 +36,8 @@ def test_distort_by_hand():
 def test_jacobian_is_the_derivative(lens):
     x, y = grid()
     h = 1e-6
-    along_x = [
-        (p - m) / (2 * h) for p, m in zip(distort(x + h, y, lens), distort(x - h, y, lens), strict=True)
-    ]
-    along_y = [
-        (p - m) / (2 * h) for p, m in zip(distort(x, y + h, lens), distort(x, y - h, lens), strict=True)
-    ]
+    along_x = [(p - m) / (2 * h) for p, m in zip(distort(x + h, y, lens), distort(x - h, y, lens), strict=True)]
+    along_y = [(p - m) / (2 * h) for p, m in zip(distort(x, y + h, lens), distort(x, y - h, lens), strict=True)]
     expected = along_x[0], along_y[0], along_x[1], along_y[1]
     np.testing.assert_allclose(distortion_jacobian(x, y, lens), expected, atol=1e-8)
 
@@ -63,16 +52,10 @@ def test_undistort_inverts_distort(lens):
     assert np.hypot(back_x - x, back_y - y).max() < TOLERANCE
 
 
-@given(
-    lens=st.tuples(
-        st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-1, 1)
-    )
-)
+@given(lens=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-1, 1)))
 @example(lens=(-0.792, 3.7834, -0.4998, -0.6386, -0.9645))  # plain Newton steps miss 1 in 30 of these
 @example(lens=(0.0208, -0.2956, 0.104, 0.1561, 0.1873, -0.4778, 0.4272, -0.2928))
-@example(
-    lens=(-0.4435, -0.9285, 0.0697, 0.0944, 0.9825)
-)  # 2 points, and 35, are not found from the radial part
+@example(lens=(-0.4435, -0.9285, 0.0697, 0.0944, 0.9825))  # 2 points, and 35, are not found from the radial part
 @example(lens=(-0.0403, 0.7833, -0.0511, 0.0794, 0.082, 0.1912, 0.9152, 0.4468))
 @settings(max_examples=30, deadline=None)
 def test_strong_lenses_as_far_as_they_do_not_fold(lens):

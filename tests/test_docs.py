@@ -114,9 +114,7 @@ def test_what_the_page_on_calibration_says_comes_out(files, monkeypatch):
     assert "is it a colour image?" in lines[0]
     assert "is it transposed, or are the camera's width and height swapped?" in lines[1]
     number = r"([\d.]+)"
-    right, wrong = (
-        re.search(rf"at {number} degrees, largest residual {number}", line).groups() for line in lines[2:4]
-    )
+    right, wrong = (re.search(rf"at {number} degrees, largest residual {number}", line).groups() for line in lines[2:4])
     assert float(right[0]) == pytest.approx(90.0, abs=0.1)
     assert abs(float(wrong[0]) - 90.0) > 3.0
     assert float(right[1]) < 1e-4
@@ -149,9 +147,7 @@ def test_what_the_page_on_depth_formats_says_comes_out(files, monkeypatch):
     assert across == pytest.approx([-45.0, 45.0], abs=0.1)
     codes = np.arange(65536, dtype=np.uint16)  # of millimetres
     assert np.array_equal(page["of_sun_rgbd"]((codes << 3) | (codes >> 13)), codes)
-    colours = (
-        np.rint(depth.astype(float) / 1000.0 * (2**24 - 1)).astype("<u4").view(np.uint8).reshape(480, 640, 4)
-    )
+    colours = np.rint(depth.astype(float) / 1000.0 * (2**24 - 1)).astype("<u4").view(np.uint8).reshape(480, 640, 4)
     np.testing.assert_allclose(page["of_carla"](colours), depth, atol=1e-4)
     np.testing.assert_allclose(page["of_carla"](colours[..., [2, 1, 0, 3]][..., 2::-1]), depth, atol=1e-4)
     fx = camera.fx
@@ -163,8 +159,7 @@ def test_what_the_page_on_depth_formats_says_comes_out(files, monkeypatch):
 
 def test_what_the_page_on_methods_says_comes_out(files, monkeypatch):
     ours, explicit, pca = (
-        float(value)
-        for value in re.findall(r"([\d.]+) degrees", printed("howto/methods.md", 1, files, monkeypatch))
+        float(value) for value in re.findall(r"([\d.]+) degrees", printed("howto/methods.md", 1, files, monkeypatch))
     )
     assert pca > 2 * ours
     assert explicit > 2 * ours
@@ -258,9 +253,7 @@ def test_what_notebooks_take_from_the_library_is_there(path):
     names = {}
     for node in ast.walk(code):
         if isinstance(node, ast.Import):
-            names |= {
-                a.asname: importlib.import_module(a.name) for a in node.names if a.name == "rgbd_planes"
-            }
+            names |= {a.asname: importlib.import_module(a.name) for a in node.names if a.name == "rgbd_planes"}
         elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("rgbd_planes"):
             module = importlib.import_module(node.module)
             names |= {a.asname or a.name: getattr(module, a.name) for a in node.names}

@@ -68,18 +68,14 @@ def sandwich(camera, chosen, alpha):
     rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[chosen]
     noise = camera.noise
     variance = noise.sigma(rays @ alpha, *rays.T[:2]) ** 2
-    variance = (
-        variance + (noise.lateral * alpha[0] / camera.fx) ** 2 + (noise.lateral * alpha[1] / camera.fy) ** 2
-    )
+    variance = variance + (noise.lateral * alpha[0] / camera.fx) ** 2 + (noise.lateral * alpha[1] / camera.fy) ** 2
     inverse = np.linalg.inv(rays.T @ rays)
     return inverse @ (rays.T * variance @ rays) @ inverse
 
 
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit", "standard_pca"])
 @pytest.mark.parametrize(
-    "noise",
-    [*NOISES.values(), replace(rp.noise.kinect_v1(), falloff=4.0), rp.noise.NoiseModel((1e-4,))],
-    ids=str,
+    "noise", [*NOISES.values(), replace(rp.noise.kinect_v1(), falloff=4.0), rp.noise.NoiseModel((1e-4,))], ids=str
 )
 @pytest.mark.parametrize("lateral", [0.0, 0.5])
 def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
@@ -99,9 +95,7 @@ def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
     np.testing.assert_allclose(union.alpha_covariance[0] / scale, wanted / scale, atol=0.02 if exact else 0.1)
 
 
-@pytest.mark.parametrize(
-    "noise", [rp.noise.NoiseModel((1e-4,), step=0.002), rp.noise.time_of_flight(1e-4)], ids=str
-)
+@pytest.mark.parametrize("noise", [rp.noise.NoiseModel((1e-4,), step=0.002), rp.noise.time_of_flight(1e-4)], ids=str)
 @pytest.mark.parametrize("lens", [(-0.2, 0.03, 0.002, -0.001, 0.0), (0.01, -0.005, 0.0, 0.0)])
 def test_the_lateral_error_is_that_of_rays_through_the_lens(lens, noise):
     """Of masks in corners, where rays are farther apart, or nearer to each other, than on the axis."""
@@ -212,9 +206,7 @@ def test_constant_noise_needs_no_sums(rng):
     fits = rp.fit_labels(make_depth(camera, rng), camera, np.ones(camera.shape, int))
     assert fits._pixels.error_sums is None
     assert rp.merge(fits, [1])._pixels.error_sums is None
-    assert rp.fit_labels(
-        make_depth(camera, rng), replace(camera, noise=None), np.ones(camera.shape, int)
-    ).fitted
+    assert rp.fit_labels(make_depth(camera, rng), replace(camera, noise=None), np.ones(camera.shape, int)).fitted
 
 
 def test_sums_are_those_of_the_noise_that_the_camera_has(rng):

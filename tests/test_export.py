@@ -176,9 +176,7 @@ def test_ros_messages_survive_serialisation(tiles, depth):
     pytest.importorskip("rosbags")
     chosen = export.exported(tiles)
     about = ("camera_depth_optical_frame", 12.345678901)
-    planes = round_trip(
-        "jsk_recognition_msgs/msg/ModelCoefficientsArray", export.to_ros_planes(tiles, *about)
-    )
+    planes = round_trip("jsk_recognition_msgs/msg/ModelCoefficientsArray", export.to_ros_planes(tiles, *about))
     assert planes.header.frame_id == about[0]
     assert (planes.header.stamp.sec, planes.header.stamp.nanosec) == (12, 345678901)
     read = np.array([one.values for one in planes.coefficients])
@@ -187,9 +185,7 @@ def test_ros_messages_survive_serialisation(tiles, depth):
     read = np.array([[(p.x, p.y, p.z) for p in one.polygon.points] for one in polygons.polygons])
     np.testing.assert_allclose(read, export.tile_polygons(tiles), rtol=1e-6)
     assert list(polygons.labels) == list(range(1, chosen.sum() + 1))
-    cloud = round_trip(
-        "sensor_msgs/msg/PointCloud2", export.to_ros_points(depth, CAMERA, "camera", float("nan"))
-    )
+    cloud = round_trip("sensor_msgs/msg/PointCloud2", export.to_ros_points(depth, CAMERA, "camera", float("nan")))
     beyond = export.to_ros_points(depth, CAMERA, "camera", 1e300)["header"]
     assert beyond["stamp"] == {"sec": 0, "nanosec": 0}
     assert (cloud.height, cloud.width, cloud.is_dense) == (60, 80, False)
@@ -301,7 +297,5 @@ def test_a_library_that_is_installed_and_broken(tiles, tmp_path, monkeypatch, er
     monkeypatch.delitem(sys.modules, "open3d", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "open3d.py").write_text(f"raise {error.__name__}('libusb-1.0.so.0: cannot open')")
-    with pytest.raises(
-        ImportError, match=r"needs open3d, which cannot be imported: libusb-1.0.so.0: cannot open$"
-    ):
+    with pytest.raises(ImportError, match=r"needs open3d, which cannot be imported: libusb-1.0.so.0: cannot open$"):
         export.to_open3d(tiles)

@@ -60,9 +60,7 @@ def fits_of(kind, depth, camera):
         return rp.fit_windows(depth, camera, windows, significance=0.0), windows
     blocks = np.arange(1, len(windows) + 1).reshape(9, 12)
     if kind == "labels":
-        return rp.fit_labels(
-            depth, camera, np.kron(blocks, np.ones((16, 16), int)), significance=0.0
-        ), windows
+        return rp.fit_labels(depth, camera, np.kron(blocks, np.ones((16, 16), int)), significance=0.0), windows
     tiles = rp.fit_tiles(depth, camera, 8, significance=0.0)
     return rp.merge(tiles, np.kron(blocks, np.ones((2, 2), int)), significance=0.0), windows
 
@@ -123,9 +121,7 @@ def test_windows_at_the_rim_of_a_fisheye_have_that_of_their_rays():
     seen = ~camera._without_ray
     growth = growth_of_pixels(camera)
     mean = [
-        growth[y : y + h, x : x + w][seen[y : y + h, x : x + w]].mean()
-        if seen[y : y + h, x : x + w].any()
-        else 1.0
+        growth[y : y + h, x : x + w][seen[y : y + h, x : x + w]].mean() if seen[y : y + h, x : x + w].any() else 1.0
         for y, x, h, w in windows
     ]
     assert 0.0 < seen.mean() < 1.0
@@ -362,9 +358,7 @@ def test_walls_that_differ_are_none(rng):
     of_depth = rp.noise.time_of_flight(0.0015, 0.001)
 
     def errors(q, slope_x, slope_y, wall):
-        return of_depth.sigma(q) * np.exp(0.4 * rng.standard_normal(6))[wall] * rng.standard_normal(
-            q.shape
-        ), 0.0
+        return of_depth.sigma(q) * np.exp(0.4 * rng.standard_normal(6))[wall] * rng.standard_normal(q.shape), 0.0
 
     assert [estimated(errors, 4, 0.0, rng).falloff for _ in range(8)] == [0.0] * 8
 

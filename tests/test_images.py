@@ -59,9 +59,7 @@ def png(frame, bits):
     """A grey PNG image of so many bits."""
 
     def chunk(name, content):
-        return (
-            struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
-        )
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
 
     height, width = frame.shape
     rows = np.frombuffer(packed(frame, bits), np.uint8).reshape(height, -1)
@@ -78,14 +76,7 @@ def tiff(frame, bits=None, *, compressed=False, **others):
     pixels, order = frame.tobytes() if bits is None else packed(frame, bits), "<>"[frame.dtype.str[0] == ">"]
     (height, width), kind = frame.shape, "uif".index(frame.dtype.kind) + 1
     pixels = zlib.compress(pixels) if compressed else pixels
-    tags = {
-        256: width,
-        257: height,
-        258: bits or 8 * frame.itemsize,
-        259: 8 if compressed else 1,
-        262: 1,
-        273: 8,
-    }
+    tags = {256: width, 257: height, 258: bits or 8 * frame.itemsize, 259: 8 if compressed else 1, 262: 1, 273: 8}
     tags |= {277: 1, 278: height, 279: len(pixels), 339: kind} | {TAGS[name]: others[name] for name in others}
     entries = b"".join(struct.pack(f"{order}HHII", tag, 4, 1, value) for tag, value in sorted(tags.items()))
     header = (b"MM\0*" if order == ">" else b"II*\0") + struct.pack(f"{order}I", 8 + len(pixels))
@@ -139,9 +130,7 @@ def test_a_tiff_that_is_to_be_turned_is_refused(tmp_path, dtype, compressed):
         if orientation < 2:  # 0 says nothing
             assert np.array_equal(images.read_depth(tmp_path / "depth.tif"), frame)
             continue
-        with pytest.raises(
-            ValueError, match=rf"turned or mirrored \(Orientation {orientation}\): save it upright"
-        ):
+        with pytest.raises(ValueError, match=rf"turned or mirrored \(Orientation {orientation}\): save it upright"):
             images.read_depth(tmp_path / "depth.tif")
 
 
@@ -151,9 +140,7 @@ def test_numbers_of_a_compressed_tiff_keep_their_values_or_are_an_error(tmp_path
     (tmp_path / "depth.tif").write_bytes(tiff(frame, compressed=True))
     if dtype in (">i4", ">i2", ">f4"):
         kind = np.dtype(dtype).name
-        with pytest.raises(
-            ValueError, match=rf"big-endian {kind}, which Pillow misreads: save it little-endian"
-        ):
+        with pytest.raises(ValueError, match=rf"big-endian {kind}, which Pillow misreads: save it little-endian"):
             images.read_depth(tmp_path / "depth.tif")
     else:
         assert np.array_equal(images.read_depth(tmp_path / "depth.tif"), frame)
@@ -163,9 +150,7 @@ def test_numbers_of_a_compressed_tiff_keep_their_values_or_are_an_error(tmp_path
 def test_a_tiff_that_pillow_does_not_read_is_not_called_damaged(tmp_path, dtype):
     (tmp_path / "depth.tif").write_bytes(tiff(a_frame(dtype)))
     kind = np.dtype(dtype).name
-    with pytest.raises(
-        ValueError, match=rf"depth\.tif: a TIFF image of {kind}, .*save float32 or uint16, or NPY"
-    ):
+    with pytest.raises(ValueError, match=rf"depth\.tif: a TIFF image of {kind}, .*save float32 or uint16, or NPY"):
         images.read_depth(tmp_path / "depth.tif")
 
 
@@ -173,9 +158,7 @@ def test_a_tiff_that_pillow_does_not_read_is_not_called_damaged(tmp_path, dtype)
 @pytest.mark.parametrize("plain", [False, True])
 def test_pgm_is_not_stretched_to_its_largest_value(tmp_path, largest, plain):
     frame = (a_frame().astype(int) % (largest + 1)).astype(np.uint16)
-    header = (
-        f"P{2 if plain else 5}\n# made by a test\n{frame.shape[1]} {frame.shape[0]}\n# 1/1000 m\n{largest}\n"
-    )
+    header = f"P{2 if plain else 5}\n# made by a test\n{frame.shape[1]} {frame.shape[0]}\n# 1/1000 m\n{largest}\n"
     stored = frame.astype("u1" if largest < 256 else ">u2").tobytes()
     if plain:
         stored = "\n".join(" ".join(map(str, row)) for row in frame).encode()
@@ -418,10 +401,7 @@ def test_what_a_library_says_of_a_full_disk_names_the_file(tmp_path):
 def test_a_name_as_long_as_a_name_can_be_is_written(tmp_path):
     for letter in "ab":  # and names that differ only in the end are two files
         path = tmp_path / ("x" * 240 + f"{letter}.json")
-        with (
-            files.write_beside(path) as beside,
-            files.write_beside(tmp_path / ("x" * 240 + "c.json")) as other,
-        ):
+        with files.write_beside(path) as beside, files.write_beside(tmp_path / ("x" * 240 + "c.json")) as other:
             assert beside != other
             beside.write_text(letter)
             other.write_text("c")

@@ -30,18 +30,14 @@ def test_equals_oracle(data):
     labels = np.zeros(camera.shape, data.draw(st.sampled_from([np.int32, np.uint8, np.int64])))
     rows, columns = np.indices(camera.shape)
     for i in range(1, data.draw(st.integers(1, 6)) + 1):
-        side = rng.normal(size=3) @ np.array([rows - 13.0, columns - 15.0, np.full(rows.shape, 5.0)]).reshape(
-            3, -1
-        )
+        side = rng.normal(size=3) @ np.array([rows - 13.0, columns - 15.0, np.full(rows.shape, 5.0)]).reshape(3, -1)
         labels[side.reshape(rows.shape) > 0.0] = i
     strewn = rng.random(labels.shape) < data.draw(st.sampled_from([0.0, 0.01, 0.5]))
     labels[strewn] = rng.integers(0, 9, np.count_nonzero(strewn))
     method = data.draw(st.sampled_from(METHODS))
     max_missing = data.draw(st.sampled_from([0.0, 0.5, 1.0]))
     fits = rp.fit_labels(depth, camera, labels, method, max_missing=max_missing)
-    expected = oracle.fit_labels(
-        depth, camera, labels, method, max_missing=max_missing, change=CHANGE["naive"]
-    )
+    expected = oracle.fit_labels(depth, camera, labels, method, max_missing=max_missing, change=CHANGE["naive"])
     assert_equals_oracle(fits, expected, rmse_floor=RMSE_FLOOR["naive"])
     np.testing.assert_array_equal(fits.labels, labels)
 
@@ -54,10 +50,7 @@ def test_rectangles_are_windows(method, rng):
     labels = np.zeros(camera.shape, int)
     for i, (row, column, height, width) in enumerate(windows, start=1):
         labels[row : row + height, column : column + width] = i
-    found, expected = (
-        rp.fit_labels(depth, camera, labels, method),
-        rp.fit_windows(depth, camera, windows, method),
-    )
+    found, expected = (rp.fit_labels(depth, camera, labels, method), rp.fit_windows(depth, camera, windows, method))
     np.testing.assert_array_equal(found.status, expected.status)
     np.testing.assert_allclose(found.planes, expected.planes, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.plane_covariance, expected.plane_covariance, rtol=1e-6, atol=1e-12)
@@ -161,9 +154,7 @@ def test_it_shows_itself(rng):
 
 def test_a_disparity_of_nothing_adds_nothing_to_a_union():
     """Where disparity + 1 is stored, 1/Z is 0 for the raw value 1, which an empty tile is given."""
-    camera = rp.Camera(
-        64, 48, 50.0, 50.0, 31.5, 23.5, disparity=(0.01, -0.01), noise=rp.noise.time_of_flight(0.01)
-    )
+    camera = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, disparity=(0.01, -0.01), noise=rp.noise.time_of_flight(0.01))
     raw = np.full(camera.shape, 51, np.uint16) + np.arange(64, dtype=np.uint16) % 3
     raw[:16, :16] = 0
     for method in ("standard_explicit", "range_explicit"):

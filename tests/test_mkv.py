@@ -19,10 +19,7 @@ PARAMETERS = [0.51, 0.52, 0.4928, 0.4929, 0.5, -0.02, -0.003, 0.85, 0.08, -0.01,
 
 
 def calibration(purposes=("CALIBRATION_CameraPurposePhotoVideo", "CALIBRATION_CameraPurposeDepth")):
-    cameras = [
-        {"Purpose": p, "Intrinsics": {"ModelParameters": PARAMETERS if "Depth" in p else []}}
-        for p in purposes
-    ]
+    cameras = [{"Purpose": p, "Intrinsics": {"ModelParameters": PARAMETERS if "Depth" in p else []}} for p in purposes]
     return json.dumps({"CalibrationInformation": {"Cameras": cameras}}).encode()
 
 
@@ -77,9 +74,7 @@ def test_one_track_and_a_camera_will_do(tmp_path):
     depth = scenes.room().render(camera).measure(seed=1)
     write_recording(tmp_path / "a.mkv", {"grey": timed([depth])}, {})
     assert np.array_equal(sequences.mkv(tmp_path / "a.mkv", camera)[0].depth, depth)
-    with pytest.raises(
-        ValueError, match=r"expected calibration\.json attached to the recording, or a camera"
-    ):
+    with pytest.raises(ValueError, match=r"expected calibration\.json attached to the recording, or a camera"):
         sequences.mkv(tmp_path / "a.mkv")
     pytest.importorskip("pyarrow")
     camera.save(tmp_path / "c.json")

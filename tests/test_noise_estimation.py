@@ -24,12 +24,7 @@ def rendering(*view):
 def smooth(rng, length):
     """Normal errors of variance 1 whose correlation at distance r is exp(-r²/(2·length²))."""
     width = length / np.sqrt(2.0)
-    return (
-        ndimage.gaussian_filter(rng.standard_normal(CAMERA.shape), width, mode="wrap")
-        * 2.0
-        * width
-        * np.sqrt(np.pi)
-    )
+    return ndimage.gaussian_filter(rng.standard_normal(CAMERA.shape), width, mode="wrap") * 2.0 * width * np.sqrt(np.pi)
 
 
 def frames(model, rng, views=VIEWS):
@@ -37,9 +32,7 @@ def frames(model, rng, views=VIEWS):
     for view in views:
         depth = rendering(*view).depth
         white = 1.0 - sum(share for share, _ in model.correlation)
-        error = np.sqrt(white) * rng.standard_normal(depth.shape) + model.floor * smooth(
-            rng, model.floor_length
-        )
+        error = np.sqrt(white) * rng.standard_normal(depth.shape) + model.floor * smooth(rng, model.floor_length)
         for share, length in model.correlation:
             error += np.sqrt(share) * smooth(rng, length)
         slope = np.hypot(*np.gradient(1.0 / depth))
@@ -214,9 +207,7 @@ def test_a_bias_wider_than_any_surface():
     found = rp.estimate_noise(seen, CAMERA).evidence.flatness
     known = np.isfinite(found)
     assert known.mean() > 0.75
-    x, y, wanted = (
-        of.reshape(48, 8, 60, 8).mean(axis=(1, 3))[known] for of in (CAMERA.tan_x, CAMERA.tan_y, bend)
-    )
+    x, y, wanted = (of.reshape(48, 8, 60, 8).mean(axis=(1, 3))[known] for of in (CAMERA.tan_x, CAMERA.tan_y, bend))
     planar = np.stack([np.ones(len(x)), x, y], axis=1)
     wanted -= planar @ np.linalg.lstsq(planar, wanted, rcond=None)[0]
     assert np.std(found[known] - wanted) < 0.4 * np.std(wanted)
@@ -243,9 +234,7 @@ def test_tilts_are_those_of_the_pixels_that_are_there(rng):
 def test_frames_without_anything_flat(rng):
     noise = rng.random((2, *CAMERA.shape)) + 0.5
     depth = ndimage.gaussian_filter(noise, (0, 12, 12)) * 20.0 - 17.0
-    with pytest.raises(
-        ValueError, match=r"at least 16 flat windows of 24 x 24 pixels, found \d+ in 2 frames$"
-    ):
+    with pytest.raises(ValueError, match=r"at least 16 flat windows of 24 x 24 pixels, found \d+ in 2 frames$"):
         rp.estimate_noise(depth[:, :64, :64], replace(CAMERA, width=64, height=64))
     with pytest.raises(ValueError, match="at least one frame, got none"):
         rp.estimate_noise([], CAMERA)
@@ -336,9 +325,7 @@ def test_integers_that_were_made_metres_are_as_rounded(rng):
     seen = [np.rint(depth / 10.0) for depth in frames(rp.noise.time_of_flight(5e-4), rng, VIEWS[:2])]
     millimetres = replace(CAMERA, depth_scale=1000.0)
     as_integers = rp.estimate_noise([depth.astype(np.uint16) for depth in seen], millimetres)
-    as_metres = rp.estimate_noise(
-        [(depth / 1000.0).astype(np.float32) for depth in seen], CAMERA, num_threads=1
-    )
+    as_metres = rp.estimate_noise([(depth / 1000.0).astype(np.float32) for depth in seen], CAMERA, num_threads=1)
     assert as_integers.step == pytest.approx(1e-3)
     q = np.array([0.3, 0.6, 1.2])
     np.testing.assert_allclose(as_metres.sigma(q), as_integers.sigma(q), rtol=1e-3)

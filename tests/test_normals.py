@@ -178,15 +178,11 @@ def test_frames_smaller_than_the_window(shape, rng):
     distorted=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_equal_the_plain_fit_on_any_frame(
-    height, width, window, missing, max_missing, dtype, distorted, seed
-):
+def test_equal_the_plain_fit_on_any_frame(height, width, window, missing, max_missing, dtype, distorted, seed):
     rng = np.random.default_rng(seed)
     camera = make_camera(DISTORTIONS["eight"] if distorted else (), width=width, height=height)
     depth = as_dtype(rng.uniform(0.3, 9.0, (height, width)), dtype)
-    depth[rng.random(depth.shape) < missing] = rng.choice(
-        [0, 65535] if dtype == "uint16" else [0, np.nan, -1]
-    )
+    depth[rng.random(depth.shape) < missing] = rng.choice([0, 65535] if dtype == "uint16" else [0, np.nan, -1])
     compare(depth, camera, window, max_missing=max_missing)
 
 
@@ -252,8 +248,7 @@ def test_the_same_bits_for_any_number_of_threads(distortion, avoid_edges, rng):
     depth = as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16")
     for compute in (rp.normals, rp.curvature):
         results = [
-            compute(depth, camera, 9, avoid_edges=avoid_edges, num_threads=n).tobytes()
-            for n in (1, 2, 3, 5, 64, None)
+            compute(depth, camera, 9, avoid_edges=avoid_edges, num_threads=n).tobytes() for n in (1, 2, 3, 5, 64, None)
         ]
         assert len(set(results)) == 1
 
@@ -345,9 +340,7 @@ def test_avoiding_edges_helps_at_edges_and_leaves_planes_alone():
     truth = rendering.planes[rendering.labels - 1, :3]
     blocks = sliding_window_view(np.pad(rendering.labels, 3, mode="edge"), (7, 7))
     near_edge = (blocks != rendering.labels[..., None, None]).any(axis=(2, 3))
-    plain, clear = (
-        oracle.angle(rp.normals(depth, camera, 7, avoid_edges=choice), truth) for choice in (False, True)
-    )
+    plain, clear = (oracle.angle(rp.normals(depth, camera, 7, avoid_edges=choice), truth) for choice in (False, True))
     assert np.median(clear[near_edge]) < 0.3 * np.median(plain[near_edge])
     assert np.median(clear[~near_edge]) < 1.05 * np.median(plain[~near_edge])
 
@@ -410,9 +403,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_command_writes_normals_and_a_figure(folder, capsys):
-    arguments = (
-        "normals depth.png --camera camera.json --window 9 --avoid-edges --max-missing 0.3 --threads 2"
-    )
+    arguments = "normals depth.png --camera camera.json --window 9 --avoid-edges --max-missing 0.3 --threads 2"
     assert cli.main([*arguments.split(), "--out", "n.npy", "--figure", "n.png"]) == 0
     depth, camera = images.read_depth("depth.png"), rp.Camera.load("camera.json")
     wanted = rp.normals(depth, camera, 9, avoid_edges=True, max_missing=0.3)

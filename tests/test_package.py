@@ -22,11 +22,7 @@ from rgbd_planes import compilation
 def run(code, **environment):
     """Run code in a fresh interpreter and return what it prints."""
     done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        env=os.environ | environment,
-        timeout=300,
+        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | environment, timeout=300
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -118,9 +114,7 @@ def test_reductions_call_reductions_or_what_is_inline():
     assert len(reductions) > 20
     for kernel in reductions:
         for other in called(kernel.py_func):
-            assert other.targetoptions.get("fastmath"), (
-                f"{kernel.py_func.__name__} calls {other.py_func.__name__}"
-            )
+            assert other.targetoptions.get("fastmath"), f"{kernel.py_func.__name__} calls {other.py_func.__name__}"
 
 
 def test_kernels_run_as_plain_python():

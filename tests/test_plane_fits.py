@@ -60,9 +60,7 @@ def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "batch.npz", **arrays | {"status": arrays["status"][None]})
     np.savez(tmp_path / "status.npz", **arrays | {"status": arrays["status"] + np.uint8(4)})
     np.savez(tmp_path / "count.npz", **arrays | {"valid_count": arrays["valid_count"] + np.int32(11 * 13)})
-    np.savez(
-        tmp_path / "negative.npz", **arrays | {"valid_count": arrays["valid_count"] - np.int32(11 * 13 + 1)}
-    )
+    np.savez(tmp_path / "negative.npz", **arrays | {"valid_count": arrays["valid_count"] - np.int32(11 * 13 + 1)})
     changed = str(arrays["about"]).replace(tiles.method, "ransac")
     np.savez(tmp_path / "method.npz", **arrays | {"about": np.array(changed)})
     names = ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz")
@@ -84,9 +82,7 @@ def test_load_of_arrays_in_another_order(tiles, tmp_path):
     assert all(getattr(loaded, name).flags.c_contiguous for name in ("_moments", "planes", "status"))
 
 
-@pytest.mark.parametrize(
-    "copied", [copy.copy, copy.deepcopy, lambda tiles: pickle.loads(pickle.dumps(tiles))]
-)
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda tiles: pickle.loads(pickle.dumps(tiles))])
 def test_a_copy_is_a_result_like_any_other(copied, rng):
     """Also to fit into, statistics included."""
     camera = make_camera(noise=rp.noise.kinect_v1())

@@ -98,13 +98,10 @@ def test_panels_show_depth_normals_and_statuses_where_they_belong(tile, tmp_path
         assert (drawn == drawn[0]).all()
         # Light changes how bright a colour is, not which.
         np.testing.assert_allclose(np.cross(drawn[0], colour), 0.0, atol=0.03)
-    texts = [
-        text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()
-    ]
+    texts = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
     present = np.unique(tiles.status)
     assert sorted(texts) == sorted(
-        f"{np.count_nonzero(tiles.status == s)}  {rp.TileStatus(s).name}: "
-        f"{plotting.STATUS_MEANINGS[rp.TileStatus(s)]}"
+        f"{np.count_nonzero(tiles.status == s)}  {rp.TileStatus(s).name}: {plotting.STATUS_MEANINGS[rp.TileStatus(s)]}"
         for s in present
     )
     figure.savefig(tmp_path / "figure.png", dpi=40)
@@ -164,11 +161,7 @@ def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
     camera = rp.Camera(width, height, 1000.0, 1000.0, (width - 1) / 2, (height - 1) / 2)
     depth = scenes.plane((0.1, 0.2, -1.0), 2.0).render(camera).depth
     normals = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
-    others = (
-        rp.fit_tiles(depth, camera, 8),
-        rp.segment(depth, camera),
-        rp.segment_quadtree(depth, camera, 16),
-    )
+    others = (rp.fit_tiles(depth, camera, 8), rp.segment(depth, camera), rp.segment_quadtree(depth, camera, 16))
     for figure in (normals, *(fitted.plot(depth) for fitted in others)):
         assert 0.15 <= figure.get_figheight() / figure.get_figwidth() <= 2.0
         figure.savefig(io.BytesIO())
@@ -301,7 +294,5 @@ def test_windows_are_drawn_where_they_are_and_the_smallest_on_top():
     corners = [path.vertices.min(axis=0).tolist() for path in outlines.get_paths()]
     assert corners == [[29.5, 19.5], [2.5, 1.5], [-0.5, -0.5]]
     own = image_of(fits.plot().axes[0])
-    assert np.array_equal(
-        np.isfinite(own), np.isfinite(normals[..., 0]) & (normals != plotting.MISSING).any(-1)
-    )
+    assert np.array_equal(np.isfinite(own), np.isfinite(normals[..., 0]) & (normals != plotting.MISSING).any(-1))
     rp.fit_windows(depth, tiles.camera, []).plot(depth).canvas.draw()

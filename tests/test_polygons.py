@@ -61,9 +61,7 @@ def test_coordinates_are_in_the_plane() -> None:
             for ring in rings:
                 assert ring @ own.plane[:3] + own.plane[3] == pytest.approx(np.zeros(len(ring)), abs=1e-9)
         triangles = own.triangles()
-        areas = np.linalg.norm(
-            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-        )
+        areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
         assert 0.5 * areas.sum() == pytest.approx(own.area, rel=1e-6)
 
 
@@ -76,9 +74,7 @@ def seen(normal: tuple[float, float, float], camera: Camera) -> PlanePolygon:
 @pytest.mark.parametrize("sign_y", [1, -1])
 @pytest.mark.parametrize("sign_x", [1, -1])
 @pytest.mark.parametrize("normal", [(0.2, 0.1, -1.0), (0.0, -1.0, -0.2), (1.0, 0.0, -0.1), (-1.0, 0.0, -0.1)])
-def test_axes_and_rings_go_as_the_image_does(
-    normal: tuple[float, float, float], sign_x: int, sign_y: int
-) -> None:
+def test_axes_and_rings_go_as_the_image_does(normal: tuple[float, float, float], sign_x: int, sign_y: int) -> None:
     camera = replace(CAMERA, fx=sign_x * CAMERA.fx, fy=sign_y * CAMERA.fy)
     own = seen(normal, camera)
     centre = own.to_space([own.metric.centroid.coords[0]])
@@ -134,9 +130,7 @@ def test_a_rectangle_of_pixels_is_one(size: tuple[int, int], tolerance: float) -
 @pytest.mark.parametrize("tolerance", [0.0, 1.0])
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("joined", [False, True])
-def test_rectangles_that_touch_at_a_corner_keep_their_edges(
-    joined: bool, mirrored: bool, tolerance: float
-) -> None:
+def test_rectangles_that_touch_at_a_corner_keep_their_edges(joined: bool, mirrored: bool, tolerance: float) -> None:
     """Also where they are one part, by a way around."""
     found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
     found.labels[:] = 0

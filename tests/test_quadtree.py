@@ -189,9 +189,7 @@ def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
     outlines = [c for c in figure.axes[1].collections if isinstance(c, PatchCollection)]
     drawn = {tuple(c.get_edgecolor()[0]): len(c.get_paths()) for c in outlines if len(c.get_paths())}
     status = segmentation.elements.status
-    assert drawn == {
-        to_rgba(OUTLINES[s]): np.count_nonzero(status == s) for s in OUTLINES if (status == s).any()
-    }
+    assert drawn == {to_rgba(OUTLINES[s]): np.count_nonzero(status == s) for s in OUTLINES if (status == s).any()}
     (legend,) = (axes.get_legend() for axes in figure.axes if axes.get_legend())
     for text, patch in zip(legend.get_texts(), legend.get_patches(), strict=True):
         count, name = text.get_text().split(":")[0].split()

@@ -14,9 +14,7 @@ PINHOLE = rp.Camera(160, 120, 90.0, -95.0, 81.0, 57.0)
 LENSES = {
     "pinhole": PINHOLE,
     "barrel": replace(PINHOLE, distortion=(-0.25, 0.05, 0.002, -0.001, 0.0)),
-    "inverse": replace(
-        PINHOLE, distortion=(0.12, 0.05, 0.002, -0.001, 0.0), distortion_model="inverse_brown_conrady"
-    ),
+    "inverse": replace(PINHOLE, distortion=(0.12, 0.05, 0.002, -0.001, 0.0), distortion_model="inverse_brown_conrady"),
     "fisheye": rp.Camera(160, 160, 52.0, 52.0, 79.5, 79.5, (0.01, -0.005, 0.0, 0.0), "fisheye"),
 }
 
@@ -112,8 +110,7 @@ def test_table_by_angle_is_that_of_round_lenses(lens):
 def test_a_pixel_on_the_axis_is_no_direction():
     distortion = (0.1, -0.2, 0.001, -0.002, 0.05)
     on_axis, beside = (
-        rp.Camera(320, 240, 200.0, 200.0, cx, cy, distortion=distortion)
-        for cx, cy in ((161, 121), (161.3, 121.2))
+        rp.Camera(320, 240, 200.0, 200.0, cx, cy, distortion=distortion) for cx, cy in ((161, 121), (161.3, 121.2))
     )
     angles = np.linspace(0.0, 0.5, 65)  # radius / (1 + radius)
     square = (angles / (1.0 - angles)) ** 2
@@ -131,9 +128,7 @@ def test_segments_of_a_fisheye_with_a_lateral_error(given, rng):
     planes = rendering.planes[np.maximum(rendering.labels, 1) - 1]
     slopes = -planes[..., :2] / planes[..., 3:]
     (u_y, u_x), (v_y, v_x) = np.gradient(camera.tan_x), np.gradient(camera.tan_y)
-    across = np.stack(
-        [slopes[..., 0] * u_x + slopes[..., 1] * v_x, slopes[..., 0] * u_y + slopes[..., 1] * v_y]
-    )
+    across = np.stack([slopes[..., 0] * u_x + slopes[..., 1] * v_x, slopes[..., 0] * u_y + slopes[..., 1] * v_y])
     errors = rng.standard_normal((3, *camera.shape))
     q = 1.0 / rendering.depth + 1e-3 * errors[0] + 0.5 * np.sum(across * errors[1:], axis=0)
     depth = np.where((q > 0.0) & (rendering.labels > 0), 1.0 / q, 0.0)

@@ -11,15 +11,7 @@ from rgbd_planes.camera import Camera
 
 
 def small_camera(**options):
-    intrinsics = {
-        "width": 64,
-        "height": 48,
-        "fx": 52.5,
-        "fy": 52.5,
-        "cx": 31.5,
-        "cy": 23.5,
-        "depth_scale": 1000.0,
-    }
+    intrinsics = {"width": 64, "height": 48, "fx": 52.5, "fy": 52.5, "cx": 31.5, "cy": 23.5, "depth_scale": 1000.0}
     return Camera(**(intrinsics | options))
 
 
@@ -36,9 +28,7 @@ def rays_of(camera):
 )
 def test_plane_is_met_where_the_equation_says(incidence, turn, distance, reverse):
     camera = small_camera()
-    normal = np.array(
-        [np.sin(incidence) * np.cos(turn), np.sin(incidence) * np.sin(turn), -np.cos(incidence)]
-    )
+    normal = np.array([np.sin(incidence) * np.cos(turn), np.sin(incidence) * np.sin(turn), -np.cos(incidence)])
     if reverse:  # behind the camera's back, seen only where it comes round to the front
         normal = -normal
     rendering = scenes.plane(3.0 * normal, distance).render(camera)
@@ -110,17 +100,13 @@ def test_the_nearest_surface_wins_whatever_the_order():
 
 
 def test_no_two_surfaces_of_the_room_are_seen_in_one_plane():
-    rendering = scenes.room().render(
-        small_camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
-    )
+    rendering = scenes.room().render(small_camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5))
     difference = np.abs(rendering.planes[:, None] - rendering.planes[None]).max(axis=-1)
     assert difference[np.triu_indices(len(difference), k=1)].min() > 1e-2
 
 
 def test_rays_that_meet_nothing_have_no_depth_and_label_0():
-    scene = scenes.Scene(
-        (scenes.polygon("sheet", [(-1, -1, 3), (0, -1, 3), (0, 1, 3), (-1, 1, 3)]),), np.eye(4)
-    )
+    scene = scenes.Scene((scenes.polygon("sheet", [(-1, -1, 3), (0, -1, 3), (0, 1, 3), (-1, 1, 3)]),), np.eye(4))
     rendering = scene.render(small_camera())
     assert np.array_equal(rendering.labels == 1, np.isfinite(rendering.depth))
     assert (rendering.labels[:, 32:] == 0).all()
@@ -225,14 +211,10 @@ def test_quantised_to_the_cameras_units():
     scale, offset = camera.disparity
     missing = raw == 2047
     assert 0.2 < missing.mean() < 0.4
-    assert np.abs(scale * raw + offset - 1.0 / rendering.depth)[~missing].max() <= 0.5 * abs(scale) * (
-        1 + 1e-9
-    )
+    assert np.abs(scale * raw + offset - 1.0 / rendering.depth)[~missing].max() <= 0.5 * abs(scale) * (1 + 1e-9)
 
     # Without an invalid value, a raw value whose inverse depth is not positive says missing.
-    raw = room.render(small_camera(depth_scale=None, disparity=camera.disparity)).measure(
-        noise=0.0, holes=1.0
-    )
+    raw = room.render(small_camera(depth_scale=None, disparity=camera.disparity)).measure(noise=0.0, holes=1.0)
     assert (scale * raw + offset <= 0.0).all()
     with pytest.raises(ValueError, match="invalid_values"):
         room.render(small_camera(depth_scale=None, disparity=(1e-3, 0.1))).measure()

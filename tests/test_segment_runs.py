@@ -89,9 +89,7 @@ def meet(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return touching
 
 
-def meets_over_gap(
-    one: np.ndarray, taken_one: np.ndarray, other: np.ndarray, taken_other: np.ndarray
-) -> bool:
+def meets_over_gap(one: np.ndarray, taken_one: np.ndarray, other: np.ndarray, taken_other: np.ndarray) -> bool:
     """Whether a pixel of ``one`` and one of ``other``, on its right, have a few free pixels between them at most.
 
     They are in one row, or in two where the blocks meet.
@@ -187,9 +185,6 @@ def test_blocks_meet_over_gaps(one, other):
 def test_no_gap_is_wider_than_so_many_pixels(gap):
     for left in range(max(gap - BLOCK + 1, 0), min(gap, BLOCK - 1) + 1):  # free pixels in the first block
         row = np.int32(1) << np.int32(BLOCK - 1 - left), np.int32(1) << np.int32(gap - left)
-        column = (
-            np.int32(1) << np.int32(BLOCK * (BLOCK - 1 - left)),
-            np.int32(1) << np.int32(BLOCK * (gap - left)),
-        )
+        column = (np.int32(1) << np.int32(BLOCK * (BLOCK - 1 - left)), np.int32(1) << np.int32(BLOCK * (gap - left)))
         for (one, other), side in ((row, True), (column, False)):
             assert meet_over_gap(one, ALL & ~one, other, ALL & ~other, side) == (gap <= GAP)

@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
-from rgbd_planes import (
-    Camera,
-    estimate_noise,
-    scenes,
-    segment,
-    segmentation_workspace,
-)
+from rgbd_planes import Camera, estimate_noise, scenes, segment, segmentation_workspace
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
 from rgbd_planes.kernels.quantiles import quantile
@@ -655,9 +649,7 @@ def test_any_size(size):
 def test_one_pixel_on_the_axis_of_a_lens(model):
     camera = Camera(1, 1, 5.0, 5.0, 0.0, 0.0, distortion=(0.1, -0.2, 0.001, -0.002, 0.05))
     if model == "fisheye":
-        camera = Camera(
-            1, 1, 5.0, 5.0, 0.0, 0.0, distortion=(0.1, -0.02, 0.0, 0.0), distortion_model="fisheye"
-        )
+        camera = Camera(1, 1, 5.0, 5.0, 0.0, 0.0, distortion=(0.1, -0.02, 0.0, 0.0), distortion_model="fisheye")
     assert len(segment(np.ones((1, 1)), camera)) == 0
 
 
@@ -732,9 +724,7 @@ def test_where_the_squares_of_a_small_frame_fall_costs_no_planes(width, height, 
     # Nearly all of its squares of 32, or of 16, pixels lie across an edge, which is no noise that grows.
     focal = 0.82 * width
     for pad in (0, 1, 2, 3):
-        camera = Camera(
-            width + pad, height + pad, focal, focal, width / 2 - 0.5 + pad, height / 2 - 0.5 + pad
-        )
+        camera = Camera(width + pad, height + pad, focal, focal, width / 2 - 0.5 + pad, height / 2 - 0.5 + pad)
         rendering = scenes.room().render(camera)
         depth = rendering.measure(quantise=False)
         depth[:pad] = depth[:, :pad] = np.nan
@@ -919,17 +909,11 @@ def test_real_frames(real_frame):
 
 
 @given(
-    arrays(
-        np.float64,
-        st.integers(2, 60),
-        elements=st.one_of(st.floats(0, 1e6), st.sampled_from([0.0, 1.0, 2.0])),
-    ),
+    arrays(np.float64, st.integers(2, 60), elements=st.one_of(st.floats(0, 1e6), st.sampled_from([0.0, 1.0, 2.0]))),
     st.floats(0, 0.99),
 )
 def test_a_quantile_is_numpys(values, share):
-    np.testing.assert_allclose(
-        quantile(values.copy(), share), np.quantile(values, share), rtol=1e-12, atol=1e-9
-    )
+    np.testing.assert_allclose(quantile(values.copy(), share), np.quantile(values, share), rtol=1e-12, atol=1e-9)
 
 
 def blocks_and_squares(depth, camera):
@@ -949,9 +933,7 @@ def test_moments_of_blocks_and_squares(distortion):
     # 83 blocks in a row: the second stretch that is worked on together lies beyond the frame.
     camera = Camera(330, 37, 300.0, 310.0, 160.0, 20.0, distortion, depth_scale=1000.0)
     rng = np.random.default_rng(2)
-    depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(
-        np.uint16
-    )
+    depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(np.uint16)
     q, pyramid, nearest = blocks_and_squares(depth, camera)
     expected = np.divide(1000.0, depth, out=np.zeros(camera.shape), where=depth > 0)
     np.testing.assert_allclose(q, expected, rtol=1e-6)
@@ -1023,9 +1005,7 @@ def test_holes_leave_planes_as_wide_as_they_are():
     for share in (0.05, 0.2, 0.4):
         rendering = scenes.room().render(CAMERA)
         full, holed = (
-            compare_labels(segment(depth, CAMERA).labels, np.where(depth > 0, rendering.labels, 0))
-            .hoover(0.8)
-            .correct
+            compare_labels(segment(depth, CAMERA).labels, np.where(depth > 0, rendering.labels, 0)).hoover(0.8).correct
             for depth in (rendering.measure(seed=4), rendering.measure(seed=4, holes=share))
         )
         assert holed >= full - 2
@@ -1090,9 +1070,7 @@ def test_boxes_of_labels_reach_to_the_edges():
     some = [np.concatenate(of).astype(np.int32) for of in (starts, stops, values)]
     box = np.zeros((9, 4), np.int64)
     start, stop, value = some
-    segment_gaps.label_boxes(
-        Runs(first.astype(np.int32), start, stop, start, start, value, *[start] * 6), box
-    )
+    segment_gaps.label_boxes(Runs(first.astype(np.int32), start, stop, start, start, value, *[start] * 6), box)
     for label, (down, across) in enumerate(find_objects(labels), start=1):
         assert box[label].tolist() == [down.start, down.stop, across.start, across.stop]
 
@@ -1118,9 +1096,7 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
     rng = np.random.default_rng(seed)
     coarse = rng.integers(0, 4, (height // 7 + 1, width // 9 + 1)).astype(np.int32)
     labels = np.kron(coarse, np.ones((7, 9), np.int32))[:height, :width]
-    q = np.where(rng.random(labels.shape) < holes, 0.0, rng.uniform(0.2, 1.0, labels.shape)).astype(
-        np.float32
-    )
+    q = np.where(rng.random(labels.shape) < holes, 0.0, rng.uniform(0.2, 1.0, labels.shape)).astype(np.float32)
     labels[q == 0.0] = 0
     u, v = rng.normal(size=(1, width)), rng.normal(size=(height, 1))
     if distorted:
@@ -1144,7 +1120,5 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
             np.testing.assert_array_equal(row, all_of_it)
             continue
         spread = np.cov(all_u[own], all_v[own])
-        if (
-            np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1] > 1e-12
-        ):  # else they may determine no plane
+        if np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1] > 1e-12:  # else they may determine no plane
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)

@@ -38,8 +38,7 @@ SMALL = replace(CAMERA, width=120, height=90, cx=59.5, cy=44.5)
 
 
 @pytest.mark.parametrize(
-    ("camera", "pixels"),
-    [(CAMERA, 0.0), (CAMERA, 0.8), (CAMERA, 1.5), (CAMERA, 3.0), (SMALL, 0.0), (SMALL, 1.5)],
+    ("camera", "pixels"), [(CAMERA, 0.0), (CAMERA, 0.8), (CAMERA, 1.5), (CAMERA, 3.0), (SMALL, 0.0), (SMALL, 1.5)]
 )
 def test_covariance_of_correlated_noise_is_honest(camera, pixels):
     # The mean squared error of α in units of its covariance is 1; taking pixels as independent makes it 5, 19 and 100.
@@ -56,8 +55,7 @@ def test_covariance_of_correlated_noise_is_honest(camera, pixels):
 
 
 @pytest.mark.parametrize(
-    "parts",
-    [((0.5, 4.0),), ((0.3, 8.0),), ((0.1, 8.0),), ((0.57, 2.0), (0.28, 4.0)), ((0.4, 2.0), (0.44, 8.0))],
+    "parts", [((0.5, 4.0),), ((0.3, 8.0),), ((0.1, 8.0),), ((0.57, 2.0), (0.28, 4.0)), ((0.4, 2.0), (0.44, 8.0))]
 )
 def test_covariance_of_partly_correlated_noise_is_honest(parts):
     # As before; by what squares of 32 pixels show, as if all errors had one reach, it is 2 to 12.
@@ -175,6 +173,4 @@ def test_one_square_of_outliers_says_little_of_where_a_plane_is_noisier(rng):
     corners = found.labels[8:16:7, 8:16:7]
     assert (corners == 1).all()
     assert not found.labels[10:14, 10:14].any()
-    np.testing.assert_allclose(
-        np.diag(found.alpha_covariance[0]), np.diag(of_independent_pixels(1e-3)), rtol=0.3
-    )
+    np.testing.assert_allclose(np.diag(found.alpha_covariance[0]), np.diag(of_independent_pixels(1e-3)), rtol=0.3)

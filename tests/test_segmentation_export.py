@@ -288,9 +288,7 @@ def test_rerun_recording_holds_every_frame(tmp_path, monkeypatch):
         np.testing.assert_allclose(np.array(strip), [*ring, ring[0]], rtol=1e-5, atol=1e-6)
     (classes,) = columns["/", "AnnotationContext:context"]
     assert len(classes[0]) == max(one.ids.max() for one in tracked)
-    recording.record_segments(
-        FrameSequence(entries, frames.__getitem__), tmp_path / "large.rrd", min_size=600
-    )
+    recording.record_segments(FrameSequence(entries, frames.__getitem__), tmp_path / "large.rrd", min_size=600)
     large = [float(len(one.ids)) for one in segment_sequence(frames, CAMERA, min_size=600)]
     assert large != [float(len(one.ids)) for one in tracked]
     assert columns_of(tmp_path / "large.rrd")["/found", "Scalars:scalars"] == [[count] for count in large]

@@ -6,9 +6,7 @@ import pytest
 import rgbd_planes as rp
 from rgbd_planes import scenes
 
-CAMERA = rp.Camera(
-    160, 120, 131.25, 131.25, 79.5, 59.5, distortion=(0.1, -0.05, 0.001, 0.0, 0.0), depth_scale=1000.0
-)
+CAMERA = rp.Camera(160, 120, 131.25, 131.25, 79.5, 59.5, distortion=(0.1, -0.05, 0.001, 0.0, 0.0), depth_scale=1000.0)
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +34,7 @@ def test_table_has_one_row_a_plane(found):
     table = found.to_table()
     assert {len(column) for column in table.values()} == {len(found)}
     assert [np.count_nonzero(found.labels == label) for label in table["label"]] == list(table["size"])
-    np.testing.assert_array_equal(
-        np.stack([table[name] for name in ("nx", "ny", "nz", "d")], 1), found.planes
-    )
+    np.testing.assert_array_equal(np.stack([table[name] for name in ("nx", "ny", "nz", "d")], 1), found.planes)
     np.testing.assert_array_equal(table["offset_std"], found.offset_std)
 
 

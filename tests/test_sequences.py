@@ -163,15 +163,7 @@ def test_a_fork_while_a_recording_is_open(tmp_path, rng, name):
         depth, _ = messages(type_store(tmp_path / name)[0], frames)
         write_bag(tmp_path / name, {"/depth": [(i + 1, message) for i, message in enumerate(depth)]})
     np.save(tmp_path / "frames.npy", frames)
-    command = [
-        sys.executable,
-        "-W",
-        "ignore",
-        "-c",
-        FORK_WHILE_OPEN,
-        tmp_path / name,
-        tmp_path / "frames.npy",
-    ]
+    command = [sys.executable, "-W", "ignore", "-c", FORK_WHILE_OPEN, tmp_path / name, tmp_path / "frames.npy"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert (done.stdout, done.stderr) == ("0 0\n", "")
 
@@ -182,10 +174,7 @@ def test_tum_says_what_is_wrong(tmp_path, frames):
         rp.open_sequence(tmp_path / "office")
     root = tmp_path / "freiburg1"
     write_tum(root, frames)
-    for text, message in (
-        ("# only a comment\n", "found none"),
-        ("1.5 a.png\nsoon b.png\n", "line 2: expected"),
-    ):
+    for text, message in (("# only a comment\n", "found none"), ("1.5 a.png\nsoon b.png\n", "line 2: expected")):
         (root / "depth.txt").write_text(text)
         with pytest.raises(ValueError, match=message):
             rp.open_sequence(root)
@@ -195,9 +184,7 @@ def test_tum_says_what_is_wrong(tmp_path, frames):
     (root / "depth.txt").unlink()
     with pytest.raises(FileNotFoundError, match=r"freiburg1: expected depth\.txt, lines .* found none"):
         sequences.tum(root)
-    with pytest.raises(
-        ValueError, match=r"expected .* or depth\.txt \(tum\) in it, found depth; for a plain"
-    ):
+    with pytest.raises(ValueError, match=r"expected .* or depth\.txt \(tum\) in it, found depth; for a plain"):
         rp.open_sequence(root)
 
 
@@ -325,9 +312,7 @@ def test_arkitscenes_has_a_camera_for_each_frame(tmp_path, frames):
     write_arkitscenes(tmp_path / "b", frames, shift=0.02)
     with pytest.raises(ValueError, match="expected a calibration of its moment"):
         rp.open_sequence(tmp_path / "b")
-    same(
-        rp.open_sequence(tmp_path / "b", CAMERA, "arkitscenes"), frames, CAMERA, times=[99.95, 100.05, 100.15]
-    )
+    same(rp.open_sequence(tmp_path / "b", CAMERA, "arkitscenes"), frames, CAMERA, times=[99.95, 100.05, 100.15])
 
 
 @pytest.mark.parametrize("size", ["inf 6", "8.5 6", "nan 6", "8", "8 6 1"])
@@ -454,9 +439,7 @@ def test_rosbag_frames_come_with_camera_info_and_stamps(tmp_path, frames, name):
     path = tmp_path / name
     store, _ = type_store(path)
     depth, info = messages(store, frames, padding=6)
-    metres, _ = messages(
-        store, [(frame / 1000).astype(np.float32) for frame in frames], "32FC1", big_endian=True
-    )
+    metres, _ = messages(store, [(frame / 1000).astype(np.float32) for frame in frames], "32FC1", big_endian=True)
     infrared, _ = messages(store, frames, "mono16")
     times = [5_000_000_000, 6_000_000_000, 6_000_000_000]  # two recorded at once, the last one not stamped
     write_bag(
@@ -518,9 +501,7 @@ def test_rosbag_of_any_topic_that_can_be_read(tmp_path, frames):
     path = tmp_path / "a.bag"
     grey, _ = messages(type_store(path)[0], frames, "mono16")
     write_bag(path, {"/stereo/range": [(i + 1, message) for i, message in enumerate(grey)]})
-    with pytest.raises(
-        ValueError, match="expected the topic of depth images; depth is in none; there is /ste"
-    ):
+    with pytest.raises(ValueError, match="expected the topic of depth images; depth is in none; there is /ste"):
         rp.open_sequence(path, CAMERA)
     same(sequences.rosbag(path, CAMERA, "/stereo/range"), frames, CAMERA, times=[100.5, 101.5, 3e-9])
 
@@ -581,10 +562,7 @@ def test_rosbag_of_a_realsense(tmp_path, frames):
     camera = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=10000.0)
     same(rp.open_sequence(path), frames, camera, times=[100.5, 101.5, 3e-9])
     zero = store.types["std_msgs/msg/Float32"](0.0)
-    topics = {
-        f"{sensor}/Depth_0/image/data": [(1, depth[0])],
-        f"{sensor}/Depth_0/info/camera_info": [(1, info)],
-    }
+    topics = {f"{sensor}/Depth_0/image/data": [(1, depth[0])], f"{sensor}/Depth_0/info/camera_info": [(1, info)]}
     write_bag(tmp_path / "b.bag", topics | {f"{sensor}/option/Depth_Units/value": [(1, zero)]})
     with pytest.raises(ValueError, match=r"b\.bag: expected depth_units > 0"):
         rp.open_sequence(tmp_path / "b.bag")

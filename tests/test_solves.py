@@ -104,9 +104,7 @@ def test_smallest_eigenvector_4x4(points, thickness, distance):
 
 def smallest_eigenvectors(tiles):
     """Eigenvalue and α of several tiles solved side by side."""
-    moments, reference, solution, eigenvalue = (
-        np.array(values, float).T.copy() for values in zip(*tiles, strict=True)
-    )
+    moments, reference, solution, eigenvalue = (np.array(values, float).T.copy() for values in zip(*tiles, strict=True))
     secular.smallest_eigenvectors(moments, reference, len(tiles), solution, eigenvalue)
     return np.column_stack([eigenvalue, solution.T])
 
@@ -131,10 +129,7 @@ def test_secular_solve_is_the_eigenvector(seed, magnitude, side):
     found /= np.linalg.norm(found)
     gap = singular[2] ** 2 - singular[3] ** 2
     assert abs(found @ vectors[-1]) > 0.5
-    assert (
-        np.linalg.norm(found - np.sign(found @ vectors[-1]) * vectors[-1])
-        < 1e-14 * singular[0] ** 2 / gap + 1e-12
-    )
+    assert np.linalg.norm(found - np.sign(found @ vectors[-1]) * vectors[-1]) < 1e-14 * singular[0] ** 2 / gap + 1e-12
     np.testing.assert_allclose(value, singular[3] ** 2, rtol=1e-8, atol=1e-14 * singular[0] ** 2)
 
 

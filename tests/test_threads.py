@@ -94,10 +94,7 @@ print(status, one.tan_x is one.tan_x)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_fork_while_a_thread_makes_the_tables_of_a_camera():
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FORK_WHILE_TABLES_ARE_MADE],
-        capture_output=True,
-        text=True,
-        timeout=300,
+        [sys.executable, "-W", "ignore", "-c", FORK_WHILE_TABLES_ARE_MADE], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["0", "True"]

@@ -64,9 +64,7 @@ def assert_equals_oracle(fits, expected, *, rmse_floor, chosen=slice(None)):
     status = fits.status.ravel()[chosen]
     wanted = np.array([plane.status for plane in expected], int)
     # What hardly determines a plane may be lost to rounding: five pixels of a row that distortion bends a little.
-    verge = np.array(
-        [plane.status in (oracle.OK, oracle.ROUGH) and not plane.well_posed for plane in expected], bool
-    )
+    verge = np.array([plane.status in (oracle.OK, oracle.ROUGH) and not plane.well_posed for plane in expected], bool)
     np.testing.assert_array_equal(status, np.where(verge & (status == oracle.DEGENERATE), status, wanted))
     np.testing.assert_array_equal(fits.valid_count.ravel()[chosen], [plane.count for plane in expected])
     planes = fits.planes.reshape(-1, 4)[chosen]
@@ -101,9 +99,7 @@ def test_equals_oracle(method, implementation, dtype, holes, tile, distortion, r
     depth = as_dtype(make_holes(make_depth(camera, rng), holes, rng), dtype)
     windows = oracle.tile_windows(camera, tile)
     for max_missing in (0.5, 1.0):
-        tiles = rp.fit_tiles(
-            depth, camera, tile, method, implementation=implementation, max_missing=max_missing
-        )
+        tiles = rp.fit_tiles(depth, camera, tile, method, implementation=implementation, max_missing=max_missing)
         expected = oracle.fit_windows(
             depth, camera, windows, method, max_missing=max_missing, change=CHANGE[implementation]
         )
@@ -125,9 +121,7 @@ def test_circular_image_of_a_fisheye_equals_oracle(method, implementation, rng):
     with pytest.warns(UserWarning, match="where the fisheye lens has no ray within"):
         tiles = rp.fit_tiles(depth, camera, 8, method, implementation=implementation)
     windows = oracle.tile_windows(camera, 8)
-    expected = oracle.fit_windows(
-        np.where(unseen, 0, depth), camera, windows, method, change=CHANGE[implementation]
-    )
+    expected = oracle.fit_windows(np.where(unseen, 0, depth), camera, windows, method, change=CHANGE[implementation])
     compared = assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation])
     assert compared >= 0.8 * np.count_nonzero(tiles.fitted) > 0
     assert {rp.TileStatus.TOO_FEW, rp.TileStatus.OK} <= set(tiles.status.flat)
@@ -227,8 +221,7 @@ def test_threads_change_no_bit(method, implementation, rng):
     camera = make_camera()
     frames = np.stack([make_holes(make_depth(camera, rng), "some", rng) for _ in range(5)])
     results = [
-        rp.TileFitter(camera, (7, 9), method, implementation=implementation, num_threads=n)
-        for n in (1, 2, 3, 8, None)
+        rp.TileFitter(camera, (7, 9), method, implementation=implementation, num_threads=n) for n in (1, 2, 3, 8, None)
     ]
     single = [results[0].fit(frame) for frame in frames]
     for fitter in results:

@@ -168,9 +168,7 @@ def test_tail_of_chi_square(low, high, error, rng):
     """As accurate as documented for any degrees of freedom, wherever p is above 1e-12."""
     freedom = np.exp(rng.uniform(np.log(low), np.log(high), 20000))
     p = np.where(
-        rng.random(freedom.shape) < 0.5,
-        10.0 ** rng.uniform(-12.0, 0.0, freedom.shape),
-        rng.random(freedom.shape),
+        rng.random(freedom.shape) < 0.5, 10.0 ** rng.uniform(-12.0, 0.0, freedom.shape), rng.random(freedom.shape)
     )
     ratio = special.chdtri(freedom, p) / freedom
     work = np.empty((WORK, len(freedom)))
@@ -256,11 +254,7 @@ def test_lateral_error_is_in_p_values_and_covariances(noise, rng):
 
 def test_correlated_noise_between_whole_sides():
     """Counts that are no squares lie between those that are."""
-    for model in (
-        CORRELATED,
-        replace(CORRELATED, floor=0.0),
-        replace(CORRELATED, correlation=(), spread=0.3),
-    ):
+    for model in (CORRELATED, replace(CORRELATED, floor=0.0), replace(CORRELATED, correlation=(), spread=0.3)):
         made = model.statistics(np.arange(3000))
         for values in (made.expected[4:], made.offset[4:]):
             assert (np.diff(values) >= -1e-9).all()
@@ -329,9 +323,7 @@ def test_simulated_correlated_noise_on_masks(shape, rng):
     fits = [rp.fit_labels(frame, camera, mask) for frame in frames]
     assert np.mean([fit.p_value[0] < 0.01 for fit in fits]) < 0.045
     errors = [fit.alpha[0] - alpha for fit in fits]
-    normalised = [
-        e @ np.linalg.solve(fit.alpha_covariance[0], e) for e, fit in zip(errors, fits, strict=True)
-    ]
+    normalised = [e @ np.linalg.solve(fit.alpha_covariance[0], e) for e, fit in zip(errors, fits, strict=True)]
     assert 1.4 < np.mean(normalised) < 3.3
 
 
@@ -369,13 +361,7 @@ def test_simulated_correlated_noise_with_missing_pixels(tile, noise, missing, rn
 
 
 @pytest.mark.parametrize(
-    "noise",
-    [
-        rp.noise.kinect_v1(),
-        rp.noise.time_of_flight(0.001, 0.002),
-        CORRELATED,
-        replace(CORRELATED, spread=0.4),
-    ],
+    "noise", [rp.noise.kinect_v1(), rp.noise.time_of_flight(0.001, 0.002), CORRELATED, replace(CORRELATED, spread=0.4)]
 )
 @pytest.mark.parametrize("method", METHODS)
 def test_rough_is_a_small_p_value(method, noise, rng):
@@ -396,9 +382,7 @@ def test_rough_is_a_small_p_value(method, noise, rng):
         assert np.isnan(tiles.plane_covariance[~tiles.fitted]).all()
         assert np.isfinite(tiles.plane_covariance[tiles.fitted]).all()
     unset = rp.fit_tiles(depth, camera, 8, method)
-    np.testing.assert_array_equal(
-        unset.status, rp.fit_tiles(depth, camera, 8, method, significance=0.01).status
-    )
+    np.testing.assert_array_equal(unset.status, rp.fit_tiles(depth, camera, 8, method, significance=0.01).status)
     off = rp.fit_tiles(depth, camera, 8, method, significance=0.0)
     assert not (off.status == rp.TileStatus.ROUGH).any()
     least = rp.fit_tiles(depth, camera, 8, method, significance=1e-300)
@@ -451,9 +435,7 @@ def test_p_value_of_few_pixels(rng):
     frames = monte_carlo.measure(camera, alpha, 400, rng)
     for valid in range(3, 17):
         some = frames.copy()
-        some.reshape(400, 16)[
-            :, [0, 15, 3, 12, *(i for i in range(16) if i not in (0, 3, 12, 15))][valid:]
-        ] = np.nan
+        some.reshape(400, 16)[:, [0, 15, 3, 12, *(i for i in range(16) if i not in (0, 3, 12, 15))][valid:]] = np.nan
         stack = monte_carlo.fit(camera, some)
         rss = stack.valid_count * stack.rmse**2 / rp.noise.KINECT_V1**2
         wanted = stats.chi2.sf(rss, valid - 3) if valid > 3 else np.ones(rss.shape)
@@ -471,9 +453,9 @@ def test_statistics_follow_the_arrays(significance, rng):
     names = ("status", "p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std")
     single = [fitter.fit(frame) for frame in frames]
     out = fitter.fit(frames[0])
-    rewritten = [
-        {name: getattr(fitter.fit(frame, out=out), name).copy() for name in names} for frame in frames[::-1]
-    ][::-1]
+    rewritten = [{name: getattr(fitter.fit(frame, out=out), name).copy() for name in names} for frame in frames[::-1]][
+        ::-1
+    ]
     threaded = rp.TileFitter(camera, 6, significance=significance, num_threads=3)
     stack = threaded.fit_batch(frames[::-1])
     assert stack.p_value.shape == (3, 8, 11)
@@ -533,9 +515,7 @@ def test_merging_is_fitting_all_pixels(method, rng):
     assert np.abs(merged._moments[1:4, some]).max() < 1e-9
     np.testing.assert_allclose(merged.rmse[some], windows.rmse[some], rtol=1e-6)
     np.testing.assert_allclose(merged.p_value[some], windows.p_value[some], rtol=1e-5, atol=1e-12)
-    np.testing.assert_allclose(
-        merged.plane_covariance[some], windows.plane_covariance[some], rtol=1e-6, atol=1e-15
-    )
+    np.testing.assert_allclose(merged.plane_covariance[some], windows.plane_covariance[some], rtol=1e-6, atol=1e-15)
     assert merged.status[2] == rp.TileStatus.TOO_FEW
     assert np.isnan(merged.planes[2]).all()
     # Merging what is merged, in another order.
@@ -627,9 +607,7 @@ def test_where_there_is_no_noise_but_rounding(noise):
     steps = frame + 0.2 * (np.arange(48) % 2)[:, None]
     wanted = rp.noise.NoiseModel((0.0,), step=1e-3)
     for depth, status in ((frame, rp.TileStatus.OK), (steps, rp.TileStatus.ROUGH)):
-        by_depth, alone = (
-            rp.fit_tiles(depth, replace(CAMERA_OF_ROUNDING, noise=model)) for model in (noise, wanted)
-        )
+        by_depth, alone = (rp.fit_tiles(depth, replace(CAMERA_OF_ROUNDING, noise=model)) for model in (noise, wanted))
         assert (by_depth.status == status).all()
         np.testing.assert_allclose(by_depth.p_value, alone.p_value, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(by_depth.alpha_covariance, alone.alpha_covariance, rtol=1e-6)
@@ -700,9 +678,7 @@ def test_propagation_against_draws(two_planes, rng):
     normals = draws[:, :3] @ rotation.T
     normals = normals + np.cross(pose[:, :3], normals)
     offsets = draws[:, 3] - np.sum(normals * (motion[:3, 3] + pose[:, 3:]), axis=1)
-    np.testing.assert_allclose(
-        np.cov(np.column_stack([normals, offsets]).T), moved_covariance, rtol=0.03, atol=1e-7
-    )
+    np.testing.assert_allclose(np.cov(np.column_stack([normals, offsets]).T), moved_covariance, rtol=0.03, atol=1e-7)
     with pytest.raises(ValueError, match="rigid motion"):
         rp.uncertainty.transform_planes(plane, covariance, 2.0 * motion)
 
@@ -759,17 +735,13 @@ def test_same_plane_of_planes_far_from_the_origin(metres):
     """In a map's frame as in the camera's: it took planes 3 cm apart for one, 100 m away."""
     camera = rp.Camera(320, 240, 262.0, 262.0, 159.5, 119.5, noise=rp.noise.kinect_v1())
     near, far = (
-        rp.fit_tiles(
-            rp.scenes.plane((0.2, -0.3, -1.0), z).render(camera).measure(seed=3, quantise=False), camera, 8
-        )
+        rp.fit_tiles(rp.scenes.plane((0.2, -0.3, -1.0), z).render(camera).measure(seed=3, quantise=False), camera, 8)
         for z in (2.0, 2.03)
     )
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
     pose[:3, 3] = metres * np.array([0.8, 0.5, -0.3])
-    moved, other = (
-        rp.uncertainty.transform_planes(fits.planes, fits.plane_covariance, pose) for fits in (near, far)
-    )
+    moved, other = (rp.uncertainty.transform_planes(fits.planes, fits.plane_covariance, pose) for fits in (near, far))
     left, right = np.s_[:, :-1], np.s_[:, 1:]
     one = rp.uncertainty.same_plane(moved[0][left], moved[1][left], moved[0][right], moved[1][right])
     planes, covariance = near.planes, near.plane_covariance
@@ -789,16 +761,12 @@ def test_fused_tiles_are_the_plane_of_all_their_pixels(rng):
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
         pose[:3, 3] = metres
-        plane, of_plane = rp.uncertainty.fuse_planes(
-            *rp.uncertainty.transform_planes(planes, covariance, pose)
-        )
+        plane, of_plane = rp.uncertainty.fuse_planes(*rp.uncertainty.transform_planes(planes, covariance, pose))
         wanted, of_wanted = rp.uncertainty.transform_planes(whole.planes[0], whole.plane_covariance[0], pose)
         assert np.linalg.norm(plane[:3]) == pytest.approx(1.0)
         scale = np.sqrt(np.diag(of_wanted))
         assert (np.abs(plane - wanted) < 0.3 * scale).all()
-        np.testing.assert_allclose(
-            of_plane / np.outer(scale, scale), of_wanted / np.outer(scale, scale), atol=0.03
-        )
+        np.testing.assert_allclose(of_plane / np.outer(scale, scale), of_wanted / np.outer(scale, scale), atol=0.03)
 
 
 def test_fused_planes_err_as_they_say(rng):
@@ -822,9 +790,7 @@ def test_fused_planes_err_as_they_say(rng):
         seen = []
         for view, turn in zip(views, turns, strict=True):
             fits = rp.fit_labels(view.measure(quantise=False, seed=rng), camera, np.ones(camera.shape, int))
-            seen.append(
-                rp.uncertainty.transform_planes(fits.planes[0], fits.plane_covariance[0], pose @ turn)
-            )
+            seen.append(rp.uncertainty.transform_planes(fits.planes[0], fits.plane_covariance[0], pose @ turn))
         planes, covariance = (np.stack(values) for values in zip(*seen, strict=True))
         planes = np.stack([np.concatenate([planes, np.full((1, 4), np.nan)]), np.full((4, 4), np.nan)])
         covariance = np.stack([np.concatenate([covariance, covariance[:1]])] * 2)
@@ -838,10 +804,7 @@ def test_fused_planes_err_as_they_say(rng):
 def test_planes_are_fused_to_the_same_whichever_comes_first(degrees):
     """A poor one, turned by so much, and a good one: where errors are linear is where the good one is."""
     planes, covariance = [], []
-    for turn, of_turn, of_offset in (
-        (np.radians(degrees), np.radians(degrees) / 1.5, 0.05),
-        (0.0, 1e-3, 1e-3),
-    ):
+    for turn, of_turn, of_offset in ((np.radians(degrees), np.radians(degrees) / 1.5, 0.05), (0.0, 1e-3, 1e-3)):
         normal = np.array([np.sin(turn), 0.2, -np.cos(turn)]) / np.sqrt(1.04)
         planes.append([*normal, 2.0 + of_offset])
         covariance.append(np.diag([0.0, 0.0, 0.0, of_offset**2]))

@@ -25,9 +25,7 @@ def test_equals_oracle(data):
     method = data.draw(st.sampled_from(METHODS))
     max_missing = data.draw(st.sampled_from([0.0, 0.5, 1.0]))
     for implementation in ("integral", "naive"):
-        fits = rp.fit_windows(
-            depth, camera, windows, method, implementation=implementation, max_missing=max_missing
-        )
+        fits = rp.fit_windows(depth, camera, windows, method, implementation=implementation, max_missing=max_missing)
         expected = oracle.fit_windows(
             depth, camera, windows, method, max_missing=max_missing, change=CHANGE[implementation]
         )
@@ -41,9 +39,7 @@ def test_threads_change_no_bit(implementation, rng):
     camera = make_camera()
     depth = make_depth(camera, rng)
     windows = np.column_stack([rng.integers(0, 24, (50, 2)), np.full((50, 2), 24)])
-    one, three = (
-        rp.fit_windows(depth, camera, windows, implementation=implementation, num_threads=n) for n in (1, 3)
-    )
+    one, three = (rp.fit_windows(depth, camera, windows, implementation=implementation, num_threads=n) for n in (1, 3))
     np.testing.assert_array_equal(one.planes, three.planes)
 
 
@@ -57,9 +53,7 @@ def test_one_line_of_pixels_is_no_plane(method):
         corner = rng.integers(0, (481 - height, 641 - width), (500, 2))
         windows = np.column_stack([corner, np.tile([height, width], (500, 1))])
         for implementation in ("integral", "naive"):
-            fits = rp.fit_windows(
-                depth, camera, windows, method, implementation=implementation, max_missing=1.0
-            )
+            fits = rp.fit_windows(depth, camera, windows, method, implementation=implementation, max_missing=1.0)
             assert set(fits.status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
     corner = rng.integers(0, (479, 639), (500, 2))
     smallest = np.column_stack([corner, np.full((500, 2), 2)])  # but four pixels are one
@@ -75,9 +69,7 @@ def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     depth = rp.scenes.room().render(camera).depth
     depth[3, 40:60] = far
     windows = np.array([(row, column, 16, 16) for row in range(8, 104, 8) for column in range(0, 144, 8)])
-    fits, expected = (
-        rp.fit_windows(depth, camera, windows, method, implementation=i) for i in ("integral", "naive")
-    )
+    fits, expected = (rp.fit_windows(depth, camera, windows, method, implementation=i) for i in ("integral", "naive"))
     both = fits.fitted & expected.fitted
     assert oracle.angle(fits.planes[both, :3], expected.planes[both, :3]).max(initial=0.0) < 1.0
     assert not np.isnan(fits.planes[fits.fitted]).any()

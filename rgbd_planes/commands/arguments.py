@@ -25,9 +25,7 @@ class CommandError(Exception):
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a fit of tiles."""
-    parser.add_argument(
-        "--tile", type=tile_size, default=16, metavar="N or HxW", help="size of a tile in pixels (16)"
-    )
+    parser.add_argument("--tile", type=tile_size, default=16, metavar="N or HxW", help="size of a tile in pixels (16)")
     parser.add_argument(
         "--method",
         default="range_explicit",
@@ -41,9 +39,7 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="largest share of a tile's pixels that may be missing (0.5)",
     )
-    parser.add_argument(
-        "--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH"
-    )
+    parser.add_argument("--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH")
 
 
 def add_noise(parser: argparse.ArgumentParser, what_for: str, *, number_is_model: bool = True) -> None:
@@ -78,9 +74,7 @@ def model_or_number(text: str) -> "NoiseModel | float":
     except ValueError:
         sigma = 0.0
     if not 0.0 < sigma < math.inf:
-        raise argparse.ArgumentTypeError(
-            f"expected {', '.join(published)} or a positive number in 1/m, got {text!r}"
-        )
+        raise argparse.ArgumentTypeError(f"expected {', '.join(published)} or a positive number in 1/m, got {text!r}")
     return sigma
 
 
@@ -153,18 +147,13 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     if camera.depth_range is not None:
         nearest, farthest = camera.depth_range
         reason += f", the camera's depth_range is {nearest:g} to {farthest:g} m"
-    print(
-        f"rgbd-planes {arguments.command}: {arguments.depth}: no pixel is a measurement: {reason}",
-        file=sys.stderr,
-    )
+    print(f"rgbd-planes {arguments.command}: {arguments.depth}: no pixel is a measurement: {reason}", file=sys.stderr)
     return depth, camera, 1
 
 
 def add_sequence_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `read_sequence` takes."""
-    parser.add_argument(
-        "--camera", type=Path, metavar="JSON", help="camera to use instead of the sequence's own"
-    )
+    parser.add_argument("--camera", type=Path, metavar="JSON", help="camera to use instead of the sequence's own")
     parser.add_argument(
         "--format",
         metavar="NAME",
@@ -209,9 +198,7 @@ def describe_tiles(tiles: "TilePlanes") -> str:
     found = ", ".join(f"{count} {status.name}" for status, count in counts.items() if count)
     line = f"{tiles.status.size} tiles of {height} x {width} pixels by {tiles.method}: {found}"
     if tiles.fitted.any():
-        line += (
-            f"; median residual {1e3 * np.median(tiles.rmse_metric[tiles.fitted]):.1f} mm along the normal"
-        )
+        line += f"; median residual {1e3 * np.median(tiles.rmse_metric[tiles.fitted]):.1f} mm along the normal"
     else:
         measured = tiles.valid_count.sum() / (tiles.camera.width * tiles.camera.height)
         line += f"; {percent(measured)} of the pixels are measured"

@@ -38,14 +38,10 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     )
     add_min_size(parser)
     add_fit_options(parser)
-    add_noise(
-        parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain"
-    )
+    add_noise(parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain")
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (one for each core)")
     parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="address of a Dask scheduler, to use its workers: tcp://host:port",
+        "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler, to use its workers: tcp://host:port"
     )
 
     parser.add_argument("--retry", action="store_true", help="try the frames again that were skipped before")
@@ -102,9 +98,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             print(f"{report.resumed} frames had been done before.")
         total = sum(report.seconds.values())
         if total > 0.0:
-            shares = ", ".join(
-                f"{work} {percent(seconds / total)}" for work, seconds in report.seconds.items()
-            )
+            shares = ", ".join(f"{work} {percent(seconds / total)}" for work, seconds in report.seconds.items())
             print(f"Of the work: {shares}.")
         print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
         for reason, frames in skipped.items():

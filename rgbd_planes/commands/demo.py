@@ -49,9 +49,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
             check_writable(path)
 
         rendering = scenes.room().render(camera)
-        depth = rendering.measure(
-            holes=0.05, patches=0.03, baseline=scenes.KINECT_BASELINE, seed=arguments.seed
-        )
+        depth = rendering.measure(holes=0.05, patches=0.03, baseline=scenes.KINECT_BASELINE, seed=arguments.seed)
         print(
             f"Rendered a room of {len(rendering.planes)} planes, {camera.width} x {camera.height} pixels, "
             f"Kinect noise, {percent(np.mean(depth == 0))} of the pixels missing."
@@ -60,9 +58,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         tiles = fitter.fit(depth)  # compiles, the first time
         milliseconds = 1e3 * _median_seconds(lambda: fitter.fit(depth))
         print(describe_tiles(tiles))
-        print(
-            "ROUGH are those with a residual that the noise explains less than once in a hundred times: edges."
-        )
+        print("ROUGH are those with a residual that the noise explains less than once in a hundred times: edges.")
         print(f"One fit takes {milliseconds:.2f} ms (one thread, median of 20).")
         print(_accuracy(tiles, fit_tiles(depth, camera, arguments.tile, "standard_pca"), rendering))
 

@@ -34,15 +34,9 @@ def noise(parser: argparse.ArgumentParser) -> Run:
     )
     add_sequence_options(parser)
     parser.add_argument(
-        "--count",
-        type=int,
-        default=20,
-        metavar="N",
-        help="how many of the frames to take, evenly spread (20)",
+        "--count", type=int, default=20, metavar="N", help="how many of the frames to take, evenly spread (20)"
     )
-    parser.add_argument(
-        "--out", type=Path, metavar="JSON", help="write the camera with its noise, for --camera"
-    )
+    parser.add_argument("--out", type=Path, metavar="JSON", help="write the camera with its noise, for --camera")
     parser.add_argument(
         "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw how the noise fits, and the sensor's bias"
     )
@@ -94,9 +88,7 @@ def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
         return read_sequence(arguments, paths[0])
     folder = next((path for path in paths if path.is_dir()), None)
     if folder is not None:
-        raise CommandError(
-            f"expected depth images, or one folder, got {len(paths)} paths with the folder {folder}"
-        )
+        raise CommandError(f"expected depth images, or one folder, got {len(paths)} paths with the folder {folder}")
     for option in ("format", "topic"):
         if getattr(arguments, option) is not None:
             raise CommandError(f"--{option} is for a data set or a recording, got depth images")

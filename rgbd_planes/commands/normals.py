@@ -31,9 +31,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
     )
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
     parser.add_argument("--out", type=Path, metavar="NPY", help="write the normals, (H, W, 3) float32")
-    parser.add_argument(
-        "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and curvature"
-    )
+    parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and curvature")
 
     def run(arguments: argparse.Namespace) -> int:
         import numpy as np

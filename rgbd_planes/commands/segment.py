@@ -28,13 +28,9 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
     parser.add_argument("--polygons", action="store_true", help="add the outlines to the JSON; needs shapely")
     parser.add_argument("--labels", type=Path, metavar="PNG", help="write the labels, 16 bits, 0 for none")
-    parser.add_argument(
-        "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw the planes over the depth's relief"
-    )
+    parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw the planes over the depth's relief")
     parser.add_argument("--points", type=Path, metavar="PLY", help="write the points, coloured by plane")
-    parser.add_argument(
-        "--mesh", type=Path, metavar="PLY", help="write the outlines as a mesh; needs shapely"
-    )
+    parser.add_argument("--mesh", type=Path, metavar="PLY", help="write the outlines as a mesh; needs shapely")
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import plane_polygons, segmentation_export

@@ -64,10 +64,7 @@ class _Calibrations:
 
     def at(self, time: float, wanted_by: Path) -> Camera:
         near = bisect.bisect(self._times, time)
-        best = min(
-            range(max(0, near - 1), min(near + 1, len(self._times))),
-            key=lambda i: abs(self._times[i] - time),
-        )
+        best = min(range(max(0, near - 1), min(near + 1, len(self._times))), key=lambda i: abs(self._times[i] - time))
         if abs(self._times[best] - time) > _SAME_MOMENT:
             raise ValueError(
                 f"{wanted_by}: expected a calibration of its moment, the nearest is {self._files[best].name}"

@@ -28,9 +28,7 @@ _GREY = "mono16"  # infrared images have it, too
 _ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
 
-def rosbag(
-    path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None
-) -> FrameSequence:
+def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None) -> FrameSequence:
     """Open the depth images of a ROS 1 bag, a ROS 2 bag or a RealSense recording.
 
     Parameters
@@ -67,9 +65,7 @@ def rosbag(
             topic = named[0]
         if topic not in topics:
             asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
-            where = (
-                f"depth is in {', '.join(named)}" if named else f"depth is in none; there is {bag.contents()}"
-            )
+            where = f"depth is in {', '.join(named)}" if named else f"depth is in none; there is {bag.contents()}"
             raise ValueError(f"{path}: {asked}; {where}")
         camera = camera or bag.camera(topic)
         entries = [
@@ -224,9 +220,7 @@ def _decode(image: Any) -> NDArray[Any]:
     dtype = np.dtype(_ENCODINGS[image.encoding]).newbyteorder(">" if image.is_bigendian else "<")
     height, width, step = int(image.height), int(image.width), int(image.step)
     if step < width * dtype.itemsize or len(image.data) < height * step:
-        raise ValueError(
-            f"truncated image: {len(image.data)} bytes for {height} rows of {step} bytes, {width} pixels"
-        )
+        raise ValueError(f"truncated image: {len(image.data)} bytes for {height} rows of {step} bytes, {width} pixels")
     rows = np.asarray(image.data, np.uint8)[: height * step].reshape(height, step)
     return rows[:, : width * dtype.itemsize].copy().view(dtype).astype(dtype.newbyteorder("="))
 

@@ -103,9 +103,7 @@ class FrameSequence(Sequence[Frame]):
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The different cameras, in the order in which they first occur."""
-        objects = {
-            id(entry.camera): entry.camera for entry in self.entries
-        }  # few: faster than comparing all of them
+        objects = {id(entry.camera): entry.camera for entry in self.entries}  # few: faster than comparing all of them
         return tuple(dict.fromkeys(objects.values()))
 
     def with_noise(self, noise: NoiseModel | None) -> "FrameSequence":
@@ -129,9 +127,7 @@ def image_sequence(
     times = [float("nan")] * len(paths) if timestamps is None else timestamps
     return FrameSequence(
         (
-            FrameEntry(
-                (path.relative_to(root) if path.is_relative_to(root) else path).as_posix(), time, camera, path
-            )
+            FrameEntry((path.relative_to(root) if path.is_relative_to(root) else path).as_posix(), time, camera, path)
             for path, time in zip(paths, times, strict=True)
         ),
         read_depth,
@@ -154,8 +150,7 @@ def numbered(paths: Iterable[Path]) -> list[Path]:
     return sorted(
         (path for path in paths if not path.name.startswith(".")),
         key=lambda path: [
-            (1, int(part), part) if part.isdecimal() else (0, 0, part)
-            for part in re.split(r"(\d+)", path.name)
+            (1, int(part), part) if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", path.name)
         ],
     )
 

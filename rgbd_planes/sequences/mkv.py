@@ -19,12 +19,7 @@ _TRACK = "DEPTH"
 _CALIBRATION = "calibration.json"
 # For each size (width, height) of a depth frame: side in pixels of the whole sensor, a square, and where in it the
 # frame begins, as in the Azure Kinect's SDK.
-_MODES = {
-    (320, 288): (512, 96, 90),
-    (640, 576): (1024, 192, 180),
-    (512, 512): (512, 0, 0),
-    (1024, 1024): (1024, 0, 0),
-}
+_MODES = {(320, 288): (512, 96, 90), (640, 576): (1024, 192, 180), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
 
 
 def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:

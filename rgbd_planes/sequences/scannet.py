@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.files import existing_file, naming
 from rgbd_planes.images import read_depth
-from rgbd_planes.sequences.frames import (
-    FrameEntry,
-    FrameSequence,
-    existing_folder,
-    image_sequence,
-    numbered,
-    some,
-)
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, image_sequence, numbered, some
 
 _ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
 _COMPRESSIONS = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
@@ -183,9 +176,7 @@ def _camera_of_matrix(root: Path, first: Path) -> Camera:
 def _camera_of_info(file: Path) -> Camera:
     if not file.is_file():
         raise ValueError(f"{file.parent}: expected _info.txt, or a camera")
-    pairs = (
-        line.partition("=") for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    )
+    pairs = (line.partition("=") for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines())
     values = {name.strip(): value.split() for name, _, value in pairs}
     try:
         matrix = np.array(values["m_calibrationDepthIntrinsic"], np.float64).reshape(4, 4)

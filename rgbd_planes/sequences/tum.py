@@ -77,9 +77,7 @@ def read_index(path: Path) -> tuple[list[float], list[Path]]:
     if not path.is_file():
         raise FileNotFoundError(f'{path.parent}: expected {path.name}, lines "seconds file", found none')
     times, files = [], []
-    for number, line in enumerate(
-        path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1
-    ):
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
         words = re.split(r"(?:^|\s)#", line, maxsplit=1)[0].split(maxsplit=1)
         if not words:
             continue
