@@ -282,7 +282,7 @@ def _machine(quick: bool, rounds: int) -> Result:
 
     frame, _ = sensor()
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "logical_processors": os.cpu_count(),
         "threads_used": 1,
         "system": f"{platform.system()} {platform.machine()}",
@@ -299,7 +299,8 @@ def _machine(quick: bool, rounds: int) -> Result:
     }
 
 
-def _processor() -> str:
+def processor() -> str:
+    """What the system calls the processor."""
     try:
         with open("/proc/cpuinfo") as file:
             for line in file:

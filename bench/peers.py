@@ -32,7 +32,7 @@ import rgbd_planes as rp
 from bench import test_normals as of_normals
 from bench.fitting import Case, case, fit, floor_of, median_angle, numpy_fit, ratio, take_turns
 from bench.floor import floor
-from bench.paper import _processor
+from bench.paper import processor
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.threads import run_in_ranges
 
@@ -341,7 +341,7 @@ def main() -> None:
     normals = [row for holes in of_normals.HOLES for row in compare_normals(holes, repeats // 5)]
     threaded = with_all_threads(frame, 20, repeats // 3)
     points = scaling(arguments.quick)
-    about = {"python": platform.python_version(), "numpy": np.__version__, "processor": _processor()}
+    about = {"python": platform.python_version(), "numpy": np.__version__, "processor": processor()}
     measured = {"about": about, "rows": rows, "normals": normals, "threads": threaded, "scaling": points}
     report = f"{table(measured)}\n\n{text_of_threads(threaded)}"
     print(report)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.fitting import case, fit, floor_of, take_turns
-from bench.paper import _processor
+from bench.paper import processor
 from rgbd_planes.kernels._jit import kernel
 
 STEPS = 16
@@ -109,7 +109,7 @@ def measure(repeats: int = 500) -> dict[str, Any]:
             "adding and multiplying": work.operations * cost["additions and multiplications"],
         }
         rows.append({"kernel": name, "ns": fastest[name] / pixels, "limits": limits})
-    return {"processor": _processor(), "cost": cost, "rows": rows}
+    return {"processor": processor(), "cost": cost, "rows": rows}
 
 
 def text(result: dict[str, Any]) -> str:
