@@ -1,5 +1,6 @@
 """What is said about the package in several places is the same everywhere."""
 
+import itertools
 import re
 import tomllib
 from pathlib import Path
@@ -46,3 +47,13 @@ def test_every_extra_that_is_spoken_of_exists():
 def test_what_a_user_installs_is_little():
     names = {re.split(r"[<>=]", requirement)[0] for requirement in PROJECT["dependencies"]}
     assert names == {"matplotlib", "numba", "numpy", "pillow", "scipy"}
+
+
+def test_each_library_has_one_lower_bound():
+    """With two, no environment has the oldest of all."""
+    bounds: dict[str, set[str]] = {}
+    for requirement in itertools.chain(PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()):
+        name, bound, version = requirement.partition(";")[0].strip().partition(">=")
+        if bound:
+            bounds.setdefault(name, set()).add(version)
+    assert {name: found for name, found in bounds.items() if len(found) > 1} == {}
