@@ -23,6 +23,7 @@ from .segment_contest import (
 )
 from .segment_merge import WORD
 from .segment_moments import misfit
+from .segment_noise import grown_variance
 from .segment_records import Shares
 from .segment_settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, look_around
 
@@ -183,7 +184,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
         fits, error, total = False, 0.0, 1.0
         if a >= 0:
-            total = (sensor[here] + slope_variance[a] * stretch[here]) * waviness_square[a]
+            total = grown_variance(sensor[here], slope_variance[a], stretch[here], waviness_square[a])
             error = misfit(of_block, here, alpha, a)
             fits = error <= settled_square * pixels * total
             if fits and contending > 1:
@@ -280,7 +281,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
                 for j in range(many[c]):
                     b = candidate[first[c] + j]
-                    total = (sensor[here] + slope_variance[b] * stretch[here]) * waviness_square[b]
+                    total = grown_variance(sensor[here], slope_variance[b], stretch[here], waviness_square[b])
                     plane[4 * j, lanes], plane[4 * j + 1, lanes] = alpha[b, 0], alpha[b, 1]
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = alpha[b, 2], 1.0 / math.sqrt(total)
                     penalty[j, lanes] = math.log(total) if most > 1 else 0.0

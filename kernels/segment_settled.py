@@ -12,7 +12,7 @@ from ._jit import kernel
 from .copying import copy
 from .segment_blocks import BLOCK, CHUNK, EMPTY, MIXED
 from .segment_moments import rows_of
-from .segment_noise import about_plane, sensor_variance
+from .segment_noise import about_plane, grown_variance, sensor_variance
 
 # What is to be done with a block: nothing; look at it; give it to its own region, the only one around, if it fits that;
 # take over what regions have of it.
@@ -133,7 +133,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
             of_sensor, stretched = sensor[here], stretch[here]
             for c in range(count):
                 a_u, a_v, a_1 = work[0, c], work[1, c], work[2, c]
-                total = (of_sensor[c] + work[3, c] * stretched[c]) * work[4, c]
+                total = grown_variance(of_sensor[c], work[3, c], stretched[c], work[4, c])
                 square = (
                     s_qq[c] - 2.0 * (a_u * s_uq[c] + a_v * s_vq[c] + a_1 * s_q[c])
                     + a_u * (a_u * s_uu[c] + 2.0 * (a_v * s_uv[c] + a_1 * s_u[c]))

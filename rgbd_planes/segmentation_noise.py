@@ -146,7 +146,7 @@ def tolerance(together: float, sigma: float, flattest: float) -> float:
 
 def is_exact(noise: Noise) -> bool:
     """Whether the noise is no larger than the deviations of surfaces from planes, as in most renderings."""
-    step, *_, largest = noise.sigma
+    step, largest = noise.sigma[0], noise.sigma[-1]
     return bool(largest <= FLATNESS * step * (len(_SHARES) - 1))
 
 
