@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.saved import check_alike, save_arrays, saved_arrays
+from rgbd_planes.saved import Arrays, Savable, check_alike
 from rgbd_planes.tile_grid import common_labels
 from rgbd_planes.wording import counted, percent
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
-
-_ARRAYS = "labels", "planes", "alpha", "alpha_covariance", "sizes", "rmse", "reason"
 
 
 class Reason(enum.IntEnum):
@@ -43,7 +41,7 @@ class Reason(enum.IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Segmentation:
+class Segmentation(Savable):
     """The planes of a frame, and which pixel belongs to which.
 
     Attributes
@@ -205,35 +203,19 @@ class Segmentation:
             "offset_std": self.offset_std,
         }
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file, camera included, that `load` reads; whole or not at all.
-
-        Raises
-        ------
-        ValueError
-            The camera's noise model is a function.
-        OSError
-            It cannot be written there.
-        """
+    def _content(self) -> tuple[dict[str, Any], Arrays]:
         about = {"camera": self.camera.to_dict(), "sigma": self.sigma}
-        save_arrays(path, about, {name: getattr(self, name) for name in _ARRAYS})
+        return about, {name: getattr(self, name) for name in _allocate(self.camera, len(self))}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `save` wrote.
-
-        Raises
-        ------
-        OSError, ValueError
-            There is none, or it is another file, or damaged.
-        """
-        with saved_arrays(path, "Segmentation.save") as (about, file):
-            camera, sigma = Camera.from_dict(about["camera"]), float(about["sigma"])
-            arrays = {name: file[name] for name in _ARRAYS}
-            check_alike(arrays, _allocate(camera, len(arrays["sizes"])))
-            if not 0 <= arrays["labels"].min() <= arrays["labels"].max() <= len(arrays["sizes"]):
-                raise ValueError("labels of other planes")
-        return cls(camera=camera, sigma=sigma, **arrays)
+    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
+        camera, sigma = Camera.from_dict(about["camera"]), float(about["sigma"])
+        expected = _allocate(camera, len(arrays["sizes"]))
+        own = {name: arrays[name] for name in expected}
+        check_alike(own, expected)
+        if not 0 <= own["labels"].min() <= own["labels"].max() <= len(own["sizes"]):
+            raise ValueError("labels of other planes")
+        return cls(camera=camera, sigma=sigma, **own)
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`.

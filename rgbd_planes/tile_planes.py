@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,7 +15,7 @@ from rgbd_planes.checks import check_choice
 from rgbd_planes.falloff import growth_of_tiles
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
-from rgbd_planes.saved import check_alike, save_arrays, saved_arrays
+from rgbd_planes.saved import Arrays, Savable, check_alike
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TilePlanes(PlacedFits):
+class TilePlanes(Savable, PlacedFits):
     """The planes of all tiles of a frame, arrays of shape S = (R, C), or of a batch, S = (F, R, C).
 
     Attributes
@@ -139,38 +139,19 @@ class TilePlanes(PlacedFits):
             "rmse_metric": self.rmse_metric.ravel(),
         }
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an NPZ file, camera included, that `load` reads; whole or not at all.
-
-        Raises
-        ------
-        ValueError
-            The camera's noise model is a function.
-        OSError
-            It cannot be written there.
-        """
+    def _content(self) -> tuple[dict[str, Any], Arrays]:
         about = {"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method}
-        save_arrays(path, about, {name.lstrip("_"): getattr(self, name) for name in ARRAYS})
+        return about, {name.lstrip("_"): getattr(self, name) for name in ARRAYS}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `save` wrote.
-
-        Raises
-        ------
-        OSError, ValueError
-            There is none, or it is another file, or damaged.
-        """
-        with saved_arrays(path, "TilePlanes.save") as (about, file):
-            method, camera = about["method"], Camera.from_dict(about["camera"])
-            check_choice("method", method, METHODS)
-            tile = check_tile(tuple(about["tile"]), camera.shape)
-            arrays = {name: file[name.lstrip("_")] for name in ARRAYS}
-            check_alike(arrays, allocate(arrays["status"].shape[:-2], grid_shape(camera, tile)))
-            pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid_shape(camera, tile))
-            if (
-                arrays["status"].max() > max(TileStatus)
-                or ((arrays["valid_count"] < 0) | (arrays["valid_count"] > pixels)).any()
-            ):
-                raise ValueError("an invalid status or number of pixels")
-        return cls(camera=camera, method=method, tile=tile, **arrays)
+    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
+        method, camera = about["method"], Camera.from_dict(about["camera"])
+        check_choice("method", method, METHODS)
+        tile = check_tile(tuple(about["tile"]), camera.shape)
+        own = {name: arrays[name.lstrip("_")] for name in ARRAYS}
+        check_alike(own, allocate(own["status"].shape[:-2], grid_shape(camera, tile)))
+        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid_shape(camera, tile))
+        count = own["valid_count"]
+        if own["status"].max() > max(TileStatus) or ((count < 0) | (count > pixels)).any():
+            raise ValueError("an invalid status or number of pixels")
+        return cls(camera=camera, method=method, tile=tile, **own)

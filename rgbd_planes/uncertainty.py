@@ -2,7 +2,7 @@
 
 Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
 ``plane_covariance`` of a fit. Everything is to first order in the errors. Leading shapes broadcast. Arrays of other
-shapes raise a ValueError that names them, masked ones a TypeError.
+shapes raise a ValueError that names them, masked ones, or such as are not of numbers, a TypeError.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import plain_array
+from rgbd_planes.checks import real_array
 from rgbd_planes.kernels import statistics
 
 Floats = npt.NDArray[np.float64]
@@ -346,7 +346,7 @@ def _about(point: Floats) -> Floats:
 
 
 def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Floats:
-    array = plain_array(name, values).astype(np.float64, copy=False)
+    array = real_array(name, values)
     if array.shape[-len(entries) :] != entries:
         expected = ", ".join(("...", *map(str, entries)))
         raise ValueError(f"expected {name} of shape ({expected}), got {array.shape}")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import export, images, metrics, noise, scenes, segmentation_export, sequences
+from rgbd_planes import export, images, metrics, noise, scenes, segmentation_export, sequences, uncertainty
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
@@ -94,6 +94,11 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: metrics.plane_errors([[0, 0, 1, 1]], [list("0011")]), TypeError, "truth as numbers, .* of <U1"),
         (lambda: CAMERA.project(["1", "2", "3"]), TypeError, "points as numbers, got an array of <U1"),
         (lambda: CAMERA.project([{}, 2, 3]), TypeError, "points as numbers, got {}"),
+        (
+            lambda: uncertainty.angle_between(1j * np.ones((2, 4)), np.zeros((2, 4, 4)), np.ones(4), np.zeros((4, 4))),
+            TypeError,
+            "as numbers, got an array of complex128",
+        ),
         (lambda: segmentation_export.to_dict(rp.segment(DEPTH, CAMERA), "a"), TypeError, "of PlanePolygon, got 'a'"),
         (lambda: segmentation_export.to_dict(rp.segment(DEPTH, CAMERA), (1, 2)), TypeError, r"got \(1, 2\)"),
         (lambda: segmentation_export.to_ros_polygons(3), TypeError, "of PlanePolygon, got 3"),
