@@ -42,6 +42,7 @@ def contenders(region, row, column, centre_u, centre_v, candidate, centre):
     the blocks' centres and the number of blocks.
     """
     rows, columns = region.shape
+    step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
     count = 0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
@@ -53,8 +54,8 @@ def contenders(region, row, column, centre_u, centre_v, candidate, centre):
                 candidate[count] = a
                 centre[count, 0] = centre[count, 1] = centre[count, 2] = 0.0
                 count += 1
-            centre[i, 0] += centre_u[r, c]
-            centre[i, 1] += centre_v[r, c]
+            centre[i, 0] += centre_u[r * step_v, c]
+            centre[i, 1] += centre_v[r, c * step_u]
             centre[i, 2] += 1.0
     return count
 

@@ -76,12 +76,15 @@ def neighbours(region, rays, contacts):
         Number of pairs.
     """
     centre_u, centre_v = rays.centre_u, rays.centre_v
+    step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
     pairs, where, table = contacts
     rows, columns = region.shape
     # With a rim of no regions: a block's neighbours, and theirs, can be read without asking where the frame ends.
-    around = np.full((rows + 2, columns + 4), np.int32(-1))
+    width = columns + 4
+    around = np.full((rows + 2, width), np.int32(-1))
     for row in range(rows):
         copy(region[row], around[row, 2 : columns + 2])
+    flat = around.reshape(-1)
     differs = np.zeros(-(-columns // WORD) * WORD, np.bool_)  # blocks of a row beside which there is another region
     words = differs.view(np.uint64)
     slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: a small one stays in the cache
@@ -112,13 +115,18 @@ def neighbours(region, rays, contacts):
             for column in range(w * WORD, (w + 1) * WORD):
                 if not differs[column]:
                     continue
+                here = row * width + column + 2
+                own = flat[np.uint64(here)]
+                own_u, own_v = centre_u[row * step_v, column], centre_v[row, column * step_u]
                 for k in range(len(DOWN)):
-                    step = 1 if around[row + DOWN[k], column + 2 + RIGHT[k]] >= 0 else 2
-                    r, c = row + step * DOWN[k], column + step * RIGHT[k]
-                    a, b = region[row, column], around[r, c + 2]
-                    if b < 0 or b == a:
+                    down, right = DOWN[k], RIGHT[k]
+                    b = flat[np.uint64(here + down * width + right)]
+                    if b < 0:
+                        down, right = 2 * down, 2 * right
+                        b = flat[np.uint64(here + down * width + right)]
+                    if b < 0 or b == own:
                         continue
-                    a, b = min(a, b), max(a, b)
+                    a, b = min(own, b), max(own, b)
                     if i >= count or pairs[i, 0] != a or pairs[i, 1] != b:  # mostly the same pair as just before
                         i = row_of(a, b, pairs, count, slots)
                         if i == count:
@@ -126,9 +134,10 @@ def neighbours(region, rays, contacts):
                             pairs[i, 1] = b
                             where[i, 0] = where[i, 1] = where[i, 2] = 0.0
                             count += 1
+                    r, c = row + down, column + right
                     where[i, 0] += 1.0
-                    where[i, 1] += 0.5 * (centre_u[row, column] + centre_u[r, c])
-                    where[i, 2] += 0.5 * (centre_v[row, column] + centre_v[r, c])
+                    where[i, 1] += 0.5 * (own_u + centre_u[r * step_v, c])
+                    where[i, 2] += 0.5 * (own_v + centre_v[r, c * step_u])
     return count
 
 

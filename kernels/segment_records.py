@@ -54,8 +54,8 @@ class Rays(NamedTuple):
 
     tan_x: Array  # (1, W) float64, or (H, W) if tan_y is
     tan_y: Array  # (H, 1) or (H, W)
-    centre_u: Array  # (R, C) float64: tanθx, tanθy in the middle of each block
-    centre_v: Array
+    centre_u: Array  # (1, C) or (R, C) float64: tanθx in the middle of each block
+    centre_v: Array  # (R, 1) or (R, C)
     pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
     lens: Array  # (2, K) float64: see `segment_noise.through_lens`; (2, 0) without a lens

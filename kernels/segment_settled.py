@@ -76,8 +76,15 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         for k in range(3):
             moved[k, b] = (alpha[a, k] - last_alpha[b, k]) / deviation
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
+    u, v = np.empty(columns), np.empty(columns)
     for row in range(rows):
-        own, last, u, v = region[row], last_region[row], centre_u[row], centre_v[row]
+        own, last = region[row], last_region[row]
+        if row == 0 or centre_u.shape[0] > 1:
+            copy(centre_u[row], u)
+        if centre_v.shape[1] > 1:
+            copy(centre_v[row], v)
+        else:
+            v[:] = centre_v[row, 0]
         line = changed[row + 1, 1:]
         for c in range(columns):
             b = last[c] if last[c] >= 0 else regions
@@ -152,53 +159,64 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
                 line[c] = OPEN if is_open else SAME if line[c] == SAME else DONE
 
 
+@kernel(inline=True)
+def add_square(of_squares, i, moments, a):
+    """Add the moments of square or block ``i`` to those of region ``a``; both arrays have one dimension."""
+    # Unsigned: see `kernels`.
+    here, there, step = np.uint64(i), np.uint64(10 * a), np.uint64(len(of_squares) // 10)
+    for _ in range(10):
+        moments[there] += of_squares[here]
+        here, there = here + step, there + np.uint64(1)
+
+
 @kernel()
 def add_up(pyramid, owners, shares, count, sums):
-    """Sum up what each region has: in whole blocks, and in the first ``count`` shares."""
-    every = slice(0, pyramid.moments.shape[1])
-    b_n, b_u, b_v, b_q, b_uu = rows_of(pyramid.moments, 0, every)
-    b_uv, b_uq, b_vv, b_vq, b_qq = rows_of(pyramid.moments, 5, every)
+    """Sum up what each region has: in whole blocks, and in the first ``count`` shares.
+
+    Of 4x4 blocks that one region has the pyramid knows the moments, and of 2x2.
+    """
+    of_squares, offsets, shapes = pyramid.moments.reshape(-1), pyramid.offsets, pyramid.shapes
     owner, error = owners.block, owners.error
     share_region, share_sums = shares.region, shares.sums
-    moments, squares = sums
+    moments, squares = sums.moments.reshape(-1), sums.squares
     moments[:] = 0.0
     squares[:] = 0.0
     rows, columns = owner.shape
-    for row in range(rows):
-        column = 0
-        while column < columns:
-            a = owner[row, column]
-            if a < 0:
-                column += 1
+    same, down = np.empty(columns, np.bool_), np.empty(columns)
+    for row in range(0, rows, 4):
+        a, b, c, d = owner[row], owner[row + 1], owner[row + 2], owner[row + 3]
+        of_a, of_b, of_c, of_d = error[row], error[row + 1], error[row + 2], error[row + 3]
+        for x in range(columns):
+            same[x] = (a[x] == b[x]) & (b[x] == c[x]) & (c[x] == d[x])
+            down[x] = (of_a[x] + of_b[x]) + (of_c[x] + of_d[x])
+        for column in range(0, columns, 4):
+            first = a[column]
+            if (
+                same[column] & same[column + 1] & same[column + 2] & same[column + 3]
+                & (a[column + 1] == first) & (a[column + 2] == first) & (a[column + 3] == first)
+            ):  # fmt: skip
+                if first >= 0:
+                    i = offsets[2] + (row >> 2) * shapes[2, 1] + (column >> 2)
+                    add_square(of_squares, i, moments, first)
+                    squares[first] += (down[column] + down[column + 1]) + (down[column + 2] + down[column + 3])
                 continue
-            n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = of_errors = 0.0
-            while column < columns and owner[row, column] == a:
-                i = row * columns + column
-                n += b_n[i]
-                s_u += b_u[i]
-                s_v += b_v[i]
-                s_q += b_q[i]
-                s_uu += b_uu[i]
-                s_uv += b_uv[i]
-                s_uq += b_uq[i]
-                s_vv += b_vv[i]
-                s_vq += b_vq[i]
-                s_qq += b_qq[i]
-                of_errors += error[row, column]
-                column += 1
-            moments[a, 0] += n
-            moments[a, 1] += s_u
-            moments[a, 2] += s_v
-            moments[a, 3] += s_q
-            moments[a, 4] += s_uu
-            moments[a, 5] += s_uv
-            moments[a, 6] += s_uq
-            moments[a, 7] += s_vv
-            moments[a, 8] += s_vq
-            moments[a, 9] += s_qq
-            squares[a] += of_errors
+            for y in range(row, row + 4, 2):
+                for x in range(column, column + 4, 2):
+                    first = owner[y, x]
+                    if (owner[y, x + 1] == first) & (owner[y + 1, x] == first) & (owner[y + 1, x + 1] == first):
+                        if first >= 0:
+                            add_square(of_squares, offsets[1] + (y >> 1) * shapes[1, 1] + (x >> 1), moments, first)
+                            squares[first] += (error[y, x] + error[y, x + 1]) + (error[y + 1, x] + error[y + 1, x + 1])
+                        continue
+                    for r in range(y, y + 2):
+                        for k in range(x, x + 2):
+                            if owner[r, k] >= 0:
+                                add_square(of_squares, r * columns + k, moments, owner[r, k])
+                                squares[owner[r, k]] += error[r, k]
     for s in range(count):
         a = share_region[s]
+        there = np.uint64(10 * a)
         for k in range(10):
-            moments[a, k] += share_sums[s, k]
-        squares[a] += share_sums[s, 10]
+            moments[there] += share_sums[s, k]
+            there += np.uint64(1)
+        squares[np.uint64(a)] += share_sums[s, 10]

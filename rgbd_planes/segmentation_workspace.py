@@ -24,12 +24,12 @@ def rays_of(camera: Camera) -> Rays:
     height, width = camera.shape
     rows, columns = _shapes(camera)[0]
     lens = lens_by_angle(camera)
-    middle = np.ix_(
-        np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1),
-        np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1),
+    middle_y = np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1)
+    middle_x = np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1)
+    centre_u, centre_v = (
+        tan[np.ix_(middle_y if len(tan) > 1 else [0], middle_x if tan.shape[1] > 1 else [0])] for tan in camera._rays
     )
-    centre_u, centre_v = camera.tan_x[middle], camera.tan_y[middle]
-    stretches = [np.ones(centre_u.shape)]
+    stretches = [np.ones((rows, columns))]
     if lens.size:
         segment_noise.stretches(centre_u, centre_v, lens, stretches[0])
     for high, wide in _shapes(camera)[1:]:
