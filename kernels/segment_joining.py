@@ -72,25 +72,38 @@ def leaves(pyramid, state, region, owner, region_moments):
     number of nodes.
     """
     moments, _, _, offsets, shapes = pyramid
-    pixels, levels = moments[0], shapes.shape[0]
+    pixels, top = moments[0], shapes.shape[0] - 1
+    # Of each square: the largest planar one that it is in, or -1. Not all squares of a planar one need be planar: some
+    # have too few pixels.
+    largest = np.empty(len(state), np.int32)
+    for i in range(offsets[top], offsets[top + 1]):
+        largest[i] = i if state[i] == 1 else -1
+    for level in range(top - 1, 0, -1):
+        for row in range(shapes[level, 0]):
+            first = offsets[level] + row * shapes[level, 1]
+            above = largest[offsets[level + 1] + (row >> 1) * shapes[level + 1, 1] :]
+            for column in range(shapes[level, 1]):
+                i = first + column
+                own = i if state[i] == 1 else -1
+                largest[i] = above[column >> 1] if above[column >> 1] >= 0 else own
     number = np.full(len(state), np.int32(-1))
     rows, columns = region.shape
     count = 0
     for row in range(rows):
+        above = largest[offsets[1] + (row >> 1) * shapes[1, 1] :]
+        line, owners = region[row], owner[row]
         for column in range(columns):
             block = row * columns + column
-            owner[row, column] = EMPTY if pixels[block] == 0.0 else UNSEEN
+            owners[column] = EMPTY if pixels[block] == 0.0 else UNSEEN
             if state[block] != 1:
-                region[row, column] = -1
+                line[column] = -1
                 continue
-            largest = block
-            for level in range(1, levels):  # a planar square's squares need not be planar: some have too few pixels
-                i = offsets[level] + (row >> level) * shapes[level, 1] + (column >> level)
-                largest = i if state[i] == 1 else largest
-            if number[largest] < 0:
-                number[largest] = count
+            # Unsigned: see `kernels`.
+            i = np.uint64(above[column >> 1] if above[column >> 1] >= 0 else block)
+            if number[i] < 0:
+                number[i] = count
                 for k in range(10):
-                    region_moments[count, k] = moments[k, largest]
+                    region_moments[count, k] = moments[k, i]
                 count += 1
-            region[row, column] = number[largest]
+            line[column] = number[i]
     return count

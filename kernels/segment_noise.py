@@ -31,11 +31,15 @@ def expected_variance(q, sigma):
 def sensor_variances(pixels, sum_q, sigma, variance):
     """Write `sensor_variance` at the mean inverse depth of squares, from ``pixels`` and ``sum_q``, (T,) each."""
     last, scale = sigma.shape[0] - 2.0, 1.0 / sigma[0]
+    for i in range(len(variance)):  # by itself, since divisions vectorise
+        variance[i] = min(sum_q[i] / max(pixels[i], 1.0) * scale, last)
+    lower, upper, most = sigma[1:], sigma[2:], np.int32(sigma.shape[0] - 3)
     for i in range(len(variance)):
-        position = min(sum_q[i] / max(pixels[i], 1.0) * scale, last)
-        k = min(np.int64(position), sigma.shape[0] - 3)
+        position = variance[i]
+        k = min(np.int32(position), most)
         share = position - k
-        value = sigma[k + 1] * (1.0 - share) + sigma[k + 2] * share
+        # Unsigned: see `kernels`.
+        value = lower[np.uint32(k)] * (1.0 - share) + upper[np.uint32(k)] * share
         variance[i] = value * value
 
 
