@@ -29,7 +29,7 @@ NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel is nea
 def place_of(a, listed, count):
     """Index of a region in a list of ``count``, or ``count`` if it is not in it."""
     i = 0
-    while i < count and listed[i] != a:
+    while i < count and listed[np.uint64(i)] != a:
         i += 1
     return i
 
@@ -46,16 +46,18 @@ def contenders(region, row, column, centre_u, centre_v, candidate, centre):
     count = 0
     for r in range(max(row - 1, 0), min(row + 2, rows)):
         for c in range(max(column - 1, 0), min(column + 2, columns)):
-            a = region[r, c]
+            # Unsigned: see `kernels`.
+            y, x = np.uint64(r), np.uint64(c)
+            a = region[y, x]
             if a < 0:
                 continue
-            i = place_of(a, candidate, count)
-            if i == count:
-                candidate[count] = a
-                centre[count, 0] = centre[count, 1] = centre[count, 2] = 0.0
+            i = np.uint64(place_of(a, candidate, count))
+            if i == np.uint64(count):
+                candidate[i] = a
+                centre[i, 0] = centre[i, 1] = centre[i, 2] = 0.0
                 count += 1
-            centre[i, 0] += centre_u[r * step_v, c]
-            centre[i, 1] += centre_v[r, c * step_u]
+            centre[i, 0] += centre_u[np.uint64(r * step_v), x]
+            centre[i, 1] += centre_v[y, np.uint64(c * step_u)]
             centre[i, 2] += 1.0
     return count
 
