@@ -223,22 +223,31 @@ def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
     for j in range(11):
         for n in range(LANES):
             owned[o + j, n] = 0.0
-    for i in range(BLOCK * BLOCK):
-        p = middle(i)
+    for y in range(BLOCK):
         for n in range(LANES):
-            w = 1.0 if winner[i, n] == k else 0.0
-            q_p, w_u, w_v = np.float64(q[p, n]), w * u[p, n], w * v[p, n]
-            owned[o, n] += w
-            owned[o + 1, n] += w_u
-            owned[o + 2, n] += w_v
-            owned[o + 3, n] += w * q_p
-            owned[o + 4, n] += w_u * u[p, n]
-            owned[o + 5, n] += w_u * v[p, n]
-            owned[o + 6, n] += w_u * q_p
-            owned[o + 7, n] += w_v * v[p, n]
-            owned[o + 8, n] += w_v * q_p
-            owned[o + 9, n] += w * q_p * q_p
-            owned[o + 10, n] += w * min(square[k * AREA + p, n], cut)
+            s_n, s_u, s_v, s_q = owned[o, n], owned[o + 1, n], owned[o + 2, n], owned[o + 3, n]
+            s_uu, s_uv, s_uq = owned[o + 4, n], owned[o + 5, n], owned[o + 6, n]
+            s_vv, s_vq, s_qq, s_error = owned[o + 7, n], owned[o + 8, n], owned[o + 9, n], owned[o + 10, n]
+            for x in range(BLOCK):  # a row at a time: sums stay in the processor's registers, and loops vectorise
+                i, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
+                w = 1.0 if winner[i, n] == k else 0.0
+                u_p, v_p, q_p = np.float64(u[p, n]), np.float64(v[p, n]), np.float64(q[p, n])
+                w_u, w_v, w_q = w * u_p, w * v_p, w * q_p
+                s_n += w
+                s_u += w_u
+                s_v += w_v
+                s_q += w_q
+                s_uu += w_u * u_p
+                s_uv += w_u * v_p
+                s_uq += w_u * q_p
+                s_vv += w_v * v_p
+                s_vq += w_v * q_p
+                s_qq += w_q * q_p
+                s_error += w * np.float64(min(square[k * AREA + p, n], cut))
+            owned[o, n], owned[o + 1, n], owned[o + 2, n], owned[o + 3, n] = s_n, s_u, s_v, s_q
+            owned[o + 4, n], owned[o + 5, n], owned[o + 6, n] = s_uu, s_uv, s_uq
+            owned[o + 7, n], owned[o + 8, n], owned[o + 9, n], owned[o + 10, n] = s_vv, s_vq, s_qq, s_error
+    for i in range(BLOCK * BLOCK):
         for n in range(LANES):
             pixels[k, n] |= np.int32(winner[i, n] == k) << np.int32(i)
 
