@@ -176,30 +176,31 @@ def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     closed = opened = 0
     gaps[:] = 0
     first, stop = max(box[a, 2], box[b, 2]), min(box[a, 3], box[b, 3])
-    # For each column, the row of pixels up to which it has a, and b.
-    last = np.full((2, (stop - first) * BLOCK), -1, np.int64)
+    # The row of pixels up to which each column has a, and after them those up to which it has b.
+    columns = (stop - first) * BLOCK
+    last = np.full(2 * columns, -1, np.int64)
     for row in range(min(box[a, 0], box[b, 0]), max(box[a, 1], box[b, 1])):
         for i in range(runs.first[row], runs.first[row + 1]):
             if runs.label[i] != a and runs.label[i] != b:
                 continue
-            own, other = (last[0], last[1]) if runs.label[i] == a else (last[1], last[0])
+            own, other = (0, columns) if runs.label[i] == a else (columns, 0)
             for x in range(max(runs.start[i], first) * BLOCK, min(min(runs.stop[i], stop) * BLOCK, width)):
                 upper, lower = rows_in_column(i, row, x, runs, height)
                 if upper == lower:
                     continue
                 k = x - first * BLOCK
-                if other[k] > own[k]:
+                if last[other + k] > last[own + k]:
                     through = False
-                    for y in range(other[k], upper if look else 0):
+                    for y in range(last[other + k], upper if look else 0):
                         if sees_through(inverse_depth, rays, alpha, reach, y, x):
                             through = True
                             break
                     opened += through
                     closed += not through
-                    gap = max(upper - other[k], 0)
+                    gap = max(upper - last[other + k], 0)
                     if not through and gap < len(gaps):
                         gaps[gap] += 1
-                own[k] = lower
+                last[own + k] = lower
     return opened, closed
 
 
