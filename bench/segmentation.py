@@ -37,12 +37,9 @@ from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
     segment_inside,
-    segment_joining,
     segment_labels,
     segment_parts,
     segment_regions,
-    segment_runs,
-    segment_shape,
 )
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, segment, segment_frame
@@ -298,16 +295,13 @@ def _by_rules(frame: Frame, rules: Rules) -> Scores:
 
 
 STAGES = {
-    "read, blocks": (segment_blocks, ("block_moments", "sum_by_fours")),
+    "read, blocks": (segment_blocks, ("block_moments",)),
     "noise": (segmentation, ("noise_of",)),
-    "quadtree": (segment_joining, ("join_blocks",)),
-    "rounds: merge, own pixels": (segment_regions, ("find_regions",)),
-    "curved": (segment_shape, ("owned_means", "find_curved")),
-    "runs": (segment_runs, ("find_runs",)),
-    "parts": (segment_parts, ("measure_parts", "judge_parts")),
-    "gaps": (segment_gaps, ("find_coplanar", "join_across")),
-    "inside": (segment_inside, ("inside_moments",)),
-    "labels": (segment_labels, ("label_runs", "write_labels", "settle_strays")),
+    "regions": (segment_regions, ("find_regions",)),
+    "parts": (segment_parts, ("find_parts",)),
+    "gaps": (segment_gaps, ("join_across_gaps",)),
+    "inside": (segment_inside, ("fit_inside",)),
+    "labels": (segment_labels, ("write_labels", "settle_strays")),
 }
 
 

@@ -8,11 +8,11 @@ What calls what:
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
   `label_variances` and `sandwich` for parts of many depths
-- segments: `segment_blocks`, `segment_noise_estimation` with `segment_reach`, `segment_joining`, `segment_regions`,
-  which does most of the work with `segment_growth`, `segment_merge` and `segment_pixels`, which uses `segment_settled`
-  and `segment_contest`; then `segment_shape` with `segment_facets`, `segment_runs`, `segment_parts`, `segment_gaps`,
-  `segment_labels`, `segment_inside`, `segment_unevenness` and `segment_planes`, in this order; `segment_records` holds
-  what they hand on
+- segments: `segment_blocks`, and `segment_noise_estimation` with `segment_reach`; then `segment_regions`, which does
+  most of the work, with `segment_joining`, `segment_growth`, `segment_merge`, `segment_pixels`, which uses
+  `segment_settled` and `segment_contest`, and `segment_shape` with `segment_facets`; then `segment_parts` with
+  `segment_runs`, `segment_gaps`, `segment_labels`, `segment_inside` with `segment_unevenness`, and `segment_planes`, in
+  this order; `segment_records` holds what they hand on
 - used by many of them: `depth`, `copying`, `disjoint_sets`, `quantiles`; for segments `segment_moments` and
   `segment_noise`
 - tables on disk: `rows`

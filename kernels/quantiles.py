@@ -5,7 +5,7 @@ from ._jit import kernel
 
 @kernel(inline=True)
 def bring_forward(values, first, stop, pivot, equal):
-    """Move values below the pivot, or also those ``equal`` to it, to the front of a part; returns where the rest begins.
+    """Move values below the pivot, or also those ``equal`` to it, to a part's front; returns where the rest begins.
 
     Without branches, which no processor could predict.
     """

@@ -125,8 +125,28 @@ def add_separable(q, u, row_v, count, sums):
 
 
 @kernel(reduction=True)
+def sum_by_fours(pyramid, rays):
+    """Moments and planes of squares of 2x2, 4x4, ... blocks, from the pyramid's lowest level: one after another."""
+    moments, rss, slope_square, offsets, shapes = pyramid
+    sums = np.empty((10, CHUNK))
+    for level in range(1, shapes.shape[0]):
+        columns = shapes[level, 1]
+        for row in range(shapes[level, 0]):
+            for start in range(0, columns, CHUNK):
+                count = min(CHUNK, columns - start)
+                child = offsets[level - 1] + 4 * row * columns + 2 * start
+                i = offsets[level] + row * columns + start
+                for k in range(10):
+                    upper, lower = moments[k, child:], moments[k, child + 2 * columns :]
+                    for c in range(count):
+                        sums[k, c] = (upper[2 * c] + upper[2 * c + 1]) + (lower[2 * c] + lower[2 * c + 1])
+                    copy(sums[k], moments[k, i : i + count])
+                solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])
+
+
+@kernel(reduction=True)
 def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
-    """Read the frame once: the inverse depth of every pixel, and moments and plane of every block.
+    """Read the frame once: the inverse depth of every pixel, and moments and plane of every block and square.
 
     Sums are first taken down the image columns, in loops along the rows, which vectorise. Where tanθx is the same down
     a column, it multiplies the column's sums.
@@ -140,8 +160,8 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     rays : Rays
     inverse_depth : (H, W) float32, written
         0 where there is no measurement.
-    pyramid : Pyramid
-        Its lowest level is written, whose shape covers the frame.
+    pyramid : Pyramid, written
+        Its lowest level covers the frame.
 
     Returns
     -------
@@ -195,30 +215,8 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
             solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])
+    sum_by_fours(pyramid, rays)
     nearest = largest[0]
     for x in range(1, len(largest)):
         nearest = max(nearest, largest[x])
     return nearest
-
-
-@kernel(reduction=True)
-def sum_by_fours(pyramid, rays):
-    """Moments and planes of squares of 2x2, 4x4, ... blocks: one level of the pyramid after another.
-
-    The lowest is written by `block_moments`.
-    """
-    moments, rss, slope_square, offsets, shapes = pyramid
-    sums = np.empty((10, CHUNK))
-    for level in range(1, shapes.shape[0]):
-        columns = shapes[level, 1]
-        for row in range(shapes[level, 0]):
-            for start in range(0, columns, CHUNK):
-                count = min(CHUNK, columns - start)
-                child = offsets[level - 1] + 4 * row * columns + 2 * start
-                i = offsets[level] + row * columns + start
-                for k in range(10):
-                    upper, lower = moments[k, child:], moments[k, child + 2 * columns :]
-                    for c in range(count):
-                        sums[k, c] = (upper[2 * c] + upper[2 * c + 1]) + (lower[2 * c] + lower[2 * c + 1])
-                    copy(sums[k], moments[k, i : i + count])
-                solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])

@@ -11,6 +11,7 @@ from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of, unite
 from .segment_blocks import BLOCK
+from .segment_labels import label_runs
 from .segment_moments import difference, ray_of, rise
 from .segment_planes import fit_planes
 from .segment_runs import TOP, WHOLE
@@ -42,7 +43,7 @@ def may_be_thin(box, a, b, down):
     return widest >= LEAST and narrowest <= widest
 
 
-@kernel()
+@kernel(inline=True)
 def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
     """Pairs of planes whose union is also one plane, and that are near enough for a thin gap.
 
@@ -85,7 +86,7 @@ def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
     return count
 
 
-@kernel()
+@kernel(inline=True)
 def label_boxes(runs, box):
     """First row, row after the last, first column, column after the last of each label's blocks.
 
@@ -217,7 +218,7 @@ def is_thin(gaps, opened, closed):
     return False
 
 
-@kernel()
+@kernel(inline=True)
 def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first plane that each is united with.
 
@@ -258,7 +259,7 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, 
         parent[a] = parent[parent[a]]
 
 
-@kernel()
+@kernel(inline=True)
 def join_planes(parent, number, moments, alpha, rss, deviation):
     """Make one plane of those that have the same parent; returns how many planes are left.
 
@@ -282,3 +283,37 @@ def join_planes(parent, number, moments, alpha, rss, deviation):
             number[i] = parent[number[i] - 1] + 1
     fit_planes(moments[:count], alpha[:count], rss[:count])
     return count
+
+
+@kernel()
+def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, alpha, rss, deviation):
+    """Make one of the planes that something thin in front separates; returns how many planes are left.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+    rays : Rays
+    floor, spread : float
+        See `find_coplanar`.
+    number : (P,) int32
+        Label of each part, changed; ``runs`` gets the new labels.
+    runs : Runs
+    moments, alpha, rss, deviation : (N, 10), (N, 3), (N,) and (N,) float64
+        Of the planes; on return, those of the planes that are left come first.
+    """
+    planes = len(moments)
+    box = np.empty((planes + 1, 4), np.int64)
+    label_boxes(runs, box)
+    count = 4 * planes
+    pairs = np.empty((0, 2), np.int64)
+    while len(pairs) < count:  # again where there are many: a wall behind bars
+        pairs = np.empty((count, 2), np.int64)
+        count = find_coplanar(moments, alpha, deviation, box, floor, spread, pairs)
+    if count == 0:
+        return planes
+    parent = np.arange(planes)
+    join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent)
+    left = join_planes(parent, number, moments, alpha, rss, deviation)
+    if left < planes:
+        label_runs(runs, number)
+    return left

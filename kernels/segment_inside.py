@@ -11,6 +11,8 @@ from ._jit import kernel
 from .copying import copy
 from .segment_merge import WORD
 from .segment_moments import add, ray_of, residual
+from .segment_planes import fit_planes
+from .segment_unevenness import weigh_rays
 
 # In place of a label: beyond the frame, and where nothing is measured.
 BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
@@ -40,7 +42,7 @@ def find_edges(label, inverse_depth, y, most, least, edge):
         edge[x] = (b[x] > 0) & ((high != b[x]) | (low != b[x]))
 
 
-@kernel()
+@kernel(inline=True)
 def inside_moments(label, inverse_depth, rays, moments, inside):
     """Moments of the pixels of each label whose eight neighbours, as far as they are measured, have it too.
 
@@ -76,3 +78,30 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
             inside[k, j] = moments[k, j] - inside[k, j]
         if inside[k, 0] < LEAST_INSIDE * moments[k, 0] or residual(inside[k]) < 0.0:
             copy(moments[k], inside[k])
+
+
+@kernel()
+def fit_inside(label, inverse_depth, rays, pyramid, moments):
+    """Fit the planes to the pixels that are surely theirs.
+
+    Parameters
+    ----------
+    label, inverse_depth, rays, moments
+        See `inside_moments`.
+    pyramid : Pyramid
+
+    Returns
+    -------
+    inside, alpha, rss : (N, 10), (N, 3) and (N,) float64
+        Moments of these pixels, and the planes.
+    weighted : (N, 5) float64
+        See `segment_unevenness.weigh_rays`.
+    """
+    planes = len(moments)
+    inside, alpha, rss, weighted = (
+        np.empty((planes, 10)), np.empty((planes, 3)), np.empty(planes), np.empty((planes, 5))
+    )  # fmt: skip
+    inside_moments(label, inverse_depth, rays, moments, inside)
+    fit_planes(inside, alpha, rss)
+    weigh_rays(label, pyramid, inside, alpha, rss, weighted)
+    return inside, alpha, rss, weighted

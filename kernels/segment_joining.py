@@ -9,7 +9,7 @@ from .segment_blocks import EMPTY, UNSEEN
 from .segment_noise import sensor_variances
 
 
-@kernel()
+@kernel(inline=True)
 def join_blocks(pyramid, noise, rules, sensor, state):
     """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
 

@@ -6,8 +6,11 @@ from ._jit import kernel
 from .copying import copy
 from .disjoint_sets import root_of
 from .segment_blocks import BLOCK
+from .segment_labels import label_runs
 from .segment_moments import add, ray_of
-from .segment_runs import WHOLE, first_of, how_many
+from .segment_planes import fit_planes
+from .segment_records import Parts, Sums
+from .segment_runs import WHOLE, find_runs, first_of, how_many
 
 
 @kernel()
@@ -32,7 +35,7 @@ def first_of_run(start, stop, row, inverse_depth):
     return row * BLOCK, start * BLOCK
 
 
-@kernel()
+@kernel(inline=True)
 def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, parts):
     """Number the parts and share out what the regions own.
 
@@ -131,7 +134,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
     return count
 
 
-@kernel()
+@kernel(inline=True)
 def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number, kept):
     """Decide whether each part is a plane, and if not, why.
 
@@ -185,3 +188,53 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
     for place in range(planes):
         number[kept[place]] = place + 1
     return planes
+
+
+@kernel()
+def find_parts(
+    inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons, sums, runs,
+    loose,
+):  # fmt: skip
+    """Split the regions into connected parts, and find those that are planes.
+
+    Parameters
+    ----------
+    inverse_depth, rays, pyramid
+        As in `segment_regions.find_regions`.
+    owners, shares, region_number, curved, deviation
+        From there.
+    rules, least, reasons
+        See `judge_parts`.
+    sums : Sums
+        Of the regions; changed.
+    runs, loose
+        Written: see `segment_runs.find_runs`. The runs get their labels.
+
+    Returns
+    -------
+    loose_count : int
+    number, why, stray : (P,) int32, uint8 and bool
+        Label, reason and being stray of each part: see `judge_parts`.
+    moments, alpha, rss, deviation : (N, 10), (N, 3), (N,), (N,) float64
+        Of the planes, by label: ``deviation`` is that of their regions.
+    """
+    regions = len(curved)
+    height, width = inverse_depth.shape
+    run_count, loose_count = find_runs(owners, shares, region_number, height, width, runs, loose)
+    parts = Parts(
+        np.empty((run_count, 10)), np.empty(run_count), np.empty(run_count), np.empty(run_count, np.int64),
+        np.empty(run_count, np.int64), np.empty(run_count, np.int64), np.empty(run_count, np.int64),
+    )  # fmt: skip
+    of_regions = Sums(sums.moments[:regions], sums.squares[:regions])
+    count = measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, of_regions, parts)
+    why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
+    number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
+    planes = judge_parts(parts, count, curved, rules, least, reasons, why, stray, number, kept)
+    label_runs(runs, number)
+    moments, of_plane = np.empty((planes, 10)), np.empty(planes)
+    for i in range(planes):
+        copy(parts.moments[kept[i]], moments[i])
+        of_plane[i] = deviation[parts.region[kept[i]]]
+    alpha, rss = np.empty((planes, 3)), np.empty(planes)
+    fit_planes(moments, alpha, rss)
+    return loose_count, number, why, stray, moments, alpha, rss, of_plane

@@ -28,7 +28,7 @@ from .segment_records import Shares
 from .segment_settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, look_around
 
 
-@kernel()
+@kernel(inline=True)
 def own_pixels(
     inverse_depth, rays, pyramid, sensor, region, planes, sigma, rules, is_first, before, number, last_alpha,
     owners, shares, contended, sums,

@@ -1,4 +1,7 @@
-"""Segmentation, the rounds: from joined blocks to regions, from regions to the pixels they own, and back."""
+"""Segmentation: regions of one plane each.
+
+In rounds: from joined blocks to regions, from regions to the pixels they own, and back.
+"""
 
 import numpy as np
 
@@ -6,13 +9,14 @@ from ._jit import kernel
 from .copying import copy
 from .segment_blocks import EMPTY
 from .segment_growth import grow_together
-from .segment_joining import leaves
+from .segment_joining import join_blocks, leaves
 from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, rename_pairs, renumber
 from .segment_moments import misfit
 from .segment_noise import in_square
 from .segment_pixels import own_pixels
-from .segment_planes import fit_regions
+from .segment_planes import deviations, fit_regions
 from .segment_records import Contacts, Planes, Shares, Sums
+from .segment_shape import find_curved, owned_means
 
 # The four blocks beside one.
 BESIDE_DOWN, BESIDE_RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
@@ -71,33 +75,23 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
         count = joined
 
 
-@kernel()
-def find_regions(
+@kernel(inline=True)
+def merge_and_own(
     inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, sums
 ):  # fmt: skip
     """Merge what is one plane, give the pixels to the planes, fit the planes again to their pixels: in rounds.
 
     Parameters
     ----------
-    inverse_depth : (H, W) float32
-        0 where there is no measurement.
-    rays : Rays
-    pyramid, sensor, state
+    inverse_depth, rays, pyramid, noise, rules, least, owners, contended, sums
+        See `find_regions`. Regions with a residual above ``rules.rough`` standard deviations are merged anew, with half
+        the tolerance.
+    sensor, state
         See `segment_joining.join_blocks`.
-    noise : Noise
-    rules : Rules
-        Regions with a residual above ``rough`` standard deviations are merged anew, with half the tolerance.
-    least : float
-        Pixels that a region must have after the first round.
     region : (R, C) int32, written
         Region that owns most of a block, or -1.
-    owners : Owners, written
-    contended : Contended
-        Room: see `segment_pixels.own_pixels`.
     contacts : Contacts, written
         Of the regions in the end.
-    sums : Sums, written
-        Of the regions, with room for R·C.
 
     Returns
     -------
@@ -158,3 +152,52 @@ def find_regions(
             last_alpha, owners, shares, contended, Sums(moments[:count], squares[:count]),
         )  # fmt: skip
     return number, count, shares, 0
+
+
+@kernel()
+def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, contended, contacts, sums):
+    """The regions of a frame, which pixels they own, and which of them are curved.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+        0 where there is no measurement.
+    rays : Rays
+    pyramid : Pyramid
+    noise : Noise
+    rules : Rules
+    least : float
+        Pixels that a region must have after the first round.
+    owners : Owners, written
+    contended, contacts
+        Room: see `segment_pixels.own_pixels` and `segment_merge.neighbours`.
+    sums : Sums, written
+        Of the regions, with room for R·C.
+
+    Returns
+    -------
+    shares : Shares
+    number : (M,) int64
+        What the regions of ``owners`` and ``shares`` became in the end, or -1.
+    curved : (N,) bool
+        Of the regions in the end.
+    deviation : (N,) float64
+        Standard deviation of a pixel about the plane of each.
+    """
+    rows, columns = owners.block.shape
+    sensor, state = np.empty(rows * columns), np.empty(len(pyramid.rss), np.int8)
+    join_blocks(pyramid, noise, rules, sensor, state)
+    region = np.empty((rows, columns), np.int32)
+    number, count, shares, contact_count = merge_and_own(
+        inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, sums
+    )
+    moments = sums.moments[:count]
+    planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)
+    fit_regions(moments, noise, planes)
+    curved, deviation = np.empty(count, np.bool_), np.empty(count)
+    find_curved(
+        region, owned_means(owners, shares, number, region, pyramid), moments, planes, noise.sigma, rules, rays,
+        contacts, contact_count, curved,
+    )  # fmt: skip
+    deviations(moments, planes, noise.sigma, deviation)
+    return shares, number, curved, deviation

@@ -226,7 +226,7 @@ def list_runs(
     return count, loose_count
 
 
-@kernel()
+@kernel(inline=True)
 def find_runs(owners, shares, number, height, width, runs, loose):
     """Runs of equal labels along the rows of blocks, united into connected parts.
 

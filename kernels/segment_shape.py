@@ -54,7 +54,7 @@ def boxes(region, box):
 
 
 @kernel()
-def owned_means(owners, shares, number, region, pyramid, means):
+def owned_means(owners, shares, number, region, pyramid):
     """Number and mean (u, v, q) of the pixels of each block that its region owns.
 
     Parameters
@@ -66,9 +66,14 @@ def owned_means(owners, shares, number, region, pyramid, means):
     region : (R, C) int32
         Region of each block, below 0 for none.
     pyramid : Pyramid
-    means : (R, C, 4) float32, written where there is a region
+
+    Returns
+    -------
+    (R, C, 4) float32
+        Written where there is a region.
     """
     moments = pyramid.moments
+    means = np.empty((*region.shape, 4), np.float32)
     for row in range(region.shape[0]):
         for column in range(region.shape[1]):
             a = region[row, column]
@@ -91,6 +96,7 @@ def owned_means(owners, shares, number, region, pyramid, means):
             means[row, column, 1] = s_u * per_pixel
             means[row, column, 2] = s_v * per_pixel
             means[row, column, 3] = s_q * per_pixel
+    return means
 
 
 @kernel()

@@ -13,7 +13,7 @@ FEWEST_SQUARES = 32
 MOST = 25.0
 
 
-@kernel()
+@kernel(inline=True)
 def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     """Means of the rays of each plane's pixels, weighted by the variances that the residuals show.
 

@@ -17,16 +17,12 @@ from rgbd_planes.kernels import (
     segment_blocks,
     segment_gaps,
     segment_inside,
-    segment_joining,
     segment_labels,
     segment_parts,
     segment_planes,
     segment_regions,
-    segment_runs,
-    segment_shape,
-    segment_unevenness,
 )
-from rgbd_planes.kernels.segment_records import Noise, Parts, Planes, Rays, Rules, Runs, Shares, Sums
+from rgbd_planes.kernels.segment_records import Noise, Rays, Rules, Runs
 from rgbd_planes.segmentation_noise import Given, is_exact, noise_of, steps_at
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
@@ -143,37 +139,25 @@ def _segment(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
 ) -> Segmentation:
     """Find the regions, and describe those of their parts that are planes."""
-    pyramid, owners, inverse_depth = work.pyramid, work.owners, work.inverse_depth
     nearest = segment_blocks.block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        rays, inverse_depth, pyramid,
+        rays, work.inverse_depth, work.pyramid,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(pyramid, rays)
     step_of_raw = step_of(frame)
-    noise, tolerance, is_rougher = noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
+    noise, tolerance, is_rougher = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
     rules = rules.tolerating(tolerance)
-
-    state = np.empty(pyramid.offsets[-1], np.int8)
-    segment_joining.join_blocks(pyramid, noise, rules, work.sensor, state)
-    region = np.empty(work.blocks, np.int32)
-    number, count, shares, contacts = segment_regions.find_regions(
-        inverse_depth, rays, pyramid, work.sensor, state, noise, rules, float(min(min_size, SMALLEST)), region, owners,
-        work.contended, work.contacts, work.sums,
+    least = min(min_size, SMALLEST)
+    shares, region_number, curved, deviation = segment_regions.find_regions(
+        work.inverse_depth, rays, work.pyramid, noise, rules, float(least), work.owners, work.contended, work.contacts,
+        work.sums,
     )  # fmt: skip
-    sums = Sums(work.sums.moments[:count], work.sums.squares[:count])
-    planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)
-    segment_planes.fit_regions(sums.moments, noise, planes)
-
-    means = np.empty((*work.blocks, 4), np.float32)
-    segment_shape.owned_means(owners, shares, number, region, pyramid, means)
-    curved = np.empty(count, np.bool_)
-    segment_shape.find_curved(
-        region, means, sums.moments, planes, noise.sigma, rules, rays, work.contacts, contacts, curved
-    )
-    found = _result(
-        frame, step_of_raw, camera, rays, work, shares, number, planes, sums, curved, noise, given, min_size, rules
-    )
-    if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
+    runs = work.runs_for(len(shares.region))
+    parts = segment_parts.find_parts(
+        work.inverse_depth, rays, work.pyramid, work.owners, shares, region_number, curved, deviation, rules, least,
+        _REASONS, work.sums, runs, work.loose,
+    )  # fmt: skip
+    found = _result(frame, step_of_raw, camera, rays, work, runs, parts, noise, given, min_size, rules)
+    if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(work.inverse_depth):
         warn_caller(
             "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
             "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
@@ -190,55 +174,32 @@ def _result(
     camera: Camera,
     rays: Rays,
     work: Workspace,
-    shares: Shares,
-    number_of: NDArray[np.int64],
-    region_planes: Planes,
-    sums: Sums,
-    curved: NDArray[np.bool_],
+    runs: Runs,
+    parts: tuple[Any, ...],
     noise: Noise,
     given: Given,
     min_size: int,
     rules: Rules,
 ) -> Segmentation:
-    """Split the regions into connected parts, keep those that are planes, and describe them."""
-    owners, inverse_depth, loose = work.owners, work.inverse_depth, work.loose
-    deviation = np.empty(len(curved))
-    segment_planes.deviations(sums.moments, region_planes, noise.sigma, deviation)
-
-    runs = work.runs_for(len(shares.region))
-    run_count, loose_count = segment_runs.find_runs(owners, shares, number_of, camera.height, camera.width, runs, loose)
-    parts = Parts(np.empty((run_count, 10)), *np.empty((2, run_count)), *np.empty((4, run_count), np.int64))
-    count = segment_parts.measure_parts(runs, owners, shares, work.pyramid, inverse_depth, rays, sums, parts)
-    why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
-    number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
-    found = segment_parts.judge_parts(
-        parts, count, curved, rules, min(min_size, SMALLEST), _REASONS, why, stray, number, kept
+    """Label and describe the parts that are planes, from `segment_parts.find_parts`."""
+    inverse_depth, loose = work.inverse_depth, work.loose
+    loose_count, number, why, stray, moments, alpha, rss, deviation = parts
+    found = segment_gaps.join_across_gaps(
+        inverse_depth, rays, 0.5 * rules.region_floor, rules.region_spread, number, runs, moments, alpha, rss, deviation
     )
-    segment_labels.label_runs(runs, number)
-
-    kept = kept[:found]
-    moments, deviation = parts.moments[kept], deviation[parts.region[kept]]
-    alpha, rss = np.empty((found, 3)), np.empty(found)
-    segment_planes.fit_planes(moments, alpha, rss)
-    if _join_across_gaps(moments, alpha, rss, deviation, number, runs, rays, inverse_depth, rules):
-        found = int(number.max())
-        segment_labels.label_runs(runs, number)
-    moments, alpha, rss, deviation = moments[:found], alpha[:found], rss[:found], deviation[:found]
+    moments, deviation = moments[:found], deviation[:found]
     large = moments[:, 0] >= min_size
     if not large.all():
         number, why = _leave_out(large, number, why)
         segment_labels.label_runs(runs, number)
-        moments, alpha, rss, deviation = moments[large], alpha[large], rss[large], deviation[large]
+        moments, deviation = moments[large], deviation[large]
         found = len(moments)
     labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     missing, unclaimed = _REASON_OF_PIXELS
     loose_count = segment_labels.write_labels(
         runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
     )
-    inside, weighted = np.empty((found, 10)), np.empty((found, 5))
-    segment_inside.inside_moments(labels, inverse_depth, rays, moments, inside)
-    segment_planes.fit_planes(inside, alpha, rss)
-    segment_unevenness.weigh_rays(labels, work.pyramid, inside, alpha, rss, weighted)
+    inside, alpha, rss, weighted = segment_inside.fit_inside(labels, inverse_depth, rays, work.pyramid, moments)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
         inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera),
@@ -269,31 +230,3 @@ def _leave_out(
     """Number and reason of the parts without those of planes that are not ``large``."""
     left = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])[number].astype(np.int32)
     return left, np.where((number > 0) & (left == 0), np.uint8(Reason.SMALL), why)
-
-
-def _join_across_gaps(
-    moments: Floats,
-    alpha: Floats,
-    rss: Floats,
-    deviation: Floats,
-    number: NDArray[np.int32],
-    runs: Runs,
-    rays: Rays,
-    inverse_depth: NDArray[np.float32],
-    rules: Rules,
-) -> bool:
-    """Make one of the planes that something thin in front separates; returns whether there were any."""
-    box = np.empty((len(moments) + 1, 4), np.int64)
-    segment_gaps.label_boxes(runs, box)
-    count = 4 * len(moments)
-    pairs = np.empty((0, 2), np.int64)
-    while len(pairs) < count:  # again where there are many: a wall behind bars
-        pairs = np.empty((count, 2), np.int64)
-        count = segment_gaps.find_coplanar(
-            moments, alpha, deviation, box, 0.5 * rules.region_floor, rules.region_spread, pairs
-        )
-    if count == 0:
-        return False
-    parent = np.arange(len(moments))
-    segment_gaps.join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent)
-    return bool(segment_gaps.join_planes(parent, number, moments, alpha, rss, deviation) < len(moments))

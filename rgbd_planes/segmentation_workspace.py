@@ -26,9 +26,10 @@ def rays_of(camera: Camera) -> Rays:
     lens = lens_by_angle(camera)
     middle_y = np.minimum(np.arange(rows) * BLOCK + BLOCK // 2, height - 1)
     middle_x = np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1)
-    centre_u, centre_v = (
-        tan[np.ix_(middle_y if len(tan) > 1 else [0], middle_x if tan.shape[1] > 1 else [0])] for tan in camera._rays
-    )
+    tan_x, tan_y = camera._rays
+    centre_u, centre_v = tan_x[:, middle_x], tan_y[middle_y]
+    if not camera.is_separable:
+        centre_u, centre_v = np.ascontiguousarray(centre_u[middle_y]), np.ascontiguousarray(centre_v[:, middle_x])
     stretches = [np.ones((rows, columns))]
     if lens.size:
         segment_noise.stretches(centre_u, centre_v, lens, stretches[0])
@@ -64,7 +65,6 @@ class Workspace:
         blocks, squares = int(offsets[1]), int(offsets[-1])
         self.inverse_depth = np.empty(camera.shape, np.float32)
         self.pyramid = Pyramid(np.empty((10, squares)), np.empty(squares), np.empty(squares), offsets, shapes)
-        self.sensor = np.empty(blocks)
         self.owners = Owners(
             np.empty(self.blocks, np.int32), np.empty(self.blocks), *np.empty((3, *self.blocks), np.int32)
         )

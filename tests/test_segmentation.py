@@ -924,7 +924,6 @@ def blocks_and_squares(depth, camera):
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
         rays, work.inverse_depth, work.pyramid,
     )  # fmt: skip
-    segment_blocks.sum_by_fours(work.pyramid, rays)
     return work.inverse_depth, work.pyramid, nearest
 
 
