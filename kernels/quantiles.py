@@ -7,14 +7,14 @@ from ._jit import kernel
 def bring_forward(values, first, stop, pivot, equal):
     """Move values below the pivot, or also those ``equal`` to it, to a part's front; returns where the rest begins.
 
-    Without branches, which no processor could predict.
+    Without branches, which no processor could predict. NaN counts as equal, so that a part is never left as it is.
     """
     front = first
     for i in range(first, stop):
         value = values[i]
         values[i] = values[front]
         values[front] = value
-        front += value <= pivot if equal else value < pivot
+        front += not (value > pivot) if equal else value < pivot
     return front
 
 

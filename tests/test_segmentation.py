@@ -916,6 +916,11 @@ def test_a_quantile_is_numpys(values, share):
     np.testing.assert_allclose(quantile(values.copy(), share), np.quantile(values, share), rtol=1e-12, atol=1e-9)
 
 
+def test_a_quantile_of_what_is_no_number_ends():
+    assert np.isnan(quantile(np.full(5, np.nan), 0.3))
+    quantile(np.array([1.0, np.nan, 0.0, np.nan, 2.0]), 0.3)
+
+
 def blocks_and_squares(depth, camera):
     """Inverse depth, moments and planes of blocks and squares, largest inverse depth."""
     frame, rays = as_depth_frame(depth, camera), segmentation_workspace.rays_of(camera)
