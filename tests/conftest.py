@@ -8,8 +8,9 @@ import real_data
 from hypothesis import settings
 
 # The same examples every time: what passes here passes elsewhere.
-# ``pytest --hypothesis-profile=default`` looks for others.
-settings.register_profile("same", derandomize=True, database=None)
+# ``pytest --hypothesis-profile=others`` looks for others. No test depends on how long something takes.
+settings.register_profile("same", derandomize=True, database=None, deadline=None)
+settings.register_profile("others", deadline=None)
 settings.load_profile("same")
 
 

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import real_data
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rgbd_planes import noise, presets
@@ -292,7 +292,6 @@ cameras = st.builds(
 
 @pytest.mark.filterwarnings("ignore:with f[xy] =:UserWarning")  # of lenses that nobody has
 @given(camera=cameras)
-@settings(deadline=None)
 def test_json_gives_the_same_camera_back(camera):
     for lens in (camera, replace(camera, distortion=camera.distortion[:4], distortion_model="fisheye")):
         assert Camera.from_dict(json.loads(json.dumps(lens.to_dict(), allow_nan=False))) == lens

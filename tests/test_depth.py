@@ -86,7 +86,7 @@ codes = st.one_of(st.integers(0, 65535), st.sampled_from([0, 1, 2047, 65534, 655
     invalid=st.lists(codes, max_size=4).map(tuple),
     take=st.booleans(),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_uint16_validity(depth, unit, depth_range, invalid, take):
     if take and invalid:
         depth = depth.copy()
@@ -113,7 +113,7 @@ def test_uint16_validity(depth, unit, depth_range, invalid, take):
     depth_range=st.one_of(ranges, st.sampled_from([(0.5, 8.0)])),
     invalid=st.lists(st.sampled_from([0.0, 0.5, 8.0, 30.0, -1.0, 0.1]), max_size=3).map(tuple),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_float_validity(depth, disparity, depth_range, invalid):
     assume(not ((np.abs(depth) < 1e-30) & (depth != 0)).any())  # no depth: see the test of extremes
     cam = camera(disparity=disparity, depth_range=depth_range, invalid_values=invalid)
@@ -123,7 +123,7 @@ def test_float_validity(depth, disparity, depth_range, invalid):
 
 
 @given(bound=st.floats(1e-3, 1e3), dtype=st.sampled_from([np.float32, np.float64]))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_ends_of_the_range_are_exact(bound, dtype):
     cam = camera((1, 2), depth_range=(bound, 2e3))
     lowest = as_depth_frame(np.ones((1, 2), dtype), cam).lowest

@@ -43,7 +43,7 @@ def test_jacobian_is_the_derivative(lens):
 
 
 @given(lens=lenses)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_undistort_inverts_distort(lens):
     x, y = grid()
     assert unfolded(x, y, lens).all()  # coefficients this small cannot fold here
@@ -57,7 +57,7 @@ def test_undistort_inverts_distort(lens):
 @example(lens=(0.0208, -0.2956, 0.104, 0.1561, 0.1873, -0.4778, 0.4272, -0.2928))
 @example(lens=(-0.4435, -0.9285, 0.0697, 0.0944, 0.9825))  # 2 points, and 35, are not found from the radial part
 @example(lens=(-0.0403, 0.7833, -0.0511, 0.0794, 0.082, 0.1912, 0.9152, 0.4468))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_strong_lenses_as_far_as_they_do_not_fold(lens):
     x, y = grid(1.5, 51)
     a, b, c, d = distortion_jacobian(x, y, lens)
@@ -162,7 +162,7 @@ def test_fisheye_by_hand():
 @given(lens=fisheyes)
 @example(lens=FISHEYES[0])
 @example(lens=FISHEYES[1])
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_fisheye_undistort_inverts_distort(lens):
     angle, east, south = angles_and_directions(lens)
     x, y = np.tan(angle) * east, np.tan(angle) * south

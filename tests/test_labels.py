@@ -14,7 +14,7 @@ import rgbd_planes as rp
 DISPARITY = {"depth_scale": None, "disparity": (-0.002, 3.0)}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_equals_oracle(data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))

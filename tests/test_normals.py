@@ -167,7 +167,7 @@ def test_frames_smaller_than_the_window(shape, rng):
 
 
 @pytest.mark.filterwarnings("ignore:many pixels are 65535")
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     height=st.integers(1, 20),
     width=st.integers(1, 20),

@@ -19,7 +19,7 @@ def rays_of(camera):
     return np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     incidence=st.floats(0.0, np.radians(80.0)),
     turn=st.floats(0.0, 2 * np.pi),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rgbd_planes.kernels.segment_blocks import BLOCK
@@ -124,7 +124,6 @@ def test_runs_begin_where_no_pixel_is_before():
     np.testing.assert_array_equal(of_every_mask(starts_down), starts(pixels.swapaxes(1, 2)))
 
 
-@settings(deadline=None)
 @given(pixels=MASKS, through=MASKS)
 def test_pixels_spread_along_rows_and_columns(pixels, through):
     a, b = pixels_of(pixels), pixels_of(through)
@@ -132,7 +131,6 @@ def test_pixels_spread_along_rows_and_columns(pixels, through):
     np.testing.assert_array_equal(pixels_of(spread_down(pixels, through)), spread(a.T, b.T).T)
 
 
-@settings(deadline=None)
 @given(pixels=MASKS.filter(bool), others=MASKS)
 def test_shares_fall_into_pieces(pixels, others):
     others &= ~pixels
@@ -150,7 +148,6 @@ def test_shares_fall_into_pieces(pixels, others):
     assert left == 0
 
 
-@settings(deadline=None)
 @given(pixels=MASKS.filter(bool), others=MASKS)
 def test_what_has_one_run_in_each_row_and_column_is_one_piece(pixels, others):
     others &= ~pixels
@@ -161,7 +158,6 @@ def test_what_has_one_run_in_each_row_and_column_is_one_piece(pixels, others):
     assert is_one_piece(pixels, free) == expected
 
 
-@settings(deadline=None)
 @given(one=MASKS, other=MASKS)
 def test_blocks_meet_at_sides_and_corners(one, other):
     a, b = pixels_of(one), pixels_of(other)
@@ -171,7 +167,6 @@ def test_blocks_meet_at_sides_and_corners(one, other):
     assert bool(meet_at_corner(one, other, 1)) == (a[-1, 0] and b[0, -1])
 
 
-@settings(deadline=None)
 @given(one=shares(), other=shares())
 def test_blocks_meet_over_gaps(one, other):
     (a, taken_a), (b, taken_b) = one, other

@@ -654,7 +654,7 @@ def test_one_pixel_on_the_axis_of_a_lens(model):
 
 
 @pytest.mark.filterwarnings("ignore:many pixels are 65535")
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     depth=arrays(
         np.uint16,
@@ -1094,7 +1094,7 @@ def test_planes_of_a_room_are_the_fit_of_their_pixels(room):
         assert np.all(np.abs(found.alpha[i] - alpha) < deviation)  # strays are in no fit
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32 - 1), st.booleans(), st.floats(0.0, 0.5))
 def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed, distorted, holes):
     rng = np.random.default_rng(seed)

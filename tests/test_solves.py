@@ -35,7 +35,7 @@ def smallest_eigenvector_4x4(n, mean, matrix):
     return value[0], *vector[:, 0]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(clouds, st.floats(0, 1), st.floats(-8, 8))
 def test_smallest_eigenpair_3x3(points, thickness, exponent):
     """Scatter matrices of clouds from flat to round, from tiny to huge."""
@@ -80,7 +80,7 @@ def test_points_near_a_line(width, thickness, rng):
         assert sine < 4e-15 * values[2] / (values[1] - values[0])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(clouds, st.floats(1e-3, 1), st.floats(0.3, 30))
 def test_smallest_eigenvector_4x4(points, thickness, distance):
     """Of (X, Y, Z, 1), for clouds at some distance: the residual of the eigenvector and its eigenvalue."""
@@ -109,7 +109,7 @@ def smallest_eigenvectors(tiles):
     return np.column_stack([eigenvalue, solution.T])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.integers(0, 2**32), st.floats(-12, 0), st.integers(2, 30))
 def test_secular_solve_is_the_eigenvector(seed, magnitude, side):
     """Of (tanθx, tanθy, 1, q), given the explicit solution, in any part of the image and with noise of any size."""

@@ -141,7 +141,7 @@ def test_disparity_equals_oracle(method, implementation, distortion, rng):
     assert assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation]) == tiles.status.size
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_holes_any_tile(data):
     """Whatever is missing, whatever the tile: the oracle's planes and reasons."""

@@ -12,7 +12,7 @@ from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_c
 import rgbd_planes as rp
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_equals_oracle(data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
