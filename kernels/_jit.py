@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numba
 
@@ -44,26 +44,30 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def kernel(*, reduction: bool = False, inline: bool = False) -> Callable[[Function], Function]:
+def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = False) -> Callable[[Function], Function]:
     """Compile a function with Numba, lazily, cached on disk where a cache can be written.
 
     Parameters
     ----------
     reduction : bool
         Let the compiler reorder sums so that they vectorise. NaN and infinity keep their meaning. Never for the solves,
-        whose accuracy depends on the order of operations. Such a kernel may call only reductions and inline kernels:
-        any other, if compiled for this one first, would be reordered for all its callers.
-    inline : bool
+        whose accuracy depends on the order of operations.
+    inline : bool or "compiled"
         Make the function part of every kernel that calls it, so that the compiler sees the sizes of the arrays that it
-        gets. Its source goes there, and is compiled once instead of twice; a reduction goes there compiled, since
-        reordering is allowed to whole functions only. For a function called in several places, that is also the fastest
-        to compile.
+        gets. Its source goes there, and is compiled once instead of twice; or it goes there "compiled", which takes
+        less time where several kernels call it. A reduction goes there compiled, since reordering is allowed to whole
+        functions only.
     """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    if reduction:
-        options["fastmath"] = {"contract", "reassoc"}
-    if inline:
-        options |= {"forceinline": True} if reduction else {"inline": "always"}
+    # Each option is said: what is not, a function takes from the kernel for which it is compiled first.
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": {"contract", "reassoc"} if reduction else False,
+    }
+    if inline is True and not reduction:
+        options["inline"] = "always"
+    else:
+        options["forceinline"] = bool(inline)
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"

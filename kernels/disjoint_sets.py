@@ -3,7 +3,7 @@
 from ._jit import kernel
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def root_of(parent, i):
     """Root of the tree that ``i`` is in."""
     while parent[i] != i:
@@ -11,7 +11,7 @@ def root_of(parent, i):
     return i
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def unite(parent, i, j):
     """Make two sets one; the older root stays."""
     i, j = root_of(parent, i), root_of(parent, j)

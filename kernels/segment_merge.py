@@ -29,7 +29,7 @@ WORD = 8
 DOWN, RIGHT = (0, 1, 1, 1), (1, 0, 1, -1)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def scrambled(x):
     """A fixed pseudo-random order of the integers, so that ties do not make long chains."""
     y = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
@@ -38,7 +38,7 @@ def scrambled(x):
     return y ^ (y >> np.uint64(32))
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def row_of(a, b, pairs, count, table):
     """The row of a pair of regions among the first ``count``, or ``count`` if it is none of them.
 

@@ -17,7 +17,7 @@ from ._jit import kernel
 ON_A_LINE = 1e-6
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
     """Least squares plane q = α·(u, v, 1) of ten sums (the paper's eq. RGBD_explicit_fit): sum of squared residuals, α.
 
@@ -40,13 +40,13 @@ def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
     return rss, a, b, mean_q - a * mean_u - b * mean_v if known else 0.0
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def residual(m):
     """Sum of squared residuals of the plane fitted to moments; -1 where there is none."""
     return solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])[0]
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def residual_of_two(moments, a, b):
     """Sum of squared residuals of one plane fitted to rows ``a`` and ``b`` of moments; -1 where there is none."""
     return solve(
@@ -57,7 +57,7 @@ def residual_of_two(moments, a, b):
     )[0]  # fmt: skip
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def residual_of(moments, a):
     """Sum of squared residuals of the plane fitted to row ``a`` of moments; -1 where there is none."""
     return solve(
@@ -66,40 +66,40 @@ def residual_of(moments, a):
     )[0]  # fmt: skip
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def rise(moments, a, b):
     """By how much the sum of squared residuals is larger for rows ``a`` and ``b`` together than for the two apart."""
     return residual_of_two(moments, a, b) - residual_of(moments, a) - residual_of(moments, b)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def fit(m, alpha):
     """Write α of the plane fitted to moments; returns the sum of squared residuals. Both as in `solve`."""
     rss, alpha[0], alpha[1], alpha[2] = solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9])
     return rss
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def difference(alpha, a, b):
     """α of region ``a`` less that of ``b``: by how much its plane's inverse depth is larger."""
     return alpha[a, 0] - alpha[b, 0], alpha[a, 1] - alpha[b, 1], alpha[a, 2] - alpha[b, 2]
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def jump_at(alpha, a, b, where):
     """By how much region a's inverse depth is larger where it touches b: ``where`` is that of their `Contacts`."""
     d_u, d_v, d_1 = difference(alpha, a, b)
     return (d_u * where[1] + d_v * where[2]) / where[0] + d_1
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def ray_of(rays, y, x):
     """tanθx and tanθy of a pixel."""
     tan_x, tan_y = rays.tan_x, rays.tan_y
     return tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def misfit(m, i, alpha, region):
     """Sum of squared residuals of the pixels of square ``i``, of moments m (10, T), about a region's plane."""
     a, b, c = alpha[region, 0], alpha[region, 1], alpha[region, 2]
@@ -124,7 +124,7 @@ def rows_of(moments, first, part):
     )  # fmt: skip
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def add(m, u, v, q):
     """Add a pixel to moments."""
     q = np.float64(q)  # the square of a single-precision number has single precision

@@ -7,7 +7,7 @@ import numpy as np
 from ._jit import kernel
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def sensor_variance(q, sigma):
     """Variance of an inverse depth.
 
@@ -21,7 +21,7 @@ def sensor_variance(q, sigma):
     return value * value
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def expected_variance(q, sigma):
     """Variance of an inverse depth by `sensor_variance`; 1 where ``sigma`` is empty, that is unknown."""
     return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
@@ -43,7 +43,7 @@ def sensor_variances(pixels, sum_q, sigma, variance):
         variance[i] = value * value
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def waviness(pixels, growth):
     """By what factor noise is larger over a region of ``pixels`` than over 8x8: correlated noise grows.
 
@@ -55,7 +55,7 @@ def waviness(pixels, growth):
     return growth[i] * (1.0 - share) + growth[i + 1] * share
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def at_angle(square, lens):
     """Squared factor by which a lens stretches a pixel across the radius, and how much more, in ρ², along it.
 
@@ -70,7 +70,7 @@ def at_angle(square, lens):
     return across, along
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
     """Variance x·a² + y·b² that slopes a and b make, over n pixels seen through a lens."""
     per_pixel = 1.0 / max(n, 1.0)
@@ -79,14 +79,14 @@ def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
     return across * (x * a * a + y * b * b) + along * math.sqrt(x * y) * of_radius
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def stretch_at(square, lens):
     """Squared factor by which a lens stretches a pixel, the mean across and along the radius: see `at_angle`."""
     across, along = at_angle(square, lens)
     return across + 0.5 * along * square
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def stretch_of(m, lens):
     """`stretch_at` for pixels of moments ``m``; 1 without a lens."""
     stretch = 1.0
@@ -103,7 +103,7 @@ def stretches(u, v, lens, stretch):
             stretch[row, column] = stretch_at(u[row, column] ** 2 + v[row, column] ** 2, lens)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def slope_variance(m, alpha, noise):
     """What a plane's slope adds to the variance of its pixels, whose moments are ``m``.
 
@@ -117,19 +117,19 @@ def slope_variance(m, alpha, noise):
     return made
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def variance(m, alpha, noise):
     """Variance of one pixel about its plane: the sensor's at the mean inverse depth, and the slope's."""
     return sensor_variance(m[3] / m[0], noise.sigma) + slope_variance(m, alpha, noise)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def grown_variance(sensor, slope, stretch, waviness_square):
     """Variance of a pixel about a plane: the sensor's and the slope's, grown with the region."""
     return (sensor + slope * stretch) * waviness_square
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def in_square(sensor, planes, a, i):
     """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region.
 
@@ -138,7 +138,7 @@ def in_square(sensor, planes, a, i):
     return grown_variance(sensor, planes.slope_variance[a], planes.square_stretch[i], planes.waviness_square[a])
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def about_plane(sensor, planes, a):
     """Variance as of `in_square`, for a pixel anywhere in the region."""
     return grown_variance(sensor, planes.slope_variance[a], planes.stretch[a], planes.waviness_square[a])

@@ -26,7 +26,7 @@ PIECES = (BLOCK // 2) ** 2
 NONE = np.int32(-1)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def how_many(pixels):
     """Number of pixels of a block."""
     pairs = pixels - ((pixels >> np.int32(1)) & np.int32(0x5555))
@@ -35,13 +35,13 @@ def how_many(pixels):
     return (eights + (eights >> np.int32(8))) & np.int32(0x1F)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def first_of(pixels):
     """Index BLOCK·y + x of the first pixel, the lowest set bit; clear it and call again to visit all."""
     return how_many((pixels & -pixels) - np.int32(1))
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def in_squares(pixels):
     """The pixels of a share that belong to a square of 2x2 of it, and so are not alone."""
     corner = pixels & (pixels & ~LEFT) >> RIGHT_BY
@@ -50,7 +50,7 @@ def in_squares(pixels):
     return across | across << DOWN_BY
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def spread_across(pixels, through):
     """Pixels of a block, and those of the same row that can be reached from them through pixels of ``through``."""
     right = left = pixels
@@ -60,7 +60,7 @@ def spread_across(pixels, through):
     return right | left
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def spread_down(pixels, through):
     """Pixels of a block, and those of the same column that can be reached from them through pixels of ``through``."""
     lower = upper = pixels
@@ -70,7 +70,7 @@ def spread_down(pixels, through):
     return lower | upper
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def beside(pixels):
     """Pixels of a block, and those that touch them, if only at a corner."""
     across = pixels | ((pixels << RIGHT_BY) & ~LEFT) | ((pixels & ~LEFT) >> RIGHT_BY)
@@ -89,19 +89,19 @@ def piece_of(pixels, free):
     return piece
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def starts_across(pixels):
     """Number of runs along a share's rows."""
     return how_many(pixels & ~((pixels << RIGHT_BY) & ~LEFT))
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def starts_down(pixels):
     """Number of runs along a share's columns."""
     return how_many(pixels & ~(pixels << DOWN_BY))
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def is_one_piece(pixels, free):
     """Whether a share has one run in each of its rows and columns, over ``free`` pixels: as good as connected."""
     rows = (pixels | pixels >> np.int32(1) | pixels >> np.int32(2) | pixels >> np.int32(3)) & LEFT
@@ -111,21 +111,21 @@ def is_one_piece(pixels, free):
     )
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def meet_across(left, right):
     """The pixels of a block's left column that touch one of the block to the left, if only at a corner."""
     a = (left >> BLOCK_ACROSS) & LEFT
     return right & (a | (a << DOWN_BY) | (a >> DOWN_BY))
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def meet_down(above, below):
     """The pixels of a block's upper row that touch one of the block above, if only at a corner."""
     a = above >> BLOCK_DOWN
     return below & (a | (a << RIGHT_BY) | (a >> RIGHT_BY)) & TOP
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def meet_at_corner(above, below, side):
     """Whether blocks corner to corner touch; ``side`` is -1 if the one above is to the left, 1 to the right."""
     if side < 0:

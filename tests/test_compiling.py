@@ -43,6 +43,21 @@ def test_kernels_compile_without_haste():
     assert kernel.signatures == [(numba.int64,)]
 
 
+@pytest.mark.parametrize("inline", [False, "compiled"])
+def test_a_kernel_adds_in_order_even_if_one_that_may_not_is_compiled_first(inline, rng):
+    def total(values):
+        total = 0.0
+        for i in range(len(values)):
+            total += values[i]
+        return total
+
+    added = _jit.kernel(inline=inline)(total)
+    reordered = _jit.kernel(reduction=True)(lambda values: added(values))
+    values = rng.normal(size=1001) * 10.0 ** rng.uniform(-8.0, 8.0, 1001)
+    assert reordered(values) == total(values)
+    assert added(values) == total(values)
+
+
 @pytest.mark.parametrize(("given", "during"), [(700, _compiling.PATIENCE), (0, 0), (50_000, 50_000)])
 def test_garbage_waits_while_kernels_compile(given, during, witness):
     """By default; not if nobody looks for it, or somebody is as patient already."""
