@@ -1,9 +1,7 @@
 """Importing, first calls, threads and forks, each in a process of its own where it must be."""
 
-import importlib
 import inspect
 import os
-import pkgutil
 import subprocess
 import sys
 import threading
@@ -11,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from numba.core.dispatcher import Dispatcher
 from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
@@ -92,29 +89,6 @@ def test_cache_loads_whatever_numba_calls_its_own_way():
     )
     run(code)
     assert run(code).strip() == "1 0"
-
-
-def test_reductions_call_reductions_or_what_is_inline():
-    """To anything else Numba gives their leave to reorder sums, for all who call it, if they are compiled first."""
-    kernels = {}
-    for module in pkgutil.iter_modules(rgbd_planes.kernels.__path__, "rgbd_planes.kernels."):
-        names = vars(importlib.import_module(module.name))
-        kernels |= {k.py_func: k for k in names.values() if isinstance(k, Dispatcher)}
-
-    def called(function):
-        """Kernels that a function calls, also by what is inline."""
-        code, names = function.__code__.co_names, function.__globals__
-        modules = [names[name] for name in code if inspect.ismodule(names.get(name))]
-        for found in [*map(names.get, code), *(getattr(m, name, None) for m in modules for name in code)]:
-            if isinstance(found, Dispatcher):
-                inline = found.targetoptions.get("inline") == "always"
-                yield from called(found.py_func) if inline else [found]
-
-    reductions = [k for k in kernels.values() if k.targetoptions.get("fastmath")]
-    assert len(reductions) > 20
-    for kernel in reductions:
-        for other in called(kernel.py_func):
-            assert other.targetoptions.get("fastmath"), f"{kernel.py_func.__name__} calls {other.py_func.__name__}"
 
 
 def test_kernels_run_as_plain_python():
