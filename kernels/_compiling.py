@@ -6,11 +6,14 @@ by default whenever there are 700 new ones (2000 in later versions).
 And its calls nest hundreds deep. Python keeps their frames in chunks of 16 KB, and gives a chunk back to the system
 when its last frame is done: if a chunk ends just below a function that is called a million times, every call takes a
 chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for those above it.
+
+And a process may be forked meanwhile.
 """
 
 import contextlib
 import functools
 import gc
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +23,13 @@ ROOM = 70_000
 """Slots of eight bytes in a frame: more than half of a chunk of 1 MB, the rest of which is for the frames above it."""
 
 _is_compiling = False
+
+if hasattr(os, "register_at_fork"):
+    # A fork waits for a thread that compiles: its child, without that thread, would wait for Numba's lock for ever.
+    with contextlib.suppress(ImportError):  # a later Numba may differ inside
+        from numba.core.compiler_lock import global_compiler_lock as _lock
+
+        os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
 
 
 def _with_room(compiler: Callable[..., Any], *args: Any) -> Any:

@@ -1,6 +1,9 @@
 """What is arranged for Numba while it compiles."""
 
 import gc
+import os
+import subprocess
+import sys
 
 import numba
 import pytest
@@ -105,3 +108,43 @@ def test_no_call_takes_memory_from_the_system():
         return max(here, most_faults(depth - 1)) if depth else here
 
     assert _compiling.without_haste(most_faults)(400) < 500
+
+
+FORK_WHILE_A_THREAD_COMPILES = """
+import os, signal, threading, time
+import numba
+from rgbd_planes.kernels import _jit
+
+begun = threading.Event()
+
+@numba.extending.overload(len)
+def slowly(thing):
+    if isinstance(thing, numba.types.Integer):
+        begun.set()
+        time.sleep(1.0)
+        return lambda thing: 5
+
+kernel = _jit.kernel()(lambda x: len(x))
+thread = threading.Thread(target=kernel, args=(1,))
+thread.start()
+begun.wait()
+child = os.fork()
+if child == 0:
+    signal.alarm(60)  # which ends it if it waits for a thread that it does not have
+    os._exit(0 if kernel(1) == 5 else 1)
+status = os.waitpid(child, 0)[1]
+thread.join()
+print(status)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_fork_while_a_thread_compiles():
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORK_WHILE_A_THREAD_COMPILES],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["0"]
