@@ -352,6 +352,14 @@ def test_warnings_are_one_line(folder, capsys):
     assert err.count("\n") == 1
 
 
+@pytest.mark.filterwarnings("error")
+def test_warnings_that_are_to_be_errors_are_one_line(folder, capsys):
+    """As with PYTHONWARNINGS=error."""
+    np.save("depth.npy", images.read_depth("depth.png").astype(np.float64))
+    assert "millimetres" in fails(capsys, "fit", "depth.npy", "--camera", "camera.json", "--out", "planes.npz")
+    assert not (folder / "planes.npz").exists()
+
+
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("command", ["fit", "segment"])
 def test_noise_in_other_units(folder, capsys, command):
