@@ -101,6 +101,22 @@ def test_pandas_reads_the_table(recording, tmp_path):
     assert frame.query("status == 'TOO_FEW'").nx.isna().all()
 
 
+def test_a_name_that_is_no_unicode_is_in_the_table(tmp_path):
+    """As a file has it that comes from a system of another encoding."""
+    root = tmp_path / "recording"
+    root.mkdir()
+    depth = scenes.room().render(CAMERA).measure(seed=1)
+    images.write_png(root / "1.png", depth)
+    try:
+        images.write_png(root / os.fsdecode(b"2 T\xfcr.png"), depth)
+    except (OSError, UnicodeError):
+        pytest.skip("no such names on this file system")
+    report = rp.fit_sequence(rp.open_sequence(root, CAMERA), tmp_path / "out")
+    assert report.problems == []
+    assert set(rows_of(tmp_path / "out")["name"]) == {"1.png", r"2 T\udcfcr.png"}
+    assert rp.fit_sequence(rp.open_sequence(root, CAMERA), tmp_path / "out").resumed == 2
+
+
 def test_a_time_that_is_not_known_is_null(recording, tmp_path):
     (recording / "depth.txt").unlink()
     rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out")

@@ -126,12 +126,14 @@ def image_sequence(
     paths = list(files)
     times = [float("nan")] * len(paths) if timestamps is None else timestamps
     return FrameSequence(
-        (
-            FrameEntry((path.relative_to(root) if path.is_relative_to(root) else path).as_posix(), time, camera, path)
-            for path, time in zip(paths, times, strict=True)
-        ),
-        read_depth,
+        (FrameEntry(_name(path, root), time, camera, path) for path, time in zip(paths, times, strict=True)), read_depth
     )
+
+
+def _name(path: Path, root: Path) -> str:
+    name = (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()
+    # A table holds Unicode, and a name on disk may be bytes that are none, as from a system of another encoding.
+    return name.encode(errors="backslashreplace").decode()
 
 
 def kept_open() -> threading.local:
