@@ -62,7 +62,9 @@ def main(argv: list[str] | None = None) -> int:
             print(end="", flush=True)
     except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (CommandError, ImportError, MemoryError, OSError, TypeError, ValueError, UserWarning) as error:
+    except (CommandError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError, UserWarning) as error:
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # no more threads: of no own kind
+            raise
         print(f"rgbd-planes {arguments.command}: {one_line(error) or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

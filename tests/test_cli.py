@@ -465,7 +465,12 @@ def test_a_name_that_stdout_has_no_letters_for(folder):
 
 
 @pytest.mark.parametrize(
-    ("error", "words"), [(MemoryError(), "not enough memory"), (ImportError("no libGL\nat all"), "no libGL at all")]
+    ("error", "words"),
+    [
+        (MemoryError(), "not enough memory"),
+        (ImportError("no libGL\nat all"), "no libGL at all"),
+        (RuntimeError("can't start new thread"), "can't start new thread"),
+    ],
 )
 def test_what_the_machine_lacks_is_one_line(folder, capsys, monkeypatch, error, words):
     def fail(*arguments, **options):
