@@ -255,7 +255,7 @@ class TileFitter:
             not isinstance(out, TilePlanes)
             or out.shape != shape
             or out.tile != self.tile
-            or out.camera is not self.camera
+            or out.camera != self.camera
             or out.method != self.method
         ):
             raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")

@@ -1,5 +1,6 @@
 """Every method and implementation against the oracle, tile by tile."""
 
+import copy
 import pickle
 from dataclasses import replace
 
@@ -278,6 +279,9 @@ def test_out_is_written_into(rng):
     stack = fitter.fit_batch([first, second])
     assert fitter.fit_batch([second, first], out=stack) is stack
     np.testing.assert_array_equal(stack[0].planes, planes)
+    copied = copy.deepcopy(out)  # and with it the camera, as it comes from another process
+    assert fitter.fit(first, out=copied) is copied
+    np.testing.assert_array_equal(copied.planes, stack[1].planes)
     with pytest.raises(ValueError, match="out must be a result of this fitter"):
         rp.TileFitter(camera, 8).fit(first, out=out)
     for name in ("planes", "_moments"):
