@@ -207,8 +207,8 @@ class TileFitter:
         Raises
         ------
         TypeError, ValueError
-            As `fit`, in place of the frame's planes. Exceptions from ``frames`` itself come after the planes of all
-            earlier frames.
+            As `fit`, in place of the frame's planes, after which no more come. Exceptions from ``frames`` itself come
+            after the planes of all earlier frames.
 
         Warns
         -----

@@ -103,7 +103,7 @@ def segment_sequence(
     Raises
     ------
     TypeError, ValueError
-        As `segment`: at once for an invalid argument, and for a frame when it is that frame's turn.
+        As `segment`: at once for an invalid argument, and for a frame when it is that frame's turn; no more come then.
     """
     check_settings(camera, noise, min_size)
     tracker = Tracker(check_whole("memory", memory, 0, "whole number of frames"))
