@@ -33,14 +33,7 @@ from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes, segmentation
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import (
-    segment_blocks,
-    segment_gaps,
-    segment_inside,
-    segment_labels,
-    segment_parts,
-    segment_regions,
-)
+from rgbd_planes.kernels import segment_blocks, segment_inside, segment_labels, segment_search
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, segment, segment_frame
 from rgbd_planes.segmentation_noise import Given
@@ -297,9 +290,7 @@ def _by_rules(frame: Frame, rules: Rules) -> Scores:
 STAGES = {
     "read, blocks": (segment_blocks, ("block_moments",)),
     "noise": (segmentation, ("noise_of",)),
-    "regions": (segment_regions, ("find_regions",)),
-    "parts": (segment_parts, ("find_parts",)),
-    "gaps": (segment_gaps, ("join_across_gaps",)),
+    "planes": (segment_search, ("find_planes",)),
     "inside": (segment_inside, ("fit_inside",)),
     "labels": (segment_labels, ("write_labels", "settle_strays")),
 }

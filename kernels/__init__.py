@@ -8,11 +8,11 @@ What calls what:
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
   `label_variances` and `sandwich` for parts of many depths
-- segments: `segment_blocks`, and `segment_noise_estimation` with `segment_reach`; then `segment_regions`, which does
-  most of the work, with `segment_joining`, `segment_growth`, `segment_merge`, `segment_pixels`, which uses
-  `segment_settled` and `segment_contest`, and `segment_shape` with `segment_facets`; then `segment_parts` with
-  `segment_runs`, `segment_gaps`, `segment_labels`, `segment_inside` with `segment_unevenness`, and `segment_planes`, in
-  this order; `segment_records` holds what they hand on
+- segments: `segment_blocks`, and `segment_noise_estimation` with `segment_reach`; then `segment_search`, which does
+  most of the work: with `segment_regions`, which uses `segment_joining`, `segment_growth`, `segment_merge`,
+  `segment_pixels` with `segment_settled` and `segment_contest`, and `segment_shape` with `segment_facets`; with
+  `segment_parts`, which uses `segment_runs`; and with `segment_gaps`. Then `segment_labels`, `segment_inside` with
+  `segment_unevenness`, and `segment_planes`, in this order; `segment_records` holds what they hand on
 - used by many of them: `depth`, `copying`, `disjoint_sets`, `quantiles`; for segments `segment_moments` and
   `segment_noise`
 - tables on disk: `rows`
@@ -26,6 +26,8 @@ Habits of these kernels, each because it was measured:
 - Arrays to work in have sizes that are fixed when a kernel is compiled, so that the compiler sees that their rows are
   apart, and uses vectors.
 - Fields of tuples get names before a loop: looking into a tuple within it costs more than most of what is done there.
+- Kernels that Python calls return numbers, and write all else to arrays that they are given: to make an array or a
+  named tuple, Numba calls Python, and if somebody interrupts that, the process crashes.
 
 Names that mean the same everywhere:
 

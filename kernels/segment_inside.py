@@ -81,7 +81,7 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
 
 
 @kernel()
-def fit_inside(label, inverse_depth, rays, pyramid, moments):
+def fit_inside(label, inverse_depth, rays, pyramid, moments, inside, alpha, rss, weighted):
     """Fit the planes to the pixels that are surely theirs.
 
     Parameters
@@ -89,19 +89,11 @@ def fit_inside(label, inverse_depth, rays, pyramid, moments):
     label, inverse_depth, rays, moments
         See `inside_moments`.
     pyramid : Pyramid
-
-    Returns
-    -------
-    inside, alpha, rss : (N, 10), (N, 3) and (N,) float64
+    inside, alpha, rss : (N, 10), (N, 3) and (N,) float64, written
         Moments of these pixels, and the planes.
-    weighted : (N, 5) float64
+    weighted : (N, 5) float64, written
         See `segment_unevenness.weigh_rays`.
     """
-    planes = len(moments)
-    inside, alpha, rss, weighted = (
-        np.empty((planes, 10)), np.empty((planes, 3)), np.empty(planes), np.empty((planes, 5))
-    )  # fmt: skip
     inside_moments(label, inverse_depth, rays, moments, inside)
     fit_planes(inside, alpha, rss)
     weigh_rays(label, pyramid, inside, alpha, rss, weighted)
-    return inside, alpha, rss, weighted

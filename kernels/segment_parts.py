@@ -190,10 +190,10 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
     return planes
 
 
-@kernel()
+@kernel(inline=True)
 def find_parts(
     inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons, sums, runs,
-    loose,
+    loose, found,
 ):  # fmt: skip
     """Split the regions into connected parts, and find those that are planes.
 
@@ -209,14 +209,12 @@ def find_parts(
         Of the regions; changed.
     runs, loose
         Written: see `segment_runs.find_runs`. The runs get their labels.
+    found : Found, written
 
     Returns
     -------
-    loose_count : int
-    number, why, stray : (P,) int32, uint8 and bool
-        Label, reason and being stray of each part: see `judge_parts`.
-    moments, alpha, rss, deviation : (N, 10), (N, 3), (N,), (N,) float64
-        Of the planes, by label: ``deviation`` is that of their regions.
+    tuple of int
+        Numbers of planes, of parts and of loose pixels.
     """
     regions = len(curved)
     height, width = inverse_depth.shape
@@ -227,14 +225,11 @@ def find_parts(
     )  # fmt: skip
     of_regions = Sums(sums.moments[:regions], sums.squares[:regions])
     count = measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, of_regions, parts)
-    why, stray = np.empty(count, np.uint8), np.empty(count, np.bool_)
-    number, kept = np.empty(count, np.int32), np.empty(count, np.int64)
-    planes = judge_parts(parts, count, curved, rules, least, reasons, why, stray, number, kept)
-    label_runs(runs, number)
-    moments, of_plane = np.empty((planes, 10)), np.empty(planes)
+    kept = np.empty(count, np.int64)
+    planes = judge_parts(parts, count, curved, rules, least, reasons, found.why, found.stray, found.number, kept)
+    label_runs(runs, found.number)
     for i in range(planes):
-        copy(parts.moments[kept[i]], moments[i])
-        of_plane[i] = deviation[parts.region[kept[i]]]
-    alpha, rss = np.empty((planes, 3)), np.empty(planes)
-    fit_planes(moments, alpha, rss)
-    return loose_count, number, why, stray, moments, alpha, rss, of_plane
+        copy(parts.moments[kept[i]], found.moments[i])
+        found.deviation[i] = deviation[parts.region[kept[i]]]
+    fit_planes(found.moments[:planes], found.alpha[:planes], found.rss[:planes])
+    return planes, count, loose_count

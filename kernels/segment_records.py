@@ -165,3 +165,15 @@ class Parts(NamedTuple):
     down: Array  # (P,) int64: runs of pixels along the columns
     first: Array  # (P,) int64: its first pixel, row · W + column
     region: Array  # (P,) int64
+
+
+class Found(NamedTuple):
+    """What `segment_search.find_planes` finds: of the parts, and of those that are planes, each in the first rows."""
+
+    number: Array  # (P,) int32: label, 1, 2, ... for planes in the order of their first pixels, 0 for other parts
+    why: Array  # (P,) uint8: reason
+    stray: Array  # (P,) bool: see `segment_parts.judge_parts`
+    moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
+    alpha: Array  # (N, 3) float64
+    rss: Array  # (N,) float64
+    deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region

@@ -154,7 +154,7 @@ def merge_and_own(
     return number, count, shares, 0
 
 
-@kernel()
+@kernel(inline=True)
 def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, contended, contacts, sums):
     """The regions of a frame, which pixels they own, and which of them are curved.
 

@@ -13,16 +13,8 @@ from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, num
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.kernels import (
-    segment_blocks,
-    segment_gaps,
-    segment_inside,
-    segment_labels,
-    segment_parts,
-    segment_planes,
-    segment_regions,
-)
-from rgbd_planes.kernels.segment_records import Noise, Rays, Rules, Runs
+from rgbd_planes.kernels import segment_blocks, segment_inside, segment_labels, segment_planes, segment_search
+from rgbd_planes.kernels.segment_records import Noise, Rays, Rules
 from rgbd_planes.segmentation_noise import Given, is_exact, noise_of, steps_at
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
@@ -146,17 +138,15 @@ def _segment(
     step_of_raw = step_of(frame)
     noise, tolerance, is_rougher = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
     rules = rules.tolerating(tolerance)
-    least = min(min_size, SMALLEST)
-    shares, region_number, curved, deviation = segment_regions.find_regions(
-        work.inverse_depth, rays, work.pyramid, noise, rules, float(least), work.owners, work.contended, work.contacts,
-        work.sums,
-    )  # fmt: skip
-    runs = work.runs_for(len(shares.region))
-    parts = segment_parts.find_parts(
-        work.inverse_depth, rays, work.pyramid, work.owners, shares, region_number, curved, deviation, rules, least,
-        _REASONS, work.sums, runs, work.loose,
-    )  # fmt: skip
-    found = _result(frame, step_of_raw, camera, rays, work, runs, parts, noise, given, min_size, rules)
+    room, enough = 0, False
+    while not enough:  # again if there are more edges than in any frame before
+        work.make_room(room)
+        room, planes, parts, loose_count = segment_search.find_planes(
+            work.inverse_depth, rays, work.pyramid, noise, rules, min(min_size, SMALLEST), _REASONS, work.owners,
+            work.contended, work.contacts, work.sums, work.runs, work.loose, work.found,
+        )  # fmt: skip
+        enough = room <= len(work.runs.start)
+    found = _result(frame, step_of_raw, camera, rays, work, planes, parts, loose_count, noise, given, min_size)
     if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(work.inverse_depth):
         warn_caller(
             "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
@@ -174,20 +164,17 @@ def _result(
     camera: Camera,
     rays: Rays,
     work: Workspace,
-    runs: Runs,
-    parts: tuple[Any, ...],
+    found: int,
+    parts: int,
+    loose_count: int,
     noise: Noise,
     given: Given,
     min_size: int,
-    rules: Rules,
 ) -> Segmentation:
-    """Label and describe the parts that are planes, from `segment_parts.find_parts`."""
-    inverse_depth, loose = work.inverse_depth, work.loose
-    loose_count, number, why, stray, moments, alpha, rss, deviation = parts
-    found = segment_gaps.join_across_gaps(
-        inverse_depth, rays, 0.5 * rules.region_floor, rules.region_spread, number, runs, moments, alpha, rss, deviation
-    )
-    moments, deviation = moments[:found], deviation[:found]
+    """Label and describe what `segment_search.find_planes` found."""
+    inverse_depth, loose, runs = work.inverse_depth, work.loose, work.runs
+    number, why, stray = (of_parts[:parts] for of_parts in work.found[:3])
+    moments, deviation = work.found.moments[:found], work.found.deviation[:found]
     large = moments[:, 0] >= min_size
     if not large.all():
         number, why = _leave_out(large, number, why)
@@ -199,7 +186,8 @@ def _result(
     loose_count = segment_labels.write_labels(
         runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
     )
-    inside, alpha, rss, weighted = segment_inside.fit_inside(labels, inverse_depth, rays, work.pyramid, moments)
+    inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
+    segment_inside.fit_inside(labels, inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
         inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera),

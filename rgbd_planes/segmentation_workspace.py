@@ -11,8 +11,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.kernels import segment_noise
 from rgbd_planes.kernels.segment_blocks import BLOCK
 from rgbd_planes.kernels.segment_contest import NEIGHBOURS
-from rgbd_planes.kernels.segment_records import Contacts, Contended, Owners, Pyramid, Rays, Runs, Sums
-from rgbd_planes.kernels.segment_runs import PIECES
+from rgbd_planes.kernels.segment_records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs, Sums
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -82,18 +81,26 @@ class Workspace:
             np.zeros(1 << (4 * blocks).bit_length(), np.int32),
         )
         self.loose = np.empty(pixels, np.int32)
-        self._runs = self._new_runs(0)
+        self.runs, self.found = self._room_for(3 * blocks)
 
-    def runs_for(self, shares: int) -> Runs:
-        """Room for the runs of all blocks and of ``shares`` shares."""
-        if len(self._runs.start) < len(self.sums.moments) + PIECES * shares:
-            self._runs = self._new_runs(2 * shares)
-        return self._runs
+    def make_room(self, runs: int) -> None:
+        """Have room for so many runs, and for as many parts and planes."""
+        if runs > len(self.runs.start):
+            self.runs, self.found = self._room_for(2 * runs)
 
-    def _new_runs(self, shares: int) -> Runs:
-        room = len(self.sums.moments) + PIECES * shares
-        of_each = [np.empty(room, np.int32) for _ in Runs._fields[1:]]
-        return Runs(np.empty(self.blocks[0] + 1, np.int32), *of_each)
+    def _room_for(self, runs: int) -> tuple[Runs, Found]:
+        return (
+            Runs(np.empty(self.blocks[0] + 1, np.int32), *(np.empty(runs, np.int32) for _ in Runs._fields[1:])),
+            Found(
+                number=np.empty(runs, np.int32),
+                why=np.empty(runs, np.uint8),
+                stray=np.empty(runs, np.bool_),
+                moments=np.empty((runs, 10)),
+                alpha=np.empty((runs, 3)),
+                rss=np.empty(runs),
+                deviation=np.empty(runs),
+            ),
+        )
 
 
 class Workspaces(threading.local):

@@ -1,5 +1,8 @@
 """Segmentation: what a frame with known planes gives, and that no frame breaks it."""
 
+import signal
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 from types import SimpleNamespace
@@ -1126,3 +1129,46 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
         spread = np.cov(all_u[own], all_v[own])
         if np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1] > 1e-12:  # else they may determine no plane
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)
+
+
+INTERRUPTED = """
+import signal, time
+import rgbd_planes as rp
+
+camera = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
+depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
+wanted = rp.segment(depth, camera).labels.tobytes()
+start = time.perf_counter()
+rp.segment(depth, camera)
+takes, interrupts = time.perf_counter() - start, 0
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+for i in range(1, 60):
+    try:
+        signal.setitimer(signal.ITIMER_REAL, takes * i / 60)
+        rp.segment(depth, camera)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    except KeyboardInterrupt:
+        interrupts += 1
+print(interrupts > 20, rp.segment(depth, camera).labels.tobytes() == wanted)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
+def test_an_interrupt_at_any_time_is_one():
+    """Numba does not expect one where it calls Python, to make an array or a tuple: the process would crash."""
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True", "True"]
+
+
+def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):
+    camera = Camera(160, 120, 131.25, 131.25, 79.5, 59.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(holes=0.05, seed=1)
+    wanted = segment(depth, camera)
+    work = segmentation_workspace.Workspace(camera)
+    work.runs, work.found = work._room_for(1)
+    monkeypatch.setattr(segmentation_workspace.workspaces, "_kept", [work])
+    found = segment(depth, camera)
+    assert len(work.runs.start) > 1
+    assert np.array_equal(found.labels, wanted.labels)
+    assert np.array_equal(found.planes, wanted.planes)
