@@ -85,13 +85,22 @@ def sums_of_fits(fits: "PlaneFits") -> Floats | None:
         mean = 1.0 / np.where(mean > 0.0, mean, np.inf)
         std = std * mean**2
     q = np.maximum(mean + GAUSS_PLACES[:, None] * std, 0.0)
-    scale, *variances = noise._variances  # a function need not be defined at 0
-    along, rounding = np.interp(scale * q, np.arange(len(variances)), variances), noise._rounding(q)
+    along, rounding = _variance_at(q, noise), noise._rounding(q)
     if noise.falloff:
         along = along * fits._growth
     total = along + rounding
     along, rounding, squares, total = (GAUSS_WEIGHTS @ of for of in (along, rounding, total**2, total))
     return np.stack([n * along, n * rounding, n * squares, *(total * of for of in _ray_sums(fits))], axis=1)
+
+
+def _variance_at(q: Floats, noise: NoiseModel) -> Floats:
+    """Variance of the errors along the ray, as `kernels.label_variances.variance_at` has it."""
+    table = noise._variances[1:]  # a function need not be defined at 0
+    if len(table) == 1:
+        return np.full(q.shape, table[0])
+    position = noise._variances[0] * q  # beyond its end the table goes on by its last step
+    k = np.minimum(position, len(table) - 2).astype(np.int64)
+    return np.asarray(table[k] + (position - k) * (table[k + 1] - table[k]))
 
 
 def _ray_sums(fits: "PlaneFits") -> list[Floats]:

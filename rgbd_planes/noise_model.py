@@ -189,7 +189,9 @@ class NoiseModel:
         """σq² before rounding, on the axis, as `kernels.statistics.pixel_variance` takes it."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
             return np.array([1.0, self.coefficients[0] ** 2])
-        return np.concatenate([[_SCALE], self._table() ** 2])
+        table = self._table() ** 2
+        table[-1] = max(table[-2:])  # beyond, it goes on by its last step: not down to less than nothing
+        return np.concatenate([[_SCALE], table])
 
     def _table(self) -> Floats:
         """σq before rounding, on the axis, at all inverse depths, 1.2e-3 to 20 1/m."""

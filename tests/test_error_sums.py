@@ -221,3 +221,24 @@ def test_sums_are_those_of_the_noise_that_the_camera_has(rng):
     # Where pixels are how noisy, is unknown then.
     again = rp.fit_labels(depth[0], louder, seen)
     assert other.angle_std[0] == pytest.approx(again.angle_std[0], rel=0.3)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.axial(1e-4),
+        rp.noise.quantised(rp.noise.kinect_v1(), 1e-5),
+        rp.noise.function(lambda q: np.maximum(0.021 - 0.001 * q, 0.0) + 1e-5),  # falls up to the end of the table
+    ],
+)
+@pytest.mark.parametrize("depth", [0.045, 0.02])
+def test_tiles_unions_and_labels_nearer_than_the_table_of_the_noise_have_one_uncertainty(noise, depth, rng):
+    camera = rp.Camera(32, 32, 60.0, 60.0, 15.5, 15.5, noise=noise)
+    near = 1.0 / (1.0 / depth + 1e-3 * rng.standard_normal(camera.shape))
+    number = np.arange(1, 5).reshape(2, 2)
+    tiles = rp.fit_tiles(near, camera, 16)
+    labels = rp.fit_labels(near, camera, np.kron(number, np.ones((16, 16), int)))
+    for other in (rp.merge(tiles, number), labels):
+        assert (other.offset_std > 0.0).all()
+        np.testing.assert_allclose(other.offset_std, tiles.offset_std.ravel(), rtol=1e-3)
+        np.testing.assert_allclose(other.p_value, tiles.p_value.ravel(), atol=1e-3)
