@@ -55,8 +55,8 @@ def normals(
     (H, W, 3) ndarray of float32
         Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, too much of
         its window is (with ``avoid_edges``, of each of the eight, too), the window's valid pixels lie on one line, or
-        the pixel's ray does not meet the fitted plane. Sums and solution are float64; float32 only rounds the result,
-        by less than 1e-7 rad.
+        the pixel's ray does not meet the fitted plane. (A row of pixels that a lens bends counts as determining a
+        plane, however badly.) Sums and solution are float64; float32 only rounds the result, by less than 1e-7 rad.
 
     Raises
     ------
