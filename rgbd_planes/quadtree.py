@@ -285,7 +285,7 @@ def segment_quadtree(
     -----
     The distance of k-means is that of (nx, ny, nz, d / D) with D the median depth of the fitted squares: turning a
     plane by a small angle, and moving it by that angle times the typical depth, are equal distances. Each square counts
-    by its area.
+    by its area, one that is cut at the frame's border by that of a whole one.
 
     Papadakis and Willis 2017, section "Planar Segmentation Application".
     """
