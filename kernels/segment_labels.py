@@ -62,11 +62,11 @@ def write_labels(
                 for x in range(left, right):
                     line_reason[x] = b
         for y in range(top, bottom):
-            q_row, label_row, reason_row = inverse_depth[y], label[y], reason[y]
-            for x in range(width):
-                label_row[x] = line_label[x] if q_row[x] > 0.0 else 0
-            for x in range(width):
-                reason_row[x] = line_reason[x] if q_row[x] > 0.0 else missing
+            begin = np.uint64(y * width)
+            for x in range(np.uint64(width)):
+                labels[begin + x] = line_label[x] if q[begin + x] > 0.0 else 0
+            for x in range(np.uint64(width)):
+                reasons[begin + x] = line_reason[x] if q[begin + x] > 0.0 else missing
         for i in range(first, stop):
             left = run_start[i] * BLOCK
             if run_share[i] != WHOLE:
