@@ -167,7 +167,7 @@ def list_runs(
     inside = ALL >> np.int32(BLOCK * (BLOCK - rows))
     column = 0
     while column < columns:
-        left = column
+        left = np.uint32(column)
         column += 1
         b = owner[left]
         at[left], many[left], taken[left] = NONE, 0, 0
@@ -179,9 +179,10 @@ def list_runs(
             while column < columns and owner[column] >= 0 and number[owner[column]] == a:
                 at[column], many[column], taken[column] = count, 1, ALL
                 column += 1
-            start[count], stop[count], share[count], pixels[count], label[count] = left, column, WHOLE, ALL, a
-            filled_x[count], filled_y[count], parent[count] = inside, inside, count
-            across[count], down[count] = rows, min(column * BLOCK, width) - left * BLOCK
+            i = np.uint32(count)  # unsigned: see `kernels`
+            start[i], stop[i], share[i], pixels[i], label[i] = left, column, WHOLE, ALL, a
+            filled_x[i], filled_y[i], parent[i] = inside, inside, count
+            across[i], down[i] = rows, min(column * BLOCK, width) - left * BLOCK
             count += 1
         elif b == MIXED:
             first = count
@@ -197,32 +198,33 @@ def list_runs(
                     if left_over != taken[left] and not is_one_piece(left_over, free):
                         piece = piece_of(left_over, free)
                     left_over &= ~piece
-                    start[count], stop[count], share[count], pixels[count], label[count] = (left, column, s, piece, a)
-                    filled_x[count] = spread_across(piece, ALL & ~measured[left])
-                    filled_y[count] = spread_down(piece, ALL & ~measured[left])
-                    across[count], down[count] = starts_across(filled_x[count]), starts_down(filled_y[count])
-                    parent[count] = count
+                    i = np.uint32(count)
+                    start[i], stop[i], share[i], pixels[i], label[i] = (left, column, s, piece, a)
+                    filled_x[i] = spread_across(piece, ALL & ~measured[left])
+                    filled_y[i] = spread_down(piece, ALL & ~measured[left])
+                    across[i], down[i] = starts_across(filled_x[i]), starts_down(filled_y[i])
+                    parent[i] = count
                     for k in range(first, count):
+                        k = np.uint32(k)
                         if label[k] != a or share[k] == s:
                             continue
                         # Regions that have become one: together they have fewer runs than apart.
                         both = piece | pixels[k]
                         if piece_of(both, free) == both:
-                            unite(parent, count, k)
-                            x, y = filled_x[count] | filled_x[k], filled_y[count] | filled_y[k]
-                            across[count] += (
-                                starts_across(x) - starts_across(filled_x[k]) - starts_across(filled_x[count])
-                            )
-                            down[count] += starts_down(y) - starts_down(filled_y[k]) - starts_down(filled_y[count])
+                            unite(parent, i, k)
+                            x, y = filled_x[i] | filled_x[k], filled_y[i] | filled_y[k]
+                            across[i] += starts_across(x) - starts_across(filled_x[k]) - starts_across(filled_x[i])
+                            down[i] += starts_down(y) - starts_down(filled_y[k]) - starts_down(filled_y[i])
                     count += 1
             others = measured[left] & ~taken[left]
             many[left] = count - first
             if count > first:
                 at[left] = first
-            for p in range(BLOCK * BLOCK if others != 0 else 0):
-                if (others >> np.int32(p)) & 1:
-                    loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
-                    loose_count += 1
+            while others != 0:
+                p = first_of(others)
+                others &= others - np.int32(1)
+                loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
+                loose_count += 1
     return count, loose_count
 
 
@@ -282,9 +284,11 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                 continue
             free = ALL & ~taken_here[c + 1]
             for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
+                k = np.uint32(k)
                 a, own = label[k], pixels[k]
                 if here[c] != here[c + 1]:
                     for j in range(here[c], here[c] + many_here[c]):
+                        j = np.uint32(j)
                         if label[j] != a:
                             continue
                         if meet_across(pixels[j], own) != 0 or meet_over_gap(
@@ -295,6 +299,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                 for side in range(-1, 2):
                     d = c + 1 + side
                     for j in range(above[d], above[d] + many_above[d]):
+                        j = np.uint32(j)
                         if label[j] != a:
                             continue
                         if side != 0:
