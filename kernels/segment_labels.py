@@ -164,10 +164,9 @@ def settle_strays(
                 if width < here < len(labels) - width - 1:
                     # Beyond the left or right end of the image this reads the other end, and so can only find more
                     # company.
-                    for k in range(3):
-                        line = here + (k - 1) * width
-                        for x in range(line - 1, line + 2):
-                            same += labels[x] == a
+                    for y in range(-1, 2):
+                        for x in range(-1, 2):
+                            same += labels[np.uint64(here + y * width + x)] == a  # unsigned indices: see `kernels`
                 if same <= COMPANY and sizes[a] > least and is_lone(labels, inverse_depth, here, a):
                     loose[loose_count] = here
                     loose_count += 1
@@ -176,17 +175,18 @@ def settle_strays(
         labels[loose[i]] = 0
         reasons[loose[i]] = unclaimed
     found = np.empty(loose_count, np.int32)
+    one, line, last_line = np.uint64(1), np.uint64(width), np.uint64(len(labels) - width)
     for _ in range(2):
         for i in range(loose_count):
-            here = np.int64(loose[i])
+            here = np.uint64(loose[i])
             found[i] = labels[here]
             column = np.uint32(here) % np.uint32(width)
-            inside = (here > width) & (here < len(labels) - width) & (column > 0) & (column < width - 1)
+            inside = (here > line) & (here < last_line) & (column > 0) & (column < width - 1)
             if labels[here] == 0 and inside:
-                above, below = here - width, here + width
+                above, below = here - line, here + line
                 found[i] = label_around(
-                    labels[above - 1], labels[above], labels[above + 1], labels[here - 1], labels[here + 1],
-                    labels[below - 1], labels[below], labels[below + 1], needed,
+                    labels[above - one], labels[above], labels[above + one], labels[here - one], labels[here + one],
+                    labels[below - one], labels[below], labels[below + one], needed,
                 )  # fmt: skip
         for i in range(loose_count):
             if found[i] > 0:
