@@ -43,14 +43,19 @@ def boxes(region, box):
     """
     box[:, 0], box[:, 2] = region.shape[0], region.shape[1]
     box[:, 1], box[:, 3] = 0, 0
-    for row in range(region.shape[0]):
-        for column in range(region.shape[1]):
-            a = region[row, column]
+    rows, columns = region.shape
+    for row in range(rows):
+        start = 0
+        for column in range(1, columns + 1):
+            a = region[row, start]
+            if column < columns and region[row, column] == a:
+                continue
             if a >= 0:
                 box[a, 0] = min(box[a, 0], row)
-                box[a, 1] = max(box[a, 1], row + 1)
-                box[a, 2] = min(box[a, 2], column)
-                box[a, 3] = max(box[a, 3], column + 1)
+                box[a, 1] = row + 1
+                box[a, 2] = min(box[a, 2], start)
+                box[a, 3] = max(box[a, 3], column)
+            start = column
 
 
 @kernel()
