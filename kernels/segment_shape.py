@@ -135,11 +135,12 @@ def add_blocks(region, means, a, reference, deviation, window, step, centre, sca
     u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
     for row in range(window[0], window[1], step):
         for column in range(window[2], window[3], step):
-            n = np.float64(means[row, column, 0])
-            if region[row, column] != a or n == 0.0:
+            r, c = np.uint64(row), np.uint64(column)  # unsigned indices: see `kernels`
+            n = np.float64(means[r, c, 0])
+            if region[r, c] != a or n == 0.0:
                 continue
-            u, v = means[row, column, 1], means[row, column, 2]
-            e = (means[row, column, 3] - (c_u * u + c_v * v + c_1)) * per_deviation
+            u, v = means[r, c, 1], means[r, c, 2]
+            e = (means[r, c, 3] - (c_u * u + c_v * v + c_1)) * per_deviation
             x, y = (u - u_0) * per_length, (v - v_0) * per_length
             n_x, n_y, n_e = n * x, n * y, n * e
             n_xx, n_xy, n_yy = n_x * x, n_x * y, n_y * y
