@@ -104,14 +104,22 @@ def owned_means(owners, shares, number, region, pyramid):
     return means
 
 
+@kernel(inline=True)
+def first_from(start, step, least):
+    """The first of ``start``, ``start + step``, ... that is at least ``least``."""
+    return start + (max(least - start, 0) + step - 1) // step * step
+
+
 @kernel()
-def add_blocks(region, means, a, reference, deviation, window, step, centre, scale, products):
+def add_blocks(region, means, a, box, reference, deviation, window, step, centre, scale, products):
     """Add the blocks of region ``a`` in a window to the sums of products that a fit needs.
 
     Parameters
     ----------
     region, means : (R, C) int32, (R, C, 4) float32
         See `owned_means`.
+    box : (N, 4) int64
+        See `boxes`.
     reference : (3,) float64
         α of the plane from which residuals are taken.
     deviation : float
@@ -133,8 +141,9 @@ def add_blocks(region, means, a, reference, deviation, window, step, centre, sca
     e_00 = e_10 = e_01 = e_20 = e_11 = e_02 = ee = 0.0
     c_u, c_v, c_1 = reference[0], reference[1], reference[2]
     u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
-    for row in range(window[0], window[1], step):
-        for column in range(window[2], window[3], step):
+    first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
+    for row in range(first_row, min(window[1], box[a, 1]), step):
+        for column in range(first_column, min(window[3], box[a, 3]), step):
             r, c = np.uint64(row), np.uint64(column)  # unsigned indices: see `kernels`
             n = np.float64(means[r, c, 0])
             if region[r, c] != a or n == 0.0:
@@ -271,7 +280,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
         products[:] = 0.0
         step = step_of(box[a])
         pixels = add_blocks(
-            region, means, a, alpha[a], deviation, box[a], step, centre, scale, products
+            region, means, a, box, alpha[a], deviation, box[a], step, centre, scale, products
         )  # fmt: skip
         if pixels == 0.0:
             continue
@@ -321,7 +330,7 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
     for k in range(2):
         c = b if k else a
         pixels[k] = add_blocks(
-            region, means, c, alpha[a], deviation, window, step, centre, scale, products[k]
+            region, means, c, box, alpha[a], deviation, window, step, centre, scale, products[k]
         )  # fmt: skip
     covered = pixels[1] * step * step / region_moments[b, 0]
     if pixels[0] == 0.0 or pixels[1] == 0.0:
