@@ -68,18 +68,19 @@ def write_labels(
             for x in range(np.uint64(width)):
                 reasons[begin + x] = line_reason[x] if q[begin + x] > 0.0 else missing
         for i in range(first, stop):
+            i = np.uint32(i)
             left = run_start[i] * BLOCK
             if run_share[i] != WHOLE:
-                a, b, pixels = run_label[i], why[part[i]], run_pixels[i]
+                a, b, is_stray, pixels = run_label[i], why[part[i]], stray[part[i]], run_pixels[i]
                 corner = top * width + left
                 while pixels != 0:
                     p = first_of(pixels)
                     pixels &= pixels - np.int32(1)
-                    here = corner + p // BLOCK * width + p % BLOCK
+                    here = np.uint64(corner + p // BLOCK * width + p % BLOCK)
                     labels[here] = a
                     reasons[here] = b
                     loose[loose_count] = here
-                    loose_count += stray[part[i]]
+                    loose_count += is_stray
             elif stray[part[i]]:
                 for y in range(top, bottom):
                     for here in range(y * width + left, y * width + min(run_stop[i] * BLOCK, width)):
