@@ -63,16 +63,21 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     least[0] = least[-1] = ABOVE
     edge = np.zeros(-(-width // WORD) * WORD, np.bool_)
     words = edge.view(np.uint64)
+    columns = np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
         find_edges(label, inverse_depth, y, most, least, edge[:width])
+        count = 0
         for i in range(len(words)):
             if words[i] == 0:
                 continue
             for x in range(i * WORD, (i + 1) * WORD):
-                if edge[x]:
-                    u, v = ray_of(rays, y, x)
-                    add(inside[label[y, x] - 1], u, v, inverse_depth[y, x])
+                columns[np.uint32(count)] = x
+                count += edge[x]
+        for i in range(count):
+            x = columns[i]
+            u, v = ray_of(rays, y, x)
+            add(inside[np.uint32(label[y, x] - 1)], u, v, inverse_depth[y, x])
     for k in range(len(moments)):
         for j in range(10):
             inside[k, j] = moments[k, j] - inside[k, j]
