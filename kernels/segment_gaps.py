@@ -264,12 +264,12 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, 
 
 
 @kernel(inline=True)
-def join_planes(parent, number, moments, alpha, rss, deviation):
+def join_planes(parent, number, moments, deviation):
     """Make one plane of those that have the same parent; returns how many planes are left.
 
     ``parent`` (N,) int64 comes from `join_across` and is overwritten; ``number`` (P,) int32, a part's plane from 1 on
-    or 0, becomes that of the joined planes; ``moments`` (N, 10), ``alpha`` (N, 3), ``rss`` and ``deviation`` (N,) hold
-    those of the joined planes in their first rows.
+    or 0, becomes that of the joined planes; ``moments`` (N, 10) and ``deviation`` (N,) hold those of the joined planes
+    in their first rows.
     """
     count = 0
     for a in range(len(parent)):
@@ -285,12 +285,11 @@ def join_planes(parent, number, moments, alpha, rss, deviation):
     for i in range(len(number)):
         if number[i] > 0:
             number[i] = parent[number[i] - 1] + 1
-    fit_planes(moments[:count], alpha[:count], rss[:count])
     return count
 
 
 @kernel()
-def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, alpha, rss, deviation):
+def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, deviation):
     """Make one of the planes that something thin in front separates; returns how many planes are left.
 
     Parameters
@@ -302,10 +301,12 @@ def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, 
     number : (P,) int32
         Label of each part, changed; ``runs`` gets the new labels.
     runs : Runs
-    moments, alpha, rss, deviation : (N, 10), (N, 3), (N,) and (N,) float64
+    moments, deviation : (N, 10) and (N,) float64
         Of the planes; on return, those of the planes that are left come first.
     """
     planes = len(moments)
+    alpha, rss = np.empty((planes, 3)), np.empty(planes)
+    fit_planes(moments, alpha, rss)
     box = np.empty((planes + 1, 4), np.int64)
     label_boxes(runs, box)
     count = 4 * planes
@@ -317,7 +318,7 @@ def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, 
         return planes
     parent = np.arange(planes)
     join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent)
-    left = join_planes(parent, number, moments, alpha, rss, deviation)
+    left = join_planes(parent, number, moments, deviation)
     if left < planes:
         label_runs(runs, number)
     return left

@@ -8,7 +8,6 @@ from .disjoint_sets import root_of
 from .segment_blocks import BLOCK
 from .segment_labels import label_runs
 from .segment_moments import add, ray_of
-from .segment_planes import fit_planes
 from .segment_records import Parts, Sums
 from .segment_runs import WHOLE, find_runs, first_of, how_many
 
@@ -233,5 +232,4 @@ def find_parts(
     for i in range(planes):
         copy(parts.moments[kept[i]], found.moments[i])
         found.deviation[i] = deviation[parts.region[kept[i]]]
-    fit_planes(found.moments[:planes], found.alpha[:planes], found.rss[:planes])
     return planes, count, loose_count

@@ -174,6 +174,4 @@ class Found(NamedTuple):
     why: Array  # (P,) uint8: reason
     stray: Array  # (P,) bool: see `segment_parts.judge_parts`
     moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
-    alpha: Array  # (N, 3) float64
-    rss: Array  # (N,) float64
     deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region

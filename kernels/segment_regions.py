@@ -160,12 +160,8 @@ def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, cont
 
     Parameters
     ----------
-    inverse_depth : (H, W) float32
-        0 where there is no measurement.
-    rays : Rays
-    pyramid : Pyramid
-    noise : Noise
-    rules : Rules
+    inverse_depth, rays, pyramid, noise, rules
+        See `segment_search.find_planes`.
     least : float
         Pixels that a region must have after the first round.
     owners : Owners, written

@@ -52,6 +52,6 @@ def find_planes(
     )  # fmt: skip
     left = join_across_gaps(
         inverse_depth, rays, 0.5 * rules.region_floor, rules.region_spread, found.number[:parts], runs,
-        found.moments[:planes], found.alpha[:planes], found.rss[:planes], found.deviation[:planes],
+        found.moments[:planes], found.deviation[:planes],
     )  # fmt: skip
     return needed, left, parts, loose_count

@@ -96,8 +96,6 @@ class Workspace:
                 why=np.empty(runs, np.uint8),
                 stray=np.empty(runs, np.bool_),
                 moments=np.empty((runs, 10)),
-                alpha=np.empty((runs, 3)),
-                rss=np.empty(runs),
                 deviation=np.empty(runs),
             ),
         )
