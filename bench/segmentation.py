@@ -33,7 +33,7 @@ from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes, segmentation
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import segment_blocks, segment_inside, segment_labels, segment_search
+from rgbd_planes.kernels import segment_inside, segment_labels, segment_search
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, segment, segment_frame
 from rgbd_planes.segmentation_noise import Given
@@ -288,11 +288,11 @@ def _by_rules(frame: Frame, rules: Rules) -> Scores:
 
 
 STAGES = {
-    "read, blocks": (segment_blocks, ("block_moments",)),
+    "read, blocks": (segment_search, ("read_frame",)),
     "noise": (segmentation, ("noise_of",)),
-    "planes": (segment_search, ("find_planes",)),
+    "planes and labels": (segment_search, ("find_planes",)),
     "inside": (segment_inside, ("fit_inside",)),
-    "labels": (segment_labels, ("write_labels", "settle_strays")),
+    "strays": (segment_labels, ("settle_strays",)),
 }
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ._jit import kernel
+from .copying import copy
 from .segment_blocks import BLOCK
 from .segment_runs import WHOLE, first_of, in_squares
 
@@ -18,9 +19,43 @@ def label_runs(runs, number):
 
 
 @kernel()
-def write_labels(
-    runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, label, reason
-):  # fmt: skip
+def leave_out(planes, min_size, small, runs, number, why, moments, deviation):
+    """Take the labels from planes that have too few pixels; returns the number of those that are left.
+
+    Parameters
+    ----------
+    planes : int
+        Their number, with the smaller ones.
+    min_size : int
+        Pixels that a plane must have.
+    small : uint8
+        Reason of the parts without.
+    runs : Runs
+        Their labels are changed.
+    number, why : (P,) int32 and uint8, changed
+        Label of each part, and reason.
+    moments, deviation : (N, 10) and (N,) float64, changed
+        Of the planes.
+    """
+    left = np.zeros(planes + 1, np.int32)
+    count = 0
+    for k in range(planes):
+        if moments[k, 0] >= min_size:
+            copy(moments[k], moments[count])
+            deviation[count] = deviation[k]
+            count += 1
+            left[k + 1] = count
+    if count < planes:
+        for part in range(len(number)):
+            if number[part] > 0 and left[number[part]] == 0:
+                why[part] = small
+            number[part] = left[number[part]]
+        label_runs(runs, number)
+    return count
+
+
+@kernel()
+def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason):
     """Write the final labels and the reasons.
 
     Parameters
@@ -28,9 +63,12 @@ def write_labels(
     runs : Runs
         With their final labels, 0 for none.
     why : (P,) uint8
-        Reason of each part, 0 if it has a label; ``missing`` and ``unclaimed`` are the other pixels' reasons.
+        Reason of each part, 0 if it has a label.
     stray : (P,) bool
         Parts without a label whose pixels are loose.
+    reasons : Reasons
+        Of the other pixels.
+    inverse_depth : (H, W) float32
     loose, loose_count
         From `segment_runs.find_runs`; the pixels of those parts are added.
     label, reason : (H, W) int32 and uint8, written
@@ -42,6 +80,7 @@ def write_labels(
     """
     row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
     run_label, part, run_pixels = runs.label, runs.part, runs.pixels
+    missing, unclaimed = reasons.missing, reasons.unclaimed
     height, width = label.shape
     labels, reasons, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
     # Labels and reasons of whole blocks in a row of pixels: missing pixels aside, the blocks' other rows have the same.

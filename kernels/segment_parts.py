@@ -149,8 +149,7 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
         A plane's runs have at least ``narrow`` pixels on average, and its pixels lie within ``rough`` deviations.
     least : int
         Pixels that a plane must have.
-    reasons : tuple of uint8
-        For a plane, and for a part that is small, rough, curved or narrow.
+    reasons : Reasons
     why : (P,) uint8, written
     stray : (P,) bool, written
         Whether a part is so small or narrow that its pixels may be specks in another.
@@ -164,7 +163,7 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
     int
         Number of planes.
     """
-    plane, small, uneven, bent, thin = reasons
+    plane, small, uneven, bent, thin, _, _ = reasons
     _, squares, size, across, down, first, region = parts
     planes = 0
     for k in range(count):

@@ -5,6 +5,7 @@ N is the number of regions, R and C those of the rows and columns of blocks.
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -47,6 +48,18 @@ class Rules(NamedTuple):
             region_crest=share * self.region_crest,
             bent=share * share * self.bent,
         )
+
+
+class Reasons(NamedTuple):
+    """Why pixels have no label."""
+
+    plane: np.uint8  # they have one
+    small: np.uint8  # of a part without enough pixels
+    rough: np.uint8
+    curved: np.uint8
+    narrow: np.uint8
+    missing: np.uint8  # of pixels that are not measured
+    unclaimed: np.uint8  # of those that no region has
 
 
 class Rays(NamedTuple):

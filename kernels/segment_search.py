@@ -1,17 +1,33 @@
-"""Segmentation: from the blocks of a frame to its planes."""
+"""Segmentation: from a frame to its planes and labels."""
+
+import numpy as np
 
 from ._jit import kernel
+from .segment_blocks import block_moments
 from .segment_gaps import join_across_gaps
+from .segment_labels import leave_out, write_labels
+from .segment_noise_estimation import nearest_surface
 from .segment_parts import find_parts
 from .segment_regions import find_regions
 from .segment_runs import PIECES
 
 
 @kernel()
+def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
+    """Write inverse depths, and moments and planes of squares: see `segment_blocks.block_moments`.
+
+    Returns the largest inverse depth of a surface: see `segment_noise_estimation.nearest_surface`.
+    """
+    nearest = block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid)
+    return nearest_surface(pyramid, np.float64(nearest))
+
+
+@kernel()
 def find_planes(
-    inverse_depth, rays, pyramid, noise, rules, least, reasons, owners, contended, contacts, sums, runs, loose, found
+    inverse_depth, rays, pyramid, noise, rules, least, min_size, reasons, owners, contended, contacts, sums, runs,
+    loose, found, label, reason,
 ):  # fmt: skip
-    """Find the regions of a frame, and those of their parts that are planes, and label the runs of their pixels.
+    """Find the regions of a frame, and those of their parts that are planes, and label their pixels.
 
     Parameters
     ----------
@@ -21,10 +37,9 @@ def find_planes(
     pyramid : Pyramid
     noise : Noise
     rules : Rules
-    least : int
-        Pixels that a plane must have.
-    reasons : tuple of uint8
-        See `segment_parts.judge_parts`.
+    least, min_size : int
+        Pixels that a plane must have while they are found, and in the end.
+    reasons : Reasons
     owners, contended, contacts, sums
         Room: see `segment_regions.find_regions`.
     runs : Runs, written
@@ -32,26 +47,30 @@ def find_planes(
         See `segment_runs.find_runs`.
     found : Found, written
         With room for as many parts and planes as there is for runs.
+    label, reason : (H, W) int32 and uint8, written
 
     Returns
     -------
     needed : int
         Runs that there may be. If there is no room for so many, nothing else is found.
-    planes, parts, loose_count : int
-        Their numbers, and that of the loose pixels.
+    planes, loose_count : int
+        Their number, and that of the loose pixels: see `segment_labels.write_labels`.
     """
     shares, region_number, curved, deviation = find_regions(
         inverse_depth, rays, pyramid, noise, rules, float(least), owners, contended, contacts, sums
     )
     needed = owners.block.size + PIECES * len(shares.region)
     if needed > len(runs.start):
-        return needed, 0, 0, 0
+        return needed, 0, 0
     planes, parts, loose_count = find_parts(
         inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons, sums,
         runs, loose, found,
     )  # fmt: skip
-    left = join_across_gaps(
-        inverse_depth, rays, 0.5 * rules.region_floor, rules.region_spread, found.number[:parts], runs,
-        found.moments[:planes], found.deviation[:planes],
+    number, why, stray = found.number[:parts], found.why[:parts], found.stray[:parts]
+    planes = join_across_gaps(
+        inverse_depth, rays, 0.5 * rules.region_floor, rules.region_spread, number, runs, found.moments[:planes],
+        found.deviation[:planes],
     )  # fmt: skip
-    return needed, left, parts, loose_count
+    planes = leave_out(planes, min_size, reasons.small, runs, number, why, found.moments, found.deviation)
+    loose_count = write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason)
+    return needed, planes, loose_count

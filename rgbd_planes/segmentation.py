@@ -13,9 +13,9 @@ from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, num
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.kernels import segment_blocks, segment_inside, segment_labels, segment_planes, segment_search
-from rgbd_planes.kernels.segment_records import Noise, Rays, Rules
-from rgbd_planes.segmentation_noise import Given, is_exact, noise_of, steps_at
+from rgbd_planes.kernels import segment_inside, segment_labels, segment_planes, segment_search
+from rgbd_planes.kernels.segment_records import Rays, Reasons, Rules
+from rgbd_planes.segmentation_noise import Given, noise_of, steps_at
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
@@ -28,9 +28,7 @@ SMALLEST = 60  # pixels of a region, unless the caller says otherwise
 FILLED = 5  # of eight neighbours, how many of one label give it to a stray pixel
 
 
-# For parts and for pixels, as the kernels take them.
-_REASONS = tuple(np.uint8(r) for r in (Reason.PLANE, Reason.SMALL, Reason.ROUGH, Reason.CURVED, Reason.NARROW))
-_REASON_OF_PIXELS = np.uint8(Reason.MISSING), np.uint8(Reason.UNCLAIMED)
+_REASONS = Reasons(*(np.uint8(Reason[name.upper()]) for name in Reasons._fields))
 
 
 def segment(
@@ -130,64 +128,26 @@ def segment_frame(frame: DepthFrame, camera: Camera, given: Given, min_size: int
 def _segment(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
 ) -> Segmentation:
-    """Find the regions, and describe those of their parts that are planes."""
-    nearest = segment_blocks.block_moments(
+    """Find the planes and their pixels, and describe them."""
+    nearest = segment_search.read_frame(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
         rays, work.inverse_depth, work.pyramid,
     )  # fmt: skip
     step_of_raw = step_of(frame)
-    noise, tolerance, is_rougher = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
-    rules = rules.tolerating(tolerance)
+    noise, about_noise = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
+    rules = rules.tolerating(about_noise.tolerance)
+    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
     room, enough = 0, False
     while not enough:  # again if there are more edges than in any frame before
         work.make_room(room)
-        room, planes, parts, loose_count = segment_search.find_planes(
-            work.inverse_depth, rays, work.pyramid, noise, rules, min(min_size, SMALLEST), _REASONS, work.owners,
-            work.contended, work.contacts, work.sums, work.runs, work.loose, work.found,
+        room, found, loose_count = segment_search.find_planes(
+            work.inverse_depth, rays, work.pyramid, noise, rules, min(min_size, SMALLEST), min_size, _REASONS,
+            work.owners, work.contended, work.contacts, work.sums, work.runs, work.loose, work.found, labels, reason,
         )  # fmt: skip
         enough = room <= len(work.runs.start)
-    found = _result(frame, step_of_raw, camera, rays, work, planes, parts, loose_count, noise, given, min_size)
-    if is_rougher and found.sizes.sum() < 0.5 * np.count_nonzero(work.inverse_depth):
-        warn_caller(
-            "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
-            "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
-            "Without it the frame tells its own, and rp.estimate_noise finds that of a sensor"
-        )
-    if is_exact(noise):
-        warn_of_distances(frame, camera)
-    return found
-
-
-def _result(
-    frame: DepthFrame,
-    step_of_raw: float,
-    camera: Camera,
-    rays: Rays,
-    work: Workspace,
-    found: int,
-    parts: int,
-    loose_count: int,
-    noise: Noise,
-    given: Given,
-    min_size: int,
-) -> Segmentation:
-    """Label and describe what `segment_search.find_planes` found."""
-    inverse_depth, loose, runs = work.inverse_depth, work.loose, work.runs
-    number, why, stray = (of_parts[:parts] for of_parts in work.found[:3])
     moments, deviation = work.found.moments[:found], work.found.deviation[:found]
-    large = moments[:, 0] >= min_size
-    if not large.all():
-        number, why = _leave_out(large, number, why)
-        segment_labels.label_runs(runs, number)
-        moments, deviation = moments[large], deviation[large]
-        found = len(moments)
-    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
-    missing, unclaimed = _REASON_OF_PIXELS
-    loose_count = segment_labels.write_labels(
-        runs, why, stray, missing, unclaimed, inverse_depth, loose, loose_count, labels, reason
-    )
     inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
-    segment_inside.fit_inside(labels, inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
+    segment_inside.fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
         inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera),
@@ -196,9 +156,17 @@ def _result(
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]
     segment_labels.settle_strays(
-        runs, inverse_depth, unclaimed, min_size, FILLED, loose, loose_count, labels, reason, sizes
-    )
-    sorted_sigma = np.sort(noise.sigma[1:])  # np.median takes ten times as long
+        work.runs, work.inverse_depth, _REASONS.unclaimed, min_size, FILLED, work.loose, loose_count, labels, reason,
+        sizes,
+    )  # fmt: skip
+    if about_noise.is_rougher and sizes.sum() < 0.5 * np.count_nonzero(work.inverse_depth):
+        warn_caller(
+            "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
+            "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
+            "Without it the frame tells its own, and rp.estimate_noise finds that of a sensor"
+        )
+    if about_noise.is_exact:
+        warn_of_distances(frame, camera)
     return Segmentation(
         camera=camera,
         labels=labels,
@@ -208,13 +176,5 @@ def _result(
         sizes=sizes[1:],
         rmse=rmse,
         reason=reason,
-        sigma=float(sorted_sigma[len(sorted_sigma) // 2]),
+        sigma=about_noise.typical_sigma,
     )
-
-
-def _leave_out(
-    large: NDArray[np.bool_], number: NDArray[np.int32], why: NDArray[np.uint8]
-) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """Number and reason of the parts without those of planes that are not ``large``."""
-    left = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])[number].astype(np.int32)
-    return left, np.where((number > 0) & (left == 0), np.uint8(Reason.SMALL), why)

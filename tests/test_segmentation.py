@@ -18,11 +18,11 @@ from rgbd_planes import Camera, estimate_noise, scenes, segment, segmentation_wo
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
 from rgbd_planes.kernels.quantiles import quantile
+from rgbd_planes.kernels.segment_frame_noise import tolerance
 from rgbd_planes.kernels.segment_noise_estimation import varied_squares
 from rgbd_planes.kernels.segment_records import Planes, Rays, Runs
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
-from rgbd_planes.segmentation_noise import tolerance
 from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
