@@ -7,6 +7,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .quantiles import quantile
+from .segment_noise import step_at
 from .segment_noise_estimation import estimate_noise
 
 # Entries of the table of standard deviations: from an inverse depth of 0 to that of the nearest surface, in equal
@@ -20,12 +21,6 @@ FORMLESS = 0.03
 INDEPENDENT = 1.0 / 3.0
 # How many times the given noise a frame's may be. For other sensors' frames a Kinect's is up to 2.5 times too low.
 UNLIKE = 4.0
-
-
-@kernel(inline="compiled")
-def step_at(q, step, scale, is_disparity):
-    """Step between neighbouring raw values, as a difference of inverse depth; 0 where there is none."""
-    return step * (abs(scale) if is_disparity else q * q / scale)
 
 
 @kernel()
@@ -62,7 +57,7 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     is_sensors : bool
         They are a sensor's: some of it may be errors that neighbours share, of which the frame shows less.
     step, scale, is_disparity
-        See `step_at`.
+        See `segment_noise.step_at`.
     reach : see `segment_reach.mixture`
     growth : (3,) float64, written
         See `segment_noise.waviness`.

@@ -27,6 +27,12 @@ def expected_variance(q, sigma):
     return sensor_variance(q, sigma) if len(sigma) > 0 else 1.0
 
 
+@kernel(inline="compiled")
+def step_at(q, step_of_raw, scale, is_disparity):
+    """Step between neighbouring raw values, as a difference of inverse depth; 0 where there is none."""
+    return step_of_raw * (abs(scale) if is_disparity else q * q / scale)
+
+
 @kernel()
 def sensor_variances(pixels, sum_q, sigma, variance):
     """Write `sensor_variance` at the mean inverse depth of squares, from ``pixels`` and ``sum_q``, (T,) each."""

@@ -6,7 +6,7 @@ from ._jit import kernel
 from .rounding import in_common
 from .sandwich import sandwich
 from .segment_moments import fit
-from .segment_noise import about_plane, sensor_variance, slope_variance, stretch_of, waviness
+from .segment_noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
 
 
 @kernel()
@@ -62,7 +62,10 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
 
 
 @kernel()
-def describe_planes(moments, weighted, alpha, rss, deviation, together, least, step, planes, covariance, rmse):
+def describe_planes(
+    moments, weighted, alpha, rss, deviation, together, least, step_of_raw, scale, is_disparity, planes, covariance,
+    rmse,
+):  # fmt: skip
     """Planes, their covariances and their residuals.
 
     Parameters
@@ -73,8 +76,8 @@ def describe_planes(moments, weighted, alpha, rss, deviation, together, least, s
         Pixels that have one error between them.
     least : (3, N) float64
         Lower bounds on the variance of a pixel, for the slopes along x and y and for the mean.
-    step : (N,) float64
-        Step between neighbouring raw values, in 1/m; 0 if there is none.
+    step_of_raw, scale, is_disparity
+        See `segment_noise.step_at`.
     planes : (N, 4) float64, written
         nx, ny, nz, d.
     covariance : (N, 3, 3) float64, written
@@ -88,12 +91,13 @@ def describe_planes(moments, weighted, alpha, rss, deviation, together, least, s
         seen = rss[i] / max(n - 3.0, 1.0)
         variance = together * max(seen, deviation[i] ** 2)
         of_x = of_y = of_mean = 0.0
-        if step[i] > 0.0:
+        step = step_at(moments[i, 3] / n, step_of_raw, scale, is_disparity)
+        if step > 0.0:
             u, v = moments[i, 1] / n, moments[i, 2] / n
             u_spread = abs(alpha[i, 0]) * math.sqrt(max(moments[i, 4] / n - u * u, 0.0))
             v_spread = abs(alpha[i, 1]) * math.sqrt(max(moments[i, 7] / n - v * v, 0.0))
-            others = max(min(seen, deviation[i] ** 2) - step[i] ** 2 / 12.0, 0.0)
-            of_x, of_y, of_mean = in_common(step[i] ** 2, others, n, u_spread, v_spread)
+            others = max(min(seen, deviation[i] ** 2) - step**2 / 12.0, 0.0)
+            of_x, of_y, of_mean = in_common(step**2, others, n, u_spread, v_spread)
         covariance_of(
             moments[i], weighted[i], max(variance, least[0, i]) + of_x, max(variance, least[1, i]) + of_y,
             max(variance, least[2, i]) + of_mean, covariance[i],

@@ -15,7 +15,7 @@ from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.kernels import segment_inside, segment_labels, segment_planes, segment_search
 from rgbd_planes.kernels.segment_records import Rays, Reasons, Rules
-from rgbd_planes.segmentation_noise import Given, noise_of, steps_at
+from rgbd_planes.segmentation_noise import Given, noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
 
@@ -101,12 +101,14 @@ def check_min_size(min_size: int) -> int:
 
 
 def _given(noise: Any) -> Given:
+    if noise is None:
+        return Given()
     if callable(getattr(noise, "sigma", None)):  # a noise model
         statistics = None if getattr(noise, "is_independent", True) else noise.statistics
         lateral = float(getattr(noise, "lateral", 0.0))
         return Given(noise.sigma, lateral, at_large=True, statistics=statistics)
     check_not_a_maker(noise)
-    if noise is None or callable(noise):
+    if callable(noise):
         return Given(noise)
     try:
         sigma = number("noise", noise, finite=False)
@@ -150,8 +152,8 @@ def _segment(
     segment_inside.fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
-        inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera),
-        steps_at(frame, step_of_raw, inside[:, 3] / inside[:, 0]), planes, covariance, rmse,
+        inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera), step_of_raw,
+        frame.scale, frame.is_disparity, planes, covariance, rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]

@@ -111,9 +111,3 @@ def _table(given: Given, nearest: float) -> Floats:
     if not given.at_large:
         warn_of_large_noise(table[MIDDLE], q[MIDDLE], "nearly all things are one plane, or none")
     return table
-
-
-def steps_at(frame: DepthFrame, step_of_raw: float, q: Floats) -> Floats:
-    """Steps between neighbouring raw values, as differences of inverse depth; 0 where there are none."""
-    step = np.full_like(q, abs(frame.scale)) if frame.is_disparity else q * q / frame.scale
-    return np.asarray(step_of_raw * step)
