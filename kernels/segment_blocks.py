@@ -192,10 +192,15 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
             for y in range(top, bottom):
                 k = y - top
                 values, inverse = raw[y, left:right], inverse_depth[y, left:right]
-                for x in range(right - left):
-                    inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, is_disparity)
-                    largest[x] = inverse[x] if inverse[x] > largest[x] else largest[x]
+                if is_disparity:  # two loops: in one, the compiler would work out both
+                    for x in range(right - left):
+                        inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, True)
+                else:
+                    for x in range(right - left):
+                        inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, False)
                 copy(inverse, q[k, : right - left])
+                for x in range(right - left):
+                    largest[x] = inverse[x] if inverse[x] > largest[x] else largest[x]
                 if separable:
                     row_v[k] = tan_y[y, 0]
                 else:
