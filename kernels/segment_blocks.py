@@ -170,6 +170,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     """
     height, width = raw.shape
     tan_x, tan_y = rays.tan_x, rays.tan_y
+    values, inverse = raw.reshape(-1), inverse_depth.reshape(-1)  # one row after the other
     moments, rss, slope_square = pyramid.moments, pyramid.rss, pyramid.slope_square
     rows, columns = pyramid.shapes[0]
     # Of fixed sizes: see `kernels`.
@@ -191,16 +192,16 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
                 q[:] = 0.0
             for y in range(top, bottom):
                 k = y - top
-                values, inverse = raw[y, left:right], inverse_depth[y, left:right]
+                begin = np.uint64(y * width + left)
                 if is_disparity:  # two loops: in one, the compiler would work out both
-                    for x in range(right - left):
-                        inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, True)
+                    for x in range(np.uint64(right - left)):
+                        inverse[begin + x] = inverse_of(values[begin + x], lowest, highest, scale, offset, True)
                 else:
-                    for x in range(right - left):
-                        inverse[x] = inverse_of(values[x], lowest, highest, scale, offset, False)
-                copy(inverse, q[k, : right - left])
-                for x in range(right - left):
-                    largest[x] = inverse[x] if inverse[x] > largest[x] else largest[x]
+                    for x in range(np.uint64(right - left)):
+                        inverse[begin + x] = inverse_of(values[begin + x], lowest, highest, scale, offset, False)
+                for x in range(np.uint64(right - left)):
+                    q[k, x] = inverse[begin + x]
+                    largest[x] = q[k, x] if q[k, x] > largest[x] else largest[x]
                 if separable:
                     row_v[k] = tan_y[y, 0]
                 else:
