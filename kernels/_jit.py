@@ -68,6 +68,7 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
         options["inline"] = "always"
     else:
         options["forceinline"] = bool(inline)
+    options["_nrt"] = inline != "compiled"
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"

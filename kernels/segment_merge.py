@@ -39,23 +39,25 @@ def scrambled(x):
 
 
 @kernel(inline="compiled")
-def row_of(a, b, pairs, count, table):
+def row_of(a, b, pairs, count, table, size):
     """The row of a pair of regions among the first ``count``, or ``count`` if it is none of them.
 
-    ``pairs[row]`` is a, b and the slot of ``table`` (2^k,) int32 that says ``row``; for a new pair that slot is
-    written to ``pairs[count]``. Slots that earlier lists of pairs left in the table do no harm: no row names them.
+    ``pairs[row]`` is a, b and the slot of ``table`` int32 that says ``row``; for a new pair that slot is written to
+    ``pairs[count]``. Of the table the first ``size``, a power of two, are in use: no more than the pairs need, so that
+    a small one stays in the cache. Slots that earlier lists of pairs left in it do no harm: no row names them.
     """
-    mask = np.uint64(len(table) - 1)
-    slot = np.int64(scrambled(np.int64(a) * 0x100000001 + b) & mask)
+    # Unsigned: see `kernels`.
+    mask, end = np.uint64(size - 1), np.uint64(count)
+    slot = scrambled(np.int64(a) * 0x100000001 + b) & mask
     while True:
-        row = table[slot]
-        if row >= count or pairs[row, 2] != slot:
+        row = np.uint64(table[slot])
+        if row >= end or np.uint64(pairs[row, 2]) != slot:
             table[slot] = count
-            pairs[count, 2] = slot
-            return count
+            pairs[end, 2] = slot
+            return np.int64(end)
         if pairs[row, 0] == a and pairs[row, 1] == b:
             return np.int64(row)
-        slot = (slot + 1) & np.int64(mask)
+        slot = (slot + np.uint64(1)) & mask
 
 
 @kernel()
@@ -85,9 +87,12 @@ def neighbours(region, rays, contacts):
     for row in range(rows):
         copy(region[row], around[row, 2 : columns + 2])
     flat = around.reshape(-1)
-    differs = np.zeros(-(-columns // WORD) * WORD, np.bool_)  # blocks of a row beside which there is another region
-    words = differs.view(np.uint64)
-    slots = table[:FEW_SLOTS]  # no more of the table than the pairs need: a small one stays in the cache
+    # For each block of a row and each direction: whether there is another region.
+    touching = np.zeros(-(-len(DOWN) * columns // WORD) * WORD, np.bool_)
+    words = touching.view(np.uint64)
+    touches = np.empty(len(touching) + 1, np.uint32)
+    steps = 1, width, width + 1, width - 1  # of ``flat``, for DOWN and RIGHT
+    size = min(FEW_SLOTS, len(table))
     count = 0
     for row in range(rows):
         own, below, beyond = around[row], around[row + 1], around[row + 2]
@@ -98,46 +103,49 @@ def neighbours(region, rays, contacts):
             down = below[c + 2] if below[c + 2] >= 0 else beyond[c + 2]
             down_right = below[c + 3] if below[c + 3] >= 0 else beyond[c + 4]
             down_left = below[c + 1] if below[c + 1] >= 0 else beyond[c]
-            differs[c] = (a >= 0) & (
-                ((right >= 0) & (right != a)) | ((down >= 0) & (down != a))
-                | ((down_right >= 0) & (down_right != a)) | ((down_left >= 0) & (down_left != a))
-            )  # fmt: skip
+            touching[4 * c] = (a >= 0) & (right >= 0) & (right != a)
+            touching[4 * c + 1] = (a >= 0) & (down >= 0) & (down != a)
+            touching[4 * c + 2] = (a >= 0) & (down_right >= 0) & (down_right != a)
+            touching[4 * c + 3] = (a >= 0) & (down_left >= 0) & (down_left != a)
         needed = min(2 * (count + len(DOWN) * columns), len(table))
-        if len(slots) < needed:
-            while len(slots) < needed:
-                slots = table[: 4 * len(slots)]
+        if size < needed:
+            while size < needed:
+                size = min(4 * size, len(table))
             for i in range(count):
-                row_of(pairs[i, 0], pairs[i, 1], pairs, i, slots)
-        i = 0
+                row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
+        number = 0
         for w in range(len(words)):
             if words[w] == 0:
                 continue
-            for column in range(w * WORD, (w + 1) * WORD):
-                if not differs[column]:
-                    continue
-                here = row * width + column + 2
-                own = flat[np.uint64(here)]
-                own_u, own_v = centre_u[row * step_v, column], centre_v[row, column * step_u]
-                for k in range(len(DOWN)):
-                    down, right = DOWN[k], RIGHT[k]
-                    b = flat[np.uint64(here + down * width + right)]
-                    if b < 0:
-                        down, right = 2 * down, 2 * right
-                        b = flat[np.uint64(here + down * width + right)]
-                    if b < 0 or b == own:
-                        continue
-                    a, b = min(own, b), max(own, b)
-                    if i >= count or pairs[i, 0] != a or pairs[i, 1] != b:  # mostly the same pair as just before
-                        i = row_of(a, b, pairs, count, slots)
-                        if i == count:
-                            pairs[i, 0] = a
-                            pairs[i, 1] = b
-                            where[i, 0] = where[i, 1] = where[i, 2] = 0.0
-                            count += 1
-                    r, c = row + down, column + right
-                    where[i, 0] += 1.0
-                    where[i, 1] += 0.5 * (own_u + centre_u[r * step_v, c])
-                    where[i, 2] += 0.5 * (own_v + centre_v[r, c * step_u])
+            for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
+                touches[number] = k
+                number += touching[k]
+        i = 0
+        for touch in touches[:number]:
+            column, k = np.int64(touch >> np.uint32(2)), np.int64(touch & np.uint32(3))
+            here = row * width + column + 2
+            own = flat[np.uint64(here)]
+            far = flat[np.uint64(here + steps[k])] < 0
+            there = here + 2 * steps[k] if far else here + steps[k]
+            b = flat[np.uint64(there)]
+            a, b = min(own, b), max(own, b)
+            if i >= count or pairs[np.uint64(i), 0] != a or pairs[np.uint64(i), 1] != b:
+                i = row_of(a, b, pairs, count, table, size)  # else it is the same pair as just before, as mostly
+                if i == count:
+                    pairs[i, 0] = a
+                    pairs[i, 1] = b
+                    where[i, 0] = where[i, 1] = where[i, 2] = 0.0
+                    count += 1
+            r = row + (2 * DOWN[k] if far else DOWN[k])
+            c = column + (2 * RIGHT[k] if far else RIGHT[k])
+            pair = np.uint64(i)
+            where[pair, 0] += 1.0
+            where[pair, 1] += 0.5 * (
+                centre_u[np.uint64(row * step_v), np.uint64(column)] + centre_u[np.uint64(r * step_v), np.uint64(c)]
+            )
+            where[pair, 2] += 0.5 * (
+                centre_v[np.uint64(row), np.uint64(column * step_u)] + centre_v[np.uint64(r), np.uint64(c * step_u)]
+            )
     return count
 
 
@@ -237,9 +245,9 @@ def contract(contacts, count, parent, changed):
         Whether another one went into it since the pairs were last contracted.
     """
     pairs, where, table = contacts
-    slots = table[:]  # no more than the pairs need: a small one stays in the cache
-    while len(slots) >= 4 * count and len(slots) > 2:
-        slots = slots[: len(slots) // 2]
+    size = len(table)
+    while size >= 4 * count and size > 2:
+        size //= 2
     kept = 0
     for i in range(count):
         a, b = root_of(parent, pairs[i, 0]), root_of(parent, pairs[i, 1])
@@ -249,7 +257,7 @@ def contract(contacts, count, parent, changed):
         pairs[kept, 2] = -1
         if changed[a] or changed[b]:
             a, b = min(a, b), max(a, b)
-            row = row_of(a, b, pairs, kept, slots)
+            row = row_of(a, b, pairs, kept, table, size)
             if row < kept:
                 for k in range(3):
                     where[row, k] += where[i, k]
@@ -429,7 +437,6 @@ def renumber(region, number):
         same &= number[a] == a
     if same:
         return
-    for row in range(region.shape[0]):
-        for column in range(region.shape[1]):
-            a = region[row, column]
-            region[row, column] = number[a] if a >= 0 else -1
+    blocks = region.reshape(-1)
+    for i in range(len(blocks)):
+        blocks[i] = number[np.uint32(blocks[i])] if blocks[i] >= 0 else np.int64(-1)
