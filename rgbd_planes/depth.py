@@ -251,7 +251,7 @@ def _warn_of_the_nearest(
 def _warn_of_the_largest(sample: NDArray[Any], largest: Any) -> None:
     """Warn of a number that most likely means missing, and would count as a far plane; in metres, as millimetres."""
     # Mostly there are none, which an eighth of the sample shows.
-    if largest in sample[::8].tolist() and np.count_nonzero(sample == largest) > 10:  # a hundredth
+    if largest.item() in sample[::8].tolist() and np.count_nonzero(sample == largest) > 10:  # a hundredth
         millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
         warn_caller(
             f"many pixels are {largest:g}{millimetres}, the largest number of 16 bits: are they missing? A camera with "
