@@ -62,11 +62,11 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     most[0] = most[-1] = BELOW
     least[0] = least[-1] = ABOVE
     edge = np.zeros(-(-width // WORD) * WORD, np.bool_)
-    words = edge.view(np.uint64)
+    words, of_row = edge.view(np.uint64), edge[:width]
     columns = np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
-        find_edges(label, inverse_depth, y, most, least, edge[:width])
+        find_edges(label, inverse_depth, y, most, least, of_row)
         count = 0
         for i in range(len(words)):
             if words[i] == 0:

@@ -121,8 +121,9 @@ def neighbours(region, rays, contacts):
                 touches[number] = k
                 number += touching[k]
         i = 0
-        for touch in touches[:number]:
-            column, k = np.int64(touch >> np.uint32(2)), np.int64(touch & np.uint32(3))
+        for n in range(number):
+            touch = np.int64(touches[np.uint32(n)])
+            column, k = touch >> 2, touch & 3
             here = row * width + column + 2
             own = flat[np.uint64(here)]
             far = flat[np.uint64(here + steps[k])] < 0
