@@ -25,6 +25,8 @@ Habits of these kernels, each because it was measured:
   read by two indices look scattered.
 - Arrays to work in have sizes that are fixed when a kernel is compiled, so that the compiler sees that their rows are
   apart, and uses vectors.
+- Slices are made, and indices with conditions are worked out, before they are used: a slice in a loop, or an array that
+  waits while its index branches, costs a counted reference each time.
 - Fields of tuples get names before a loop: looking into a tuple within it costs more than most of what is done there.
 - Kernels that Python calls return numbers, and write all else to arrays that they are given: to make an array or a
   named tuple, Numba calls Python, and if somebody interrupts that, the process crashes.

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 import numba
+from numba.core.options import DefaultOptions
 
 from ._cache import Cache
 from ._compiling import without_haste
@@ -55,8 +56,8 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
     inline : bool or "compiled"
         Make the function part of every kernel that calls it, so that the compiler sees the sizes of the arrays that it
         gets. Its source goes there, and is compiled once instead of twice; or it goes there "compiled", which takes
-        less time where several kernels call it. A reduction goes there compiled, since reordering is allowed to whole
-        functions only.
+        less time where several kernels call it: such a function makes no arrays. A reduction goes there compiled,
+        since reordering is allowed to whole functions only.
     """
     # Each option is said: what is not, a function takes from the kernel for which it is compiled first.
     options: dict[str, Any] = {
@@ -68,7 +69,8 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
         options["inline"] = "always"
     else:
         options["forceinline"] = bool(inline)
-    options["_nrt"] = inline != "compiled"
+    if hasattr(DefaultOptions, "_nrt"):  # without arrays of its own there are no references to count, at each call
+        options["_nrt"] = inline != "compiled"
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
