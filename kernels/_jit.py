@@ -64,6 +64,7 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
         "nogil": True,
         "error_model": "numpy",
         "fastmath": {"contract", "reassoc"} if reduction else False,
+        "no_cfunc_wrapper": True,  # which C would call, and takes a second of 45 to compile
     }
     if inline is True and not reduction:
         options["inline"] = "always"
