@@ -14,15 +14,25 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
-from rgbd_planes import Camera, estimate_noise, scenes, segment, segmentation_workspace
+from rgbd_planes import (
+    Camera,
+    estimate_noise,
+    scenes,
+    segment,
+    segmentation,
+    segmentation_noise,
+    segmentation_workspace,
+)
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
 from rgbd_planes.kernels.quantiles import quantile
 from rgbd_planes.kernels.segment_frame_noise import tolerance
+from rgbd_planes.kernels.segment_noise_estimation import estimate_noise as estimate_frame_noise
 from rgbd_planes.kernels.segment_noise_estimation import varied_squares
 from rgbd_planes.kernels.segment_records import Planes, Rays, Runs
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
+from rgbd_planes.segmentation_reach import reach_table
 from rgbd_planes.segmentation_result import Reason
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -962,6 +972,51 @@ def test_moments_of_blocks_and_squares(distortion):
     rays = np.stack([first[1], first[2], first[0]], axis=1)
     residual = first[3] - rays @ np.linalg.lstsq(rays, first[3], rcond=None)[0]
     np.testing.assert_allclose(rss[0], residual @ residual, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        None,
+        1e-5,  # less than surfaces are flat by
+        2e-3,
+        lambda q: 1e-3 * (1.0 + q),
+        kinect_v1(),
+        replace(kinect_v1(), correlation=((0.5, 3.0),)),
+    ],
+)
+@pytest.mark.parametrize("disparity", [None, (5e-4, 0.1)])
+def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparity):
+    # What `find_noise` does, on arrays.
+    camera = replace(CAMERA, disparity=disparity, depth_scale=None if disparity else 1000.0)
+    q = 0.5 + 0.1 * camera.tan_x + 1.4e-3 * smooth_noise(3, 1.0)
+    raw = np.rint((q - 0.1) / 5e-4 if disparity else 1000.0 / q).astype(np.uint16)
+    frame, rays, given = as_depth_frame(raw, camera), segmentation_workspace.rays_of(camera), segmentation._given(noise)
+    _, pyramid, _ = blocks_and_squares(raw, camera)
+    nearest, step_of_raw = 0.7, 2.0
+    found, about = segmentation_noise.noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
+
+    inverse_depth = np.linspace(0.0, nearest, 33)
+    step, flattest, growth = inverse_depth[1], 4e-4 * inverse_depth, np.empty(3)
+    rounding = step_of_raw * (5e-4 if disparity else inverse_depth**2 / 1000.0) / np.sqrt(12.0)
+    table, known = None, np.empty(0)
+    if given.sigma is not None:
+        table = np.maximum(given.sigma(inverse_depth), flattest)
+        known = np.concatenate([[step], table]) if given.at_large else known
+    typical, lateral, by_32, together = estimate_frame_noise(pyramid, known, growth, reach_table())
+    if table is None:
+        table = np.maximum(np.minimum(typical**0.5, 0.03 * np.maximum(inverse_depth, step)), rounding)
+    elif given.at_large:
+        table = np.minimum(np.maximum(typical**0.5 * table, rounding), table)
+    sigma = np.maximum(table, flattest)
+    shown = typical**0.5 * (known[17] if len(known) else 1.0)
+    assert found.sigma == pytest.approx(np.concatenate([[step], sigma]), rel=1e-12)
+    assert found.together == pytest.approx(1.0 + (max(together, 1.0) - 1.0) * min(shown / sigma[16], 1.0) ** 2)
+    assert found.growth == pytest.approx(np.minimum(growth, max(0.03 * inverse_depth[16] / sigma[16], 1.0)))
+    assert found.lateral_variance == pytest.approx(lateral**2)
+    assert about.tolerance == pytest.approx(tolerance(by_32, table[16], flattest[16]))
+    assert about.typical_sigma == pytest.approx(np.median(sigma))
+    assert about.is_exact == (sigma[-1] <= flattest[-1])
 
 
 def test_squares_with_a_constant_quarter_show_no_noise():
