@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core.options import DefaultOptions
 
 from ._cache import Cache
@@ -76,6 +77,8 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_sources_digest()}"
         global has_cache
+        if numba.config.DISABLE_JIT:  # plain Python: as silent as compiled code of what is divided by 0 or overflows
+            return cast(Function, np.errstate(all="ignore")(function))
         dispatcher = numba.njit(**options)(function)
         with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own way then
             dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile)

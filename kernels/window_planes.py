@@ -38,7 +38,7 @@ def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
         c = centre - a * tan_x[i] - b * tan_y
         enough = (valid_sums[i] >= needed[i]) & (valid[i] > np.float32(0.0))
         there = enough & (determinant > 0.0) & (centre > 0.0)
-        inverse_norm = -1.0 / math.sqrt(a * a + b * b + c * c)
+        inverse_norm = -1.0 / np.sqrt(a * a + b * b + c * c)  # NumPy's: in plain Python 1.0 / 0.0 is an error
         inverse_norm = inverse_norm if there else math.nan
         normals[3 * i] = a * inverse_norm
         normals[3 * i + 1] = b * inverse_norm
