@@ -149,7 +149,7 @@ def fit_sequence(
     NotADirectoryError
         `out` is a file.
     OSError
-        No Dask scheduler answers, or `out` cannot be written.
+        No Dask scheduler answers, `out` cannot be written, or too many files are open to read a frame.
     TypeError, ValueError
         `out` holds another table, or one that cannot be told from another, or something else; or an argument
         cannot be used.

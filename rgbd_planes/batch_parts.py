@@ -1,5 +1,6 @@
 """The work of a worker: some frames of a sequence, fitted and written as a Parquet file."""
 
+import errno
 import json
 import os
 import re
@@ -188,6 +189,7 @@ def fit_part(
         except (ImportError, MemoryError):
             raise
         except Exception as error:  # whatever is wrong with one frame, the others are still wanted
+            _raise_if_no_file_can_be_opened(error)
             problems.append(Problem(first + i, entry.name, _reason(error, entry.name)))
         for message in said:
             warnings.setdefault(kind_of(message), (entry.name, message))
@@ -214,6 +216,17 @@ def fit_part(
 def kind_of(message: str) -> str:
     """A warning's text without its numbers, which differ from frame to frame."""
     return re.sub(r"\d+(\.\d+)?", "#", message)
+
+
+def _raise_if_no_file_can_be_opened(error: BaseException | None) -> None:
+    """Raise the system's error that too many files are open, if an error is that or was raised from it.
+
+    A reader takes it for damage to its file, but nothing is wrong with the frame.
+    """
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            raise error
+        error = error.__cause__
 
 
 def _reason(error: Exception, name: str) -> str:

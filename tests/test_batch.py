@@ -1,5 +1,6 @@
 """Batches: the table is what fit_tiles gives, whatever is bad, interrupted, killed or shared."""
 
+import errno
 import functools
 import json
 import os
@@ -222,6 +223,48 @@ def test_a_frame_that_may_not_be_read_is_said_in_words(recording, tmp_path):
     sequence = FrameSequence(rp.open_sequence(recording).entries[:1], read)
     (problem,) = rp.fit_sequence(sequence, tmp_path / "out").problems
     assert problem.reason == "Permission denied"
+
+
+def test_too_many_open_files_are_no_fault_of_a_frame(recording, tmp_path, monkeypatch, capsys):
+    """Neither where the reader says so, nor where it says that the file is damaged."""
+    from PIL import Image
+
+    out = tmp_path / "out"
+    refused = OSError(errno.EMFILE, os.strerror(errno.EMFILE), "7.png")
+    read, opened = images.read_depth, Image.open
+
+    def fail(path, *arguments, **options):
+        if path.name == "7.png":
+            raise refused
+        return (read if not options else opened)(path, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Image, "open", fail)
+        assert cli.main(["batch", str(recording), "--out", str(out)]) == 2
+    assert capsys.readouterr().err == "rgbd-planes batch: 7.png: Too many open files\n"
+    sequence = rp.open_sequence(recording)
+    with pytest.raises(OSError, match="Too many open files"):
+        rp.fit_sequence(FrameSequence(sequence.entries, fail), tmp_path / "other")
+    assert rp.fit_sequence(sequence, out).problems == []
+    check_rows(out, sequence)
+
+
+def test_a_batch_ends_where_no_more_threads_can_be_started(recording, tmp_path, monkeypatch):
+    started, start = [], threading.Thread.start
+
+    def start_one(thread):
+        if started:
+            raise RuntimeError("can't start new thread")
+        started.append(thread)
+        start(thread)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start_one)
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out", num_threads=3)
+    assert not started[0].is_alive()
+    rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out", num_threads=3)
+    check_rows(tmp_path / "out", rp.open_sequence(recording))
 
 
 def test_frames_that_were_skipped_are_tried_again_where_asked_for(recording, tmp_path):
