@@ -343,8 +343,9 @@ class Camera:
                     f"expected disparity with the keys scale, offset, got {', '.join(map(str, disparity))}"
                 )
             made["disparity"] = (disparity["scale"], disparity["offset"])
-        if isinstance(made.get("depth_range"), Sequence):
-            made["depth_range"] = [math.inf if depth is None else depth for depth in made["depth_range"]]
+        depth_range = made.get("depth_range")
+        if isinstance(depth_range, Sequence) and [depth is None for depth in depth_range] == [False, True]:
+            made["depth_range"] = (depth_range[0], math.inf)  # which JSON has no number for
         return cls(**made)
 
     @classmethod

@@ -166,7 +166,7 @@ def number(name: str, value: Any, *, finite: bool = True) -> float:
 def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:
     """Return a sequence of numbers as floats."""
     listed = isinstance(values, Sequence) or (isinstance(values, np.ndarray) and values.ndim == 1)
-    if not listed or isinstance(values, (str, bytes)):
+    if not listed or isinstance(values, (str, bytes)) or any(value is None for value in values):
         raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
     return tuple(number(name, value, finite=finite) for value in values)
 

@@ -663,6 +663,14 @@ def test_noise_that_cannot_be_is_refused(changed, message):
         Camera.from_dict(small().to_dict() | {"noise": changed})
 
 
+@pytest.mark.parametrize("given", [[None, None], [None, 3.0], [0.5, None, 2.0]])
+def test_a_depth_range_without_numbers_is_named_as_it_is(given):
+    """Only the farthest depth may be null, for infinity."""
+    with pytest.raises(TypeError, match=re.escape(f"expected depth_range as a sequence of numbers, got {given}")):
+        Camera.from_dict(small().to_dict() | {"depth_range": given})
+    assert Camera.from_dict(small().to_dict() | {"depth_range": [0.5, None]}).depth_range == (0.5, np.inf)
+
+
 def test_from_realsense_models_that_cannot_be_are_refused():
     assert Camera.from_realsense(realsense(model="none", coeffs=KINECT)).distortion == ()
     assert Camera.from_realsense(realsense(model="Modified Brown Conrady")).distortion == ()
