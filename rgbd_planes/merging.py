@@ -43,9 +43,9 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     ----------
     fits : TilePlanes, WindowPlanes, LabelPlanes or MergedPlanes
         Of one frame. Pixels that overlapping windows share count twice.
-    labels : array_like of int
-        Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result. Tiles without a plane
-        of their own, but with valid pixels, are merged as well.
+    labels : array_like of int or bool
+        Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result; a mask is label 1. Tiles
+        without a plane of their own, but with valid pixels, are merged as well.
     significance : float, optional
         As in `fit_tiles`: unions with a larger residual get ROUGH.
 
@@ -57,15 +57,15 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers of this shape, or masked, negative or above the number of pixels; or ``fits`` are a
-        batch's: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the camera has no noise model for
-        it.
+        The labels are not integers or a mask of this shape, or masked, negative or above the number of pixels; or
+        ``fits`` are a batch's: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the camera has no
+        noise model for it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
     array = plain_array("labels", labels)
-    if array.dtype.kind not in "iu":
-        raise TypeError(f"labels must be integers, got dtype {array.dtype}")
+    if array.dtype.kind not in "iub":
+        raise TypeError(f"labels must be integers, or a mask, got dtype {array.dtype}")
     if len(fits.shape) == 3:
         raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
     if array.shape != fits.shape:

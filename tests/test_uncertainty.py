@@ -521,6 +521,7 @@ def test_merging_is_fitting_all_pixels(method, rng):
     # Merging what is merged, in another order.
     again = rp.merge(rp.merge(tiles, np.arange(tiles.status.size).reshape(tiles.shape) + 1), labels.ravel())
     np.testing.assert_allclose(again.planes[some], merged.planes[some], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(rp.merge(tiles, labels == 1).planes, merged.planes[:1])
     with pytest.raises(ValueError, match="shape of the planes"):
         rp.merge(tiles, labels[1:])
     with pytest.raises(TypeError, match="integers"):
