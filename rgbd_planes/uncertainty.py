@@ -40,6 +40,11 @@ def same_plane(
         opposite sides have 0. A systematic error that neighbours share counts as if each had its own: then neighbours
         on one plane have larger p-values than others.
 
+    Raises
+    ------
+    ValueError
+        The sum of two covariances is not of rank 3, as where both are zero.
+
     Examples
     --------
     Tiles and their neighbours to the right:
@@ -70,15 +75,17 @@ def same_plane(
         # Always copied: the kernel would be compiled both for writable and for read-only arrays.
         return np.array(np.broadcast_to(array, (*shape, *entries)), order="C").reshape(-1, *entries)
 
+    pairs = (
+        flat(first, (3,)), flat(first_covariance, (3, 3)), flat(second, (3,)), flat(second_covariance, (3, 3))
+    )  # fmt: skip
     p_value = np.empty(shape)
-    statistics.same_plane(
-        flat(first, (3,)),
-        flat(first_covariance, (3, 3)),
-        flat(second, (3,)),
-        flat(second_covariance, (3, 3)),
-        p_value.reshape(-1),
-    )
-    return np.where(opposite, 0.0, p_value)
+    statistics.same_plane(*pairs, p_value.reshape(-1))
+    p_value = np.where(opposite, 0.0, p_value)
+    unknown = np.isnan(p_value).reshape(-1)
+    known = [np.isfinite(part[unknown]).all(axis=tuple(range(1, part.ndim))) for part in pairs]
+    if np.logical_and.reduce(known).any():  # neither is missing
+        raise ValueError("expected covariances whose sums are of rank 3, as those of planes that were fitted")
+    return p_value
 
 
 def point_distance(

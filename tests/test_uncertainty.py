@@ -845,6 +845,22 @@ def test_what_cannot_be_fused_is_refused():
         rp.uncertainty.fuse_planes(plane[0], covariance[0])
 
 
+def test_same_plane_without_errors_is_refused():
+    """It was NaN, as of planes that are missing; one of the two may be known exactly."""
+    plane, other, none = np.array([0.0, 0.0, -1.0, 2.0]), np.array([0.0, 0.6, -0.8, 2.0]), np.zeros((4, 4))
+    some = np.diag([1e-6, 1e-6, 0.0, 1e-6])
+    for second in (plane, other):
+        with pytest.raises(ValueError, match="covariances whose sums are of rank 3"):
+            rp.uncertainty.same_plane(plane, none, second, none)
+        with pytest.raises(ValueError, match="covariances whose sums are of rank 3"):
+            rp.uncertainty.same_plane(-plane[:3] / 2.0, none[:3, :3], -second[:3] / 2.0, none[:3, :3])
+    assert rp.uncertainty.same_plane(plane, none, plane, some) == 1.0
+    missing = np.stack([plane, np.full(4, np.nan)])
+    assert np.isnan(rp.uncertainty.same_plane(missing, some, plane, some)).tolist() == [False, True]
+    assert np.isnan(rp.uncertainty.same_plane(plane, np.full((4, 4), np.nan), plane, none))
+    assert rp.uncertainty.same_plane(missing[:0], some, plane, some).shape == (0,)
+
+
 def test_same_plane_takes_every_correlation(rng):
     """Of whole tiles the two slopes have next to none."""
     factors = rng.standard_normal((2, 200, 3, 3))
