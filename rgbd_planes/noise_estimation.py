@@ -10,7 +10,7 @@ How unequal the tiles are gives the spread.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
 from typing import Any
@@ -107,9 +107,10 @@ def estimate_noise(
     """
     check_camera(camera)
     num_threads = check_num_threads(num_threads)
-    if not hasattr(frames, "__len__"):
+    if not hasattr(frames, "__len__") or isinstance(frames, (bytes, bytearray, Mapping)):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
-    opened: list[Any] = [frames] if len(frames) and np.ndim(frames[0]) == 1 else list(frames)
+    is_one = getattr(frames, "ndim", None) == 0 or (len(frames) > 0 and np.ndim(frames[0]) == 1)
+    opened: list[Any] = [frames] if is_one else list(frames)
     if not opened:
         raise ValueError("expected at least one frame, got none")
     bare = replace(camera, noise=None)

@@ -259,6 +259,20 @@ def test_what_may_be_outliers_is_doubted(rng, share):
         rp.estimate_noise(depth, replace(CAMERA, depth_scale=None))
 
 
+@pytest.mark.parametrize(
+    ("frames", "error", "message"),
+    [
+        (b"depth.png", TypeError, "expected a sequence of frames, got bytes"),
+        ({0: np.ones(CAMERA.shape)}, TypeError, "expected a sequence of frames, got dict"),
+        (np.array(2.0), ValueError, r"expected a depth frame of shape .* got \(\)"),
+        (np.ones(CAMERA.width), ValueError, r"expected a depth frame of shape .* got \(\)"),
+    ],
+)
+def test_what_is_no_sequence_of_frames_is_refused(frames, error, message):
+    with pytest.raises(error, match=message):
+        rp.estimate_noise(frames, CAMERA)
+
+
 def test_missing_pixels_are_named():
     depth = rendering(*VIEWS[0]).measure(holes=0.6)
     with pytest.raises(
