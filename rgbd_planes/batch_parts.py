@@ -19,6 +19,7 @@ from rgbd_planes.checks import collected_warnings, number
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
+from rgbd_planes.noise_model import warn_of_noise
 from rgbd_planes.segmentation import SMALLEST, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tile_grid import check_tile, grid_shape
@@ -184,7 +185,9 @@ def fit_part(
                 middle = time.perf_counter()
                 add(frame, i, rows)
                 if not asked:
-                    warn_of_distances(as_depth_frame(frame.depth, frame.camera), frame.camera)
+                    depth = as_depth_frame(frame.depth, frame.camera)
+                    warn_of_distances(depth, frame.camera)
+                    warn_of_noise(depth, frame.camera.noise)
             asked = True
         except (ImportError, MemoryError):
             raise

@@ -10,7 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import check_noise, for_each, number, numbers
+from rgbd_planes.checks import check_noise, for_each, number, numbers, warn_of_large_noise
+from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.residual_statistics import Components, ResidualStatistics, correlated_statistics
 from rgbd_planes.wording import two_digits
 
@@ -281,3 +282,12 @@ def _pairs(name: str, values: Any, of: str) -> Floats:
     if not np.isfinite(pairs).all():
         raise ValueError(f"expected {name} as pairs ({of}), got {values!r}")
     return pairs
+
+
+def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None) -> None:
+    """Warn of noise that most likely is in other units, of which tiles show nothing: none is ROUGH."""
+    q = frame._replace(raw=some_of(frame.raw)).inverse_depth
+    q = q[np.isfinite(q)]
+    if noise is not None and len(q):
+        middle = float(np.median(q))
+        warn_of_large_noise(float(noise.sigma(middle)), middle, "no tile is ROUGH")

@@ -371,6 +371,19 @@ def test_noise_in_other_units(folder, capsys, command):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.filterwarnings("default")
+def test_noise_in_other_units_in_a_batch(folder, capsys):
+    """Of tiles: how large the noise is, segments take from their frame."""
+    pytest.importorskip("pyarrow")
+    command = ["batch", ".", "--threads", "1", "--noise"]
+    assert cli.main([*command, "5", "--out", "large"]) == 0
+    err = capsys.readouterr().err
+    assert err.startswith("rgbd-planes: warning: depth.png: the noise that is given is 5 1/m where 1/Z is 0.")
+    assert err.count("\n") == 1
+    assert cli.main([*command, "0.0014", "--out", "right"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_a_seed_that_is_none(tmp_path, capsys):
     assert "seed must be at least 0, got -1" in fails(capsys, "demo", "--out", tmp_path, "--seed", "-1")
 

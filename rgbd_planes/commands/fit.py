@@ -30,19 +30,15 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and tiles")
 
     def run(arguments: argparse.Namespace) -> int:
-        import numpy as np
-
         from rgbd_planes import fit_tiles
-        from rgbd_planes.checks import warn_of_large_noise
         from rgbd_planes.depth import as_depth_frame
+        from rgbd_planes.noise_model import warn_of_noise
 
         check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz",), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         if arguments.noise is not None:
             camera = replace(camera, noise=arguments.noise)
-            if status == 0:
-                q = np.nanmedian(as_depth_frame(depth, camera).inverse_depth)
-                warn_of_large_noise(arguments.noise.sigma(q), q, "no tile is ROUGH")
+            warn_of_noise(as_depth_frame(depth, camera), arguments.noise)
         tiles = fit_tiles(
             depth,
             camera,
