@@ -66,6 +66,8 @@ def test_what_would_make_a_camera_is_named(camera, message):
         (Path("depth.png"), TypeError, "Path: rgbd_planes.images.read_depth reads a file"),
         (FRAMES[0], TypeError, "as an array, got Frame: the array is the depth of a Frame"),
         (FRAMES, TypeError, "as an array, got FrameSequence: the array is the depth of a Frame"),
+        (DEPTH.tobytes(), TypeError, "expected a depth frame as an array, got bytes$"),
+        (object(), TypeError, "expected a depth frame as an array, got object$"),
         (3, ValueError, r"got \(\)$"),
         (np.zeros((48, 64, 3), np.uint8), ValueError, "is it a colour image.* IMREAD_UNCHANGED$"),
         (CAMERA.points(DEPTH), ValueError, r"or points, whose depth is \[..., 2\]"),
