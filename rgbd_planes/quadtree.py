@@ -328,4 +328,5 @@ def _centre_depth(elements: QuadtreePlanes) -> npt.NDArray[np.float64]:
     row, column, height, width = elements.windows.T
     middle = row + height // 2, column + width // 2
     rays = np.stack([elements.camera.tan_x[middle], elements.camera.tan_y[middle], np.ones(len(row))])
-    return np.asarray(1.0 / np.einsum("ki,ik->k", elements.alpha, rays))
+    with np.errstate(divide="ignore"):  # a plane may be farther away than any number says
+        return np.asarray(1.0 / np.einsum("ki,ik->k", elements.alpha, rays))

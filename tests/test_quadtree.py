@@ -209,6 +209,15 @@ def test_real_frame_equals_oracle(real_frame):
             np.testing.assert_allclose(elements.planes[i], oracle.orient(plane.plane), rtol=0, atol=1e-7)
 
 
+def test_planes_that_are_infinitely_far_away(rng, recwarn):
+    """As where a simulator writes a large number for the sky."""
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    depth = rp.scenes.room().render(camera).depth
+    depth[rng.random(depth.shape) < 0.3] = 1e20
+    assert len(rp.segment_quadtree(depth, camera, 8, "range_implicit").planes) > 0
+    assert not [str(warning.message) for warning in recwarn]
+
+
 def test_plots_without_a_frame():
     """As the other results: it draws the fitted planes' own depth."""
     camera = rp.presets.kinect_v1()
