@@ -89,6 +89,8 @@ def whose(keys: list[str]) -> str:
 
 def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
     """Arguments of `Camera`; see `Camera.from_ros`."""
+    if info is None:  # as before the first message
+        raise TypeError("expected a CameraInfo, got None")
     if isinstance(info, Mapping) and "image_width" in info:
         info = _camera_info(info)
     width, height = _whole(info, "width"), _whole(info, "height")

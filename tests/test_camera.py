@@ -622,6 +622,7 @@ def test_from_realsense_without_a_lens():
         (lambda: Camera.from_realsense(without(realsense(), "coeffs")), "expected coeffs in"),
         (lambda: Camera.from_ros(without(camera_info(), "D")), "expected D or d in"),
         (lambda: Camera.from_ros(without(as_file(camera_info()), "distortion_coefficients")), "expected D or d in"),
+        (lambda: Camera.from_ros(None), "expected a CameraInfo, got None"),
         (lambda: Camera.from_ros("camera.yaml"), "expected a mapping, or an object, got the path 'camera.yaml'"),
     ],
 )
