@@ -40,6 +40,13 @@ def test_public_names_are_there():
         _ = rp.nonsense
 
 
+def test_a_name_with_an_error_is_told_which_is_meant():
+    ran = subprocess.run(
+        [sys.executable, "-c", "import rgbd_planes as rp; rp.segmnt"], capture_output=True, text=True, check=False
+    )
+    assert ran.stderr.endswith("has no attribute 'segmnt'. Did you mean: 'segment'?\n")
+
+
 def test_help_is_legible():
     """An ArrayLike that is evaluated shows all that NumPy makes of it: eight lines before the first word."""
     modules = (rp.export, rp.images, rp.metrics, rp.noise, rp.scenes, rp.segmentation_export, rp.uncertainty)
