@@ -17,6 +17,7 @@ from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.saved import Arrays, Savable, check_alike
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
+from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from rgbd_planes.fit_statistics import FitStatistics
@@ -70,10 +71,12 @@ class TilePlanes(Savable, PlacedFits):
         Raises
         ------
         TypeError
-            The planes are those of a single frame.
+            The planes are those of a single frame, or there are several indices.
         """
-        if len(self.shape) != 3:
-            raise TypeError("only the planes of a batch of frames can be indexed; index an array, such as .planes")
+        if len(self.shape) != 3 or isinstance(frame, tuple):
+            raise TypeError(
+                "only the planes of a batch of frames can be indexed, by a frame; index an array, such as .planes"
+            )
         one = TilePlanes(
             camera=self.camera, method=self.method, tile=self.tile,
             **{name: getattr(self, name)[frame] for name in ARRAYS},
@@ -108,7 +111,7 @@ class TilePlanes(Savable, PlacedFits):
 
     def __repr__(self) -> str:
         *frames, rows, columns = self.shape
-        count = f"{frames[0]} frames of " if frames else ""
+        count = f"{counted(frames[0], 'frame')} of " if frames else ""
         height, width = self.tile
         return f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
 

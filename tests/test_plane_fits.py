@@ -125,6 +125,10 @@ def test_batch_is_indexed_by_frame(rng):
     assert repr(stack).startswith("<TilePlanes: 3 frames of 3 x 4 tiles")
     assert list(stack.to_table()["frame"]) == [0] * 12 + [1] * 12 + [2] * 12
     np.testing.assert_array_equal(stack[-1].planes, stack.planes[2])
+    assert repr(stack[:1]).startswith("<TilePlanes: 1 frame of 3 x 4 tiles")
+    for made in (stack[0], stack):
+        with pytest.raises(TypeError, match=r"batch of frames can be indexed, by a frame; .* such as \.planes"):
+            made[0, 0]
     with pytest.raises(TypeError, match="batch"):
         stack[0][0]
     with pytest.raises(TypeError, match="no length"):
