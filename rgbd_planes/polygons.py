@@ -18,6 +18,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.extras import needs
 from rgbd_planes.segmentation_result import Reason, Segmentation
+from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from shapely import Geometry, MultiPolygon, Polygon
@@ -58,8 +59,9 @@ class PlanePolygon:
     metric: MultiPolygon
 
     def __repr__(self) -> str:
-        holes = sum(len(part.interiors) for part in self.metric.geoms)
-        return f"<PlanePolygon {self.label}: {self.area:.3g} m², {len(self.metric.geoms)} parts, {holes} holes>"
+        parts = counted(len(self.metric.geoms), "part")
+        holes = counted(sum(len(part.interiors) for part in self.metric.geoms), "hole")
+        return f"<PlanePolygon {self.label}: {self.area:.3g} m², {parts}, {holes}>"
 
     @property
     def area(self) -> float:

@@ -43,6 +43,7 @@ def test_a_rectangle_is_found_where_it_is() -> None:
     wall = max(polygons, key=lambda polygon: polygon.area)
     assert len(wall.metric.geoms) == 1
     assert len(wall.metric.geoms[0].interiors) == 1
+    assert repr(wall).endswith(" m², 1 part, 1 hole>")
     view = (160 / 130 * 4.0) * (120 / 130 * 4.0)
     shadow = shapely.Polygon((corners / corners[:, 2:] * 4.0)[:, :2]).area
     assert wall.area == pytest.approx(view - shadow, rel=0.01)
