@@ -58,7 +58,9 @@ class FitStatistics:
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
         assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
         error_sums = fits._error_sums
-        arrays = {name: getattr(fits, name) for name in _ARGUMENTS} | {"_statistics": self.rows}
+        # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.
+        arrays = {name: np.require(getattr(fits, name), requirements="W") for name in _ARGUMENTS}
+        arrays["_statistics"] = self.rows
         for frame in np.ndindex(frames):
             of_frame = {name: array[frame] for name, array in arrays.items()}
             assess.of(of_frame, error_sums)(0, math.prod(cells))

@@ -471,6 +471,29 @@ def test_statistics_follow_the_arrays(significance, rng):
                 np.testing.assert_array_equal(getattr(batch[i], name), wanted)
 
 
+def test_results_whose_arrays_are_read_only(rng):
+    """As Ray and joblib give them to other processes, and a user may make them: Numba refused these."""
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, noise=rp.noise.kinect_v1())
+    depth = 1.0 + 0.01 * rng.standard_normal(camera.shape)
+    tiles = rp.fit_tiles(depth, camera, 8)
+    for made in (
+        tiles,
+        rp.TileFitter(camera, 8).fit_batch([depth, depth]),
+        rp.fit_windows(depth, camera, [(0, 0, 8, 8)]),
+        rp.fit_labels(depth, camera, np.ones(camera.shape, int)),
+        rp.merge(tiles, np.ones(tiles.shape, int)),
+    ):
+        buffers = []
+        content = pickle.dumps(made, 5, buffer_callback=buffers.append)
+        given = pickle.loads(content, buffers=[bytes(buffer.raw()) for buffer in buffers])
+        assert not given.planes.flags.writeable
+        np.testing.assert_array_equal(given.p_value, made.p_value)
+        np.testing.assert_array_equal(given.plane_covariance, made.plane_covariance)
+        if len(given.shape) < 3:
+            numbers = np.ones(given.shape, int)
+            np.testing.assert_array_equal(rp.merge(given, numbers).p_value, rp.merge(made, numbers).p_value)
+
+
 @pytest.mark.parametrize("first", ["batch", "frame", "neither"])
 def test_a_frame_of_a_batch_has_the_batch_s_statistics(first, rng):
     """Whichever of them was asked first, and whichever is then written into."""
