@@ -25,14 +25,17 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     moments, alpha, rss : (N, 10), (N, 3), (N,) float64
         Of the planes.
     weighted : (N, 5) float64, written
-        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SQUARE_SIDE pixels. Where there are fewer
-        than FEWEST_SQUARES, all pixels count equally.
+        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SQUARE_SIDE pixels: as far from the means
+        of all pixels as those that the squares have are from the squares' own, since these do not reach the edges.
+        Where there are fewer than FEWEST_SQUARES, all pixels count equally.
     """
     height, width = label.shape
     first, columns = pyramid.offsets[1], pyramid.shapes[1, 1]
     of_squares = pyramid.moments
-    squares, total = np.zeros(len(moments), np.int64), np.zeros(len(moments))
-    weighted[:] = 0.0
+    mean, squares, pixels, total = np.zeros((4, len(moments)))
+    for k in range(len(moments)):
+        mean[k] = max(rss[k], 0.0) / moments[k, 0]
+    weighted[:] = 0.0  # at first sums, as those in ``total``, of what a square's variance is above the mean
     for row in range(height // SQUARE_SIDE):
         top, bottom = label[row * SQUARE_SIDE], label[row * SQUARE_SIDE + SQUARE_SIDE - 1]
         for column in range(width // SQUARE_SIDE):
@@ -44,19 +47,18 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
             n = of_squares[0, i]
             if n == 0.0:
                 continue
-            variance = min(max(misfit(of_squares, i, alpha, k), 0.0) / n, MOST * rss[k] / moments[k, 0])
-            squares[k] += 1
-            total[k] += variance * n
-            weighted[k, 0] += variance * of_squares[1, i]
-            weighted[k, 1] += variance * of_squares[2, i]
-            weighted[k, 2] += variance * of_squares[4, i]
-            weighted[k, 3] += variance * of_squares[5, i]
-            weighted[k, 4] += variance * of_squares[7, i]
+            more = min(max(misfit(of_squares, i, alpha, k), 0.0) / n, MOST * mean[k]) - mean[k]
+            squares[k] += 1.0
+            pixels[k] += n
+            total[k] += more * n
+            weighted[k, 0] += more * of_squares[1, i]
+            weighted[k, 1] += more * of_squares[2, i]
+            weighted[k, 2] += more * of_squares[4, i]
+            weighted[k, 3] += more * of_squares[5, i]
+            weighted[k, 4] += more * of_squares[7, i]
     for k in range(len(moments)):
-        if squares[k] >= FEWEST_SQUARES and total[k] > 0.0:
-            for j in range(5):
-                weighted[k, j] /= total[k]
-        else:
-            m = moments[k]
-            for j, of in enumerate((1, 2, 4, 5, 7)):
-                weighted[k, j] = m[of] / m[0]
+        m, weight = moments[k], mean[k] * pixels[k] + total[k]
+        is_told = squares[k] >= FEWEST_SQUARES and weight > 0.0
+        for j, of in enumerate((1, 2, 4, 5, 7)):
+            even = m[of] / m[0]
+            weighted[k, j] = even + (weighted[k, j] - total[k] * even) / weight if is_told else even

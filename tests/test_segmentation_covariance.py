@@ -7,10 +7,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera, scenes, segment
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.segment_reach import SIZES, mixture
+from rgbd_planes.kernels.segment_search import read_frame
+from rgbd_planes.kernels.segment_unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation_reach import reach_table
+from rgbd_planes.segmentation_workspace import Workspace, rays_of
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 
@@ -174,3 +178,23 @@ def test_one_square_of_outliers_says_little_of_where_a_plane_is_noisier(rng):
     assert (corners == 1).all()
     assert not found.labels[10:14, 10:14].any()
     np.testing.assert_allclose(np.diag(found.alpha_covariance[0]), np.diag(of_independent_pixels(1e-3)), rtol=0.3)
+
+
+def test_rays_are_weighed_up_to_the_edges(rng):
+    # Whole squares do not reach an oblique edge: by theirs alone, this triangle's mean ray would be off by 0.013.
+    u, v = np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y)
+    label = (np.abs(u) < 0.6 * (v + 0.45)).astype(np.int32)
+    on, work, all_weighted = label == 1, Workspace(CAMERA), np.empty((8, 1, 5))
+    for weighted in all_weighted:
+        q = 0.5 + 0.05 * u + 1e-3 * rng.standard_normal(CAMERA.shape)
+        frame = as_depth_frame(1.0 / q, CAMERA)
+        read_frame(
+            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
+            rays_of(CAMERA), work.inverse_depth, work.pyramid,
+        )  # fmt: skip
+        rows = np.stack([np.ones(on.sum()), u[on], v[on], q[on]])
+        moments = (rows @ rows.T)[np.triu_indices(4)]
+        alpha, rss, *_ = np.linalg.lstsq(rows[[1, 2, 0]].T, q[on])
+        weigh_rays(label, work.pyramid, moments[None], alpha[None], rss, weighted)
+    wanted = [of[on].mean() for of in (u, v, u * u, u * v, v * v)]  # the noise is the same everywhere
+    np.testing.assert_allclose(all_weighted.mean(axis=(0, 1)), wanted, atol=2e-3)
