@@ -82,9 +82,9 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     is_given = len(given) > 0
     if is_given and is_sensors:
         copy(given, sigma[1:])
-        typical, lateral, by_32, together = estimate_noise(pyramid, sigma, growth, reach)
+        typical, lateral, by_32, together = estimate_noise(pyramid, sigma, growth, reach, is_sensors)
     else:
-        typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:0], growth, reach)
+        typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:0], growth, reach, is_sensors)
     deviation, expected = math.sqrt(typical), 0.0
     shown = deviation
     if is_given:

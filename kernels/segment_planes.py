@@ -63,7 +63,7 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
 
 @kernel()
 def describe_planes(
-    moments, weighted, alpha, rss, deviation, together, least, step_of_raw, scale, is_disparity, planes, covariance,
+    moments, weighted, alpha, rss, deviation, noise, modelled, step_of_raw, scale, is_disparity, planes, covariance,
     rmse,
 ):  # fmt: skip
     """Planes, their covariances and their residuals.
@@ -72,35 +72,41 @@ def describe_planes(
     ----------
     moments, weighted, alpha, rss, deviation : (N, 10), (N, 5), (N, 3), (N,), (N,) float64
         ``weighted`` comes from `segment_unevenness.weigh_rays`.
-    together : float
-        Pixels that have one error between them.
-    least : (3, N) float64
-        Lower bounds on the variance of a pixel, for the slopes along x and y and for the mean.
+    noise : Noise
+    modelled : Modelled
     step_of_raw, scale, is_disparity
         See `segment_noise.step_at`.
     planes : (N, 4) float64, written
         nx, ny, nz, d.
     covariance : (N, 3, 3) float64, written
         Of α: from the residual or the noise, whichever is larger, and from the rounding error that all pixels have in
-        common.
+        common. A noise model that is believed gives its own, larger if the residual is larger than by the model;
+        another one is a lower bound.
     rmse : (N,) float64, written
     """
+    of_model = modelled.variances
     for i in range(len(moments)):
         n = moments[i, 0]
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
         seen = rss[i] / max(n - 3.0, 1.0)
-        variance = together * max(seen, deviation[i] ** 2)
+        expected = deviation[i] ** 2
+        variance, lateral, more = noise.together * max(seen, expected), 0.0, 1.0
+        if modelled.is_believed and of_model[3, i] > 0.0:
+            lateral = slope_variance(moments[i], alpha[i], noise) if modelled.has_lateral else 0.0
+            expected = of_model[3, i] + lateral
+            variance, more = 0.0, max(seen / expected, 1.0)
         of_x = of_y = of_mean = 0.0
         step = step_at(moments[i, 3] / n, step_of_raw, scale, is_disparity)
         if step > 0.0:
             u, v = moments[i, 1] / n, moments[i, 2] / n
             u_spread = abs(alpha[i, 0]) * math.sqrt(max(moments[i, 4] / n - u * u, 0.0))
             v_spread = abs(alpha[i, 1]) * math.sqrt(max(moments[i, 7] / n - v * v, 0.0))
-            others = max(min(seen, deviation[i] ** 2) - step**2 / 12.0, 0.0)
+            others = max(min(seen, expected) - step**2 / 12.0, 0.0)
             of_x, of_y, of_mean = in_common(step**2, others, n, u_spread, v_spread)
         covariance_of(
-            moments[i], weighted[i], max(variance, least[0, i]) + of_x, max(variance, least[1, i]) + of_y,
-            max(variance, least[2, i]) + of_mean, covariance[i],
+            moments[i], weighted[i], max(variance, more * (of_model[0, i] + lateral)) + of_x,
+            max(variance, more * (of_model[1, i] + lateral)) + of_y,
+            max(variance, more * (of_model[2, i] + lateral)) + of_mean, covariance[i],
         )  # fmt: skip
         d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
         for k in range(3):

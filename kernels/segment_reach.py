@@ -26,6 +26,10 @@ SMALLEST = 2
 MOST_SHOWN = 0.75
 # Variance of the logarithm of one square's ratio, whose median over many is more certain by their number.
 OF_ONE = 0.24
+# The ratio of errors that are independent: the means of 16 parts hold a plane's slopes but for a sixteenth.
+OF_INDEPENDENT = (16.0 - 1.0 - 2.0 * 15.0 / 16.0) / (16.0 - 3.0)
+# What the sum of as many squared deviations as there are sizes exceeds by chance in one frame of a hundred: chi-square.
+OF_CHANCE = (0.0, 6.63, 9.21, 11.34)
 
 
 @kernel()
@@ -136,10 +140,23 @@ def mixture(ratios, counts, reach):
 
 
 @kernel()
-def go_together(pyramid, sigma, typical, growth, reach):
+def may_be_chance(ratios, counts):
+    """Whether errors that are independent may well show these ``ratios`` and ``counts`` of `shown`."""
+    square, sizes = 0.0, 0
+    for size in range(len(ratios)):
+        if counts[size] > 0:
+            more = 1.0 - OF_INDEPENDENT / max(ratios[size], OF_INDEPENDENT)
+            square += counts[size] / OF_ONE * more * more
+            sizes += 1
+    return square <= OF_CHANCE[sizes]
+
+
+@kernel()
+def go_together(pyramid, sigma, typical, growth, reach, is_modelled):
     """How many pixels of a frame have one error between them, as squares of 32 pixels show it, and on the whole.
 
-    Both are 0 if unknown. ``sigma``, ``typical`` and ``growth`` are those of `segment_noise_estimation.estimate_noise`,
+    Both are 0 if unknown, and with a noise model, which ``is_modelled`` says, the second also if it may be chance that
+    squares show any. ``sigma``, ``typical`` and ``growth`` are those of `segment_noise_estimation.estimate_noise`,
     ``reach`` that of `mixture`.
     """
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
@@ -150,7 +167,8 @@ def go_together(pyramid, sigma, typical, growth, reach):
         step = 2 if size == 0 else 1  # a quarter of the smallest is enough, if there are larger ones
         ratios[size], counts[size] = shown(pyramid, level, sigma, flat * typical * grown**2, step)
     if counts[1] > 0:
-        return beyond(ratios[1], SMALLEST + 1), mixture(ratios, counts, reach)
-    ratio, count = shown(pyramid, SMALLEST, sigma, FLAT * typical * growth[1] ** 2, 1)
-    by_16 = beyond(ratio, SMALLEST) if count > 0 else 0.0
-    return by_16, by_16
+        by_32 = beyond(ratios[1], SMALLEST + 1)
+        return by_32, 0.0 if is_modelled and may_be_chance(ratios, counts) else mixture(ratios, counts, reach)
+    ratios[0], counts[0] = shown(pyramid, SMALLEST, sigma, FLAT * typical * growth[1] ** 2, 1)
+    by_16 = beyond(ratios[0], SMALLEST) if counts[0] > 0 else 0.0
+    return by_16, 0.0 if is_modelled and may_be_chance(ratios[:1], counts[:1]) else by_16

@@ -97,6 +97,14 @@ class Noise(NamedTuple):
     together: float  # pixels that have one error between them: n of them tell as much as n / together
 
 
+class Modelled(NamedTuple):
+    """What a noise model says of N planes."""
+
+    variances: Array  # (4, N) float64: of a pixel, for the slopes along x and y, the mean, and the residual
+    has_lateral: bool  # whether the lateral error of `Noise` is the model's
+    is_believed: bool  # whether the frame shows no more, beyond chance
+
+
 class Planes(NamedTuple):
     """Planes of regions, and what adds to a pixel's variance about them: see `segment_noise.about_plane`."""
 

@@ -50,7 +50,8 @@ def segment(
         object with such a function as ``sigma``: a noise model. It counts as no less than 0.04 % of the inverse depth,
         and the lateral error that the frame shows is added. For a model, its own ``lateral`` error, in pixels, is
         taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours share their
-        errors, that counts. By default ``camera.noise``; without either, noise is estimated from the frame.
+        errors, that counts. Covariances are by the model alone, unless neighbours do share errors: see
+        `Segmentation.alpha_covariance`. By default ``camera.noise``; without either, noise is estimated from the frame.
     min_size : int
         Pixels that a plane must have, at least 3. Planes of fewer are left out: from 60 on, that does not change the
         fits of the others, and takes no more from their labels than some strays, less than a pixel in fifty.
@@ -152,7 +153,7 @@ def _segment(
     segment_inside.fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     segment_planes.describe_planes(
-        inside, weighted, alpha, rss, deviation, noise.together, given.of_planes(inside, camera), step_of_raw,
+        inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, noise.together), step_of_raw,
         frame.scale, frame.is_disparity, planes, covariance, rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)

@@ -10,7 +10,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segment_frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
-from rgbd_planes.kernels.segment_records import Noise, Pyramid, Rays
+from rgbd_planes.kernels.segment_records import Modelled, Noise, Pyramid, Rays
 from rgbd_planes.residual_statistics import ResidualStatistics, like_rectangles
 from rgbd_planes.segmentation_reach import reach_table
 
@@ -39,18 +39,24 @@ class Given(NamedTuple):
     at_large: bool = False
     statistics: Callable[[Floats, Floats], ResidualStatistics] | None = None
 
-    def of_planes(self, moments: Floats, camera: Camera) -> Floats:
-        """(3, N) float64: least variances of a pixel, for the uncertainty of slopes, along x and y, and of means.
+    def of_planes(self, moments: Floats, camera: Camera, together: float) -> Modelled:
+        """What a noise model says of planes, from the moments of their pixels, (N, 10).
 
-        From the moments of the planes' pixels, (N, 10). 0 where nothing is known about shared errors.
+        ``together`` is that of `FrameNoise`. A model of independent errors says nothing of a frame whose pixels share
+        them: how large the errors are, such a frame tells better.
         """
-        if self.statistics is None or self.sigma is None:
-            return np.zeros((3, len(moments)))
+        variances = np.zeros((4, len(moments)))
+        is_believed = self.at_large and together == 1.0
+        if self.sigma is None or not (is_believed or self.statistics):
+            return Modelled(variances, False, False)
         pixels = moments[:, 0]
-        footprint = moments[:, [0, 1, 2, 4, 7]] * [1.0, camera.fx, camera.fy, camera.fx**2, camera.fy**2]
-        made = self.statistics(pixels, like_rectangles(footprint))
-        factors = np.stack([made.tilt_x, made.tilt_y, made.offset])
-        return np.asarray(self.sigma(moments[:, 3] / pixels) ** 2 * factors)
+        variances[:] = self.sigma(moments[:, 3] / pixels) ** 2
+        if self.statistics is not None:
+            footprint = moments[:, [0, 1, 2, 4, 7]] * [1.0, camera.fx, camera.fy, camera.fx**2, camera.fy**2]
+            made = self.statistics(pixels, like_rectangles(footprint))
+            of_residual = made.expected / np.maximum(pixels - 3.0, 1.0)
+            variances *= np.stack([made.tilt_x, made.tilt_y, made.offset, of_residual])
+        return Modelled(variances, self.lateral > 0.0, is_believed)
 
 
 class FrameNoise(NamedTuple):

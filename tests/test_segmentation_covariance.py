@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
-from rgbd_planes import Camera, scenes, segment
+from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segment_reach import SIZES, mixture
+from rgbd_planes.kernels.segment_reach import SIZES, may_be_chance, mixture
 from rgbd_planes.kernels.segment_search import read_frame
 from rgbd_planes.kernels.segment_unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
@@ -123,6 +123,84 @@ def test_a_models_slow_waves_are_in_the_covariance():
         error = found.alpha[0] - truth
         errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
     assert 0.4 < np.mean(errors) < 2.0
+
+
+CORNER = np.array([[0.1, 0.9, 0.6], [0.7, -0.05, 0.55], [-0.4, 0.1, 0.5]])  # α of a floor and two walls
+VGA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+
+
+def corner_with(noise, camera, rng):
+    """Inverse depth of a corner with the errors of a noise model, without its slow ones."""
+    planes = CORNER @ np.stack([*np.broadcast_arrays(camera.tan_x, camera.tan_y), np.ones(camera.shape)]).swapaxes(0, 1)
+    nearest, q = planes.argmax(axis=1), planes.max(axis=1)
+    error = np.sqrt(1.0 - sum(share for share, _ in noise.correlation)) * rng.standard_normal(q.shape)
+    for share, length in noise.correlation:
+        smooth = gaussian_filter(rng.standard_normal(q.shape), length / 2.0**0.5, mode="wrap")
+        error += share**0.5 * smooth / smooth.std()
+    slope = np.hypot(CORNER[:, 0] / camera.fx, CORNER[:, 1] / camera.fy)[nearest]
+    return q + noise.sigma(q) * error + noise.lateral * slope * rng.standard_normal(q.shape)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        NoiseModel((1.4e-3,)),
+        NoiseModel((2e-4,)),
+        NoiseModel((0.0, 0.0, 2e-3)),
+        NoiseModel((1.4e-3,), lateral=0.5),
+        NoiseModel((1.4e-3,), spread=0.1),
+        NoiseModel((1.4e-3,), correlation=((0.003, 4.0),)),
+    ],
+    ids=["constant", "small", "by depth", "lateral", "spread", "a little shared"],
+)
+def test_covariance_by_a_model_is_that_of_its_labels(noise, rng):
+    # By what the frame alone shows, with a floor of 0.04 % of 1/Z, it would be up to three times as large.
+    camera = replace(VGA, noise=noise)
+    for _ in range(2):
+        depth = 1.0 / corner_with(noise, camera, rng)
+        found = segment(depth, camera)
+        alike = maximum_filter(found.labels, 3) == minimum_filter(found.labels, 3)
+        fits = fit_labels(depth, camera, np.where(alike, found.labels, 0), max_missing=1.0)
+        assert len(found) == 3
+        np.testing.assert_allclose(found.alpha, fits.alpha, atol=1e-7)
+        for own, wanted in zip(found.alpha_covariance, fits.alpha_covariance, strict=True):
+            ratio = np.linalg.eigvals(np.linalg.solve(wanted, own)).real
+            assert np.abs(ratio - 1.0).max() < 0.1
+
+
+def test_covariance_by_an_exact_model_is_exact(rng):
+    # The mean of 240 chi-squares over their three degrees of freedom: 1, with a standard deviation of 0.05.
+    noise, errors = NoiseModel((1.4e-3,)), []
+    for _ in range(80):
+        found = segment(1.0 / corner_with(noise, CAMERA, rng), CAMERA, noise=noise)
+        for alpha, covariance in zip(found.alpha, found.alpha_covariance, strict=True):
+            error = alpha - CORNER[np.abs(CORNER - alpha).sum(axis=1).argmin()]
+            errors.append(error @ np.linalg.solve(covariance, error) / 3.0)
+    assert len(errors) == 240
+    assert 0.85 < np.mean(errors) < 1.15
+
+
+@pytest.mark.parametrize("pixels", [0.8, 1.5, 3.0])
+def test_a_model_that_the_frame_contradicts_is_not_believed(pixels):
+    # By this model, of independent errors, the mean squared error of α would be 5 to 100 times its covariance.
+    rng, truth, errors = np.random.default_rng(21), np.array([0.1, 0.0, 0.6]), []
+    for _ in range(15):
+        noise = gaussian_filter(rng.standard_normal(CAMERA.shape), pixels)
+        q = truth[0] * CAMERA.tan_x + truth[2] + 1e-3 * noise / noise.std()
+        found = segment(1.0 / q, CAMERA, noise=NoiseModel((1e-3,)))
+        error = found.alpha[0] - truth
+        errors.append(error @ np.linalg.solve(found.alpha_covariance[0], error) / 3.0)
+    assert 0.35 < np.mean(errors) < 1.7
+
+
+def test_a_little_that_squares_show_may_be_chance():
+    counts = np.array([100, 100, 20])
+    assert may_be_chance(np.array([0.9, 1.0, 0.8]), counts)  # not even that
+    assert may_be_chance(np.array([1.1, 1.1, 1.1]), counts)
+    assert not may_be_chance(np.array([1.2, 1.2, 1.2]), counts)
+    assert may_be_chance(np.array([1.2, 1.2, 1.2]), counts // 10)
+    assert not may_be_chance(np.array([0.0, 1.3, 0.0]), np.array([0, 120, 0]))
+    assert may_be_chance(np.zeros(3), np.zeros(3, int))  # no squares, no doubt
 
 
 def test_plane_covariance_is_that_of_alpha_carried_over(room):
