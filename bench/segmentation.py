@@ -301,9 +301,7 @@ def timing(frames: Sequence[Frame], vga: Frame, rounds: int = 40) -> dict[str, A
 
     Milliseconds at best, and ratios; also the ratio to the fit of a frame of 640 x 480, of which that bench is.
     """
-    runs: dict[Any, Callable[[], Any]] = {
-        name: numpy_fit(of, 20, "pca") for name, of in (("own", frames[0]), ("vga", vga))
-    }
+    runs: dict[Any, Callable[[], Any]] = {"own": numpy_fit(frames[0], 20, "pca"), "vga": numpy_fit(vga, 20, "pca")}
     runs |= {i: lambda frame=frame: segment(frame.depth, frame.camera) for i, frame in enumerate(frames)}
     times = in_turns(runs, rounds)
     fastest = float(np.mean([times[i].fastest for i in range(len(frames))]))
@@ -324,8 +322,8 @@ def report_time(frames: Sequence[Frame], vga: Frame, rounds: int = 40) -> None:
     found = timing(frames, vga, rounds)
     print(
         f"{found['frame']}{_and_others(frames)}: {found['size']}: segment {found['segment']:.2f} ms, "
-        f"NumPy, PCA of 20x20 tiles "
-        f"{found['numpy']:.2f} ms at best; ratio {found['ratio']:.2f}, of the medians {found['of_medians']:.2f}; "
+        f"NumPy, PCA of 20x20 tiles {found['numpy']:.2f} ms at best; "
+        f"ratio {found['ratio']:.2f}, of the medians {found['of_medians']:.2f}; "
         f"to NumPy's 640 x 480 {found['of_vga']:.2f}"
     )
     spent = stage_times(frames[0], rounds)

@@ -55,7 +55,8 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     given : (ENTRIES,) float64
         Standard deviations that are known; empty if none are.
     is_sensors : bool
-        They are a sensor's: some of it may be errors that neighbours share, of which the frame shows less.
+        Some are, and they are a sensor's: of errors that neighbours share, which may be part of it, the frame shows
+        less.
     step, scale, is_disparity
         See `segment_noise.step_at`.
     reach : see `segment_reach.mixture`
@@ -80,19 +81,18 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     interval = nearest / (ENTRIES - 1)
     sigma[0] = interval
     is_given = len(given) > 0
-    if is_given and is_sensors:
+    known = 0
+    if is_sensors:
         copy(given, sigma[1:])
-        typical, lateral, by_32, together = estimate_noise(pyramid, sigma, growth, reach, is_sensors)
-    else:
-        typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:0], growth, reach, is_sensors)
+        known = len(sigma)
+    typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:known], growth, reach, is_sensors)
     deviation, expected = math.sqrt(typical), 0.0
     shown = deviation
-    if is_given:
-        expected = given[0]
-        for i in range(ENTRIES):
+    if is_sensors:  # what squares show is a multiple of it
+        expected, shown = 1.0, deviation * given[MIDDLE]
+    else:
+        for i in range(len(given)):
             expected = max(expected, given[i])
-        if is_sensors:
-            expected, shown = 1.0, deviation * given[MIDDLE]
     shown_or_given = 0.0
     for i in range(ENTRIES):
         q = i * interval

@@ -82,7 +82,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
     run_label, part, run_pixels = runs.label, runs.part, runs.pixels
     missing, unclaimed = reasons.missing, reasons.unclaimed
     height, width = label.shape
-    labels, reasons, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
+    labels, why_none, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
     # Labels and reasons of whole blocks in a row of pixels: missing pixels aside, the blocks' other rows have the same.
     line_label = np.empty(-(-width // BLOCK) * BLOCK, np.int32)
     line_reason = np.empty(len(line_label), np.uint8)
@@ -105,7 +105,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
             for x in range(np.uint64(width)):
                 labels[begin + x] = line_label[x] if q[begin + x] > 0.0 else 0
             for x in range(np.uint64(width)):
-                reasons[begin + x] = line_reason[x] if q[begin + x] > 0.0 else missing
+                why_none[begin + x] = line_reason[x] if q[begin + x] > 0.0 else missing
         for i in range(first, stop):
             i = np.uint32(i)
             left = run_start[i] * BLOCK
@@ -117,7 +117,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
                     pixels &= pixels - np.int32(1)
                     here = np.uint64(corner + p // BLOCK * width + p % BLOCK)
                     labels[here] = a
-                    reasons[here] = b
+                    why_none[here] = b
                     loose[loose_count] = here
                     loose_count += is_stray
             elif stray[part[i]]:

@@ -63,9 +63,8 @@ class Segmentation(Savable):
         Otherwise, and without a model, it comes from the residual or the frame's noise, whichever is larger, and as
         many independent pixels as the squares show; with a model of correlated errors it is no less than these make.
         The frame's noise counts as no less than 0.04 % of 1/Z, and chance and edges pass for errors that reach far. So
-        where errors are independent, covariances without a model are up to three and a half times too large on average,
-        and more than ten times in single frames. Where errors reach farther than the squares show, as those of most
-        sensors do, they are too small.
+        where errors are independent, covariances without a model are too large, in single frames many times. Where
+        errors reach farther than the squares show, as those of most sensors do, they are too small.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64
