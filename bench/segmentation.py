@@ -33,7 +33,6 @@ from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes, segmentation
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import segment_inside, segment_labels, segment_search
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import Rules, segment, segment_frame
 from rgbd_planes.segmentation_noise import Given
@@ -288,11 +287,11 @@ def _by_rules(frame: Frame, rules: Rules) -> Scores:
 
 
 STAGES = {
-    "read, blocks": (segment_search, ("read_frame",)),
-    "noise": (segmentation, ("noise_of",)),
-    "planes and labels": (segment_search, ("find_planes",)),
-    "inside": (segment_inside, ("fit_inside",)),
-    "strays": (segment_labels, ("settle_strays",)),
+    "read, blocks": "read_frame",
+    "noise": "noise_of",
+    "planes and labels": "find_planes",
+    "inside": "fit_inside",
+    "strays": "settle_strays",
 }
 
 
@@ -350,9 +349,8 @@ def stage_times(frame: Frame, rounds: int) -> dict[str, float]:
         return call
 
     with contextlib.ExitStack() as patches:
-        for stage, (module, names) in STAGES.items():
-            for name in names:
-                patches.enter_context(mock.patch.object(module, name, timed(getattr(module, name), stage)))
+        for stage, name in STAGES.items():
+            patches.enter_context(mock.patch.object(segmentation, name, timed(getattr(segmentation, name), stage)))
         whole = timed(lambda: segment(frame.depth, frame.camera), "all")
         for turn in range(rounds):  # noqa: B007 - `call` reads it
             whole()

@@ -8,14 +8,8 @@ What calls what:
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
   `label_variances` and `sandwich` for parts of many depths
-- segments: `segment_search` reads a frame, with `segment_blocks`; then `segment_frame_noise`, with
-  `segment_noise_estimation` and `segment_reach`; then `segment_search` again, which does most of the work: with
-  `segment_regions`, which uses `segment_joining`, `segment_growth`, `segment_merge`, `segment_pixels` with
-  `segment_settled` and `segment_contest`, and `segment_shape` with `segment_facets`; with `segment_parts`, which uses
-  `segment_runs`; with `segment_gaps` and `segment_labels`. Then `segment_inside` with `segment_unevenness`,
-  `segment_planes`, and what `segment_labels` does with strays, in this order; `segment_records` holds what they hand on
-- used by many of them: `depth`, `copying`, `disjoint_sets`, `quantiles`; for segments `segment_moments` and
-  `segment_noise`
+- segments: `segments`, a folder of its own
+- used by many of them: `depth`, `copying`, `disjoint_sets`, `quantiles`
 - tables on disk: `rows`
 
 Habits of these kernels, each because it was measured:

@@ -36,9 +36,10 @@ def _sources_digest() -> str:
     part of the cache's file name, gives every change to any kernel a new cache entry.
     """
     digest = hashlib.sha256()
-    paths = sorted(Path(__file__).parent.glob("*.py"))
+    folder = Path(__file__).parent
+    paths = sorted(folder.glob("**/*.py"))
     for path in paths:
-        digest.update(path.name.encode())
+        digest.update(path.relative_to(folder).as_posix().encode())
         digest.update(path.read_bytes())
     if not paths:  # they are in a zip, or in a program without sources, which another may replace
         stat = os.stat(getattr(__loader__, "archive", sys.executable))

@@ -75,7 +75,7 @@ def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]
 
 
 def lens_by_angle(camera: Camera) -> Floats:
-    """(2, K) float64: how a lens changes the pitch, by the angle off the axis: see `kernels.segment_noise.at_angle`.
+    """(2, K) float64: how a lens changes the pitch, by the angle off the axis: see `kernels.segments.noise.at_angle`.
 
     A lens is taken to be round here: the little that is tangential is ignored. (2, 0) without distortion.
     """

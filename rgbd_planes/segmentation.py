@@ -13,8 +13,11 @@ from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, num
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.kernels import segment_inside, segment_labels, segment_planes, segment_search
-from rgbd_planes.kernels.segment_records import Rays, Reasons, Rules
+from rgbd_planes.kernels.segments.inside import fit_inside
+from rgbd_planes.kernels.segments.labels import settle_strays
+from rgbd_planes.kernels.segments.planes import describe_planes
+from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
+from rgbd_planes.kernels.segments.search import find_planes, read_frame
 from rgbd_planes.segmentation_noise import Given, noise_of
 from rgbd_planes.segmentation_result import Reason, Segmentation
 from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
@@ -132,7 +135,7 @@ def _segment(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
 ) -> Segmentation:
     """Find the planes and their pixels, and describe them."""
-    nearest = segment_search.read_frame(
+    nearest = read_frame(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
         rays, work.inverse_depth, work.pyramid,
     )  # fmt: skip
@@ -143,22 +146,22 @@ def _segment(
     room, enough = 0, False
     while not enough:  # again if there are more edges than in any frame before
         work.make_room(room)
-        room, found, loose_count = segment_search.find_planes(
+        room, found, loose_count = find_planes(
             work.inverse_depth, rays, work.pyramid, noise, rules, min(min_size, SMALLEST), min_size, _REASONS,
             work.owners, work.contended, work.contacts, work.sums, work.runs, work.loose, work.found, labels, reason,
         )  # fmt: skip
         enough = room <= len(work.runs.start)
     moments, deviation = work.found.moments[:found], work.found.deviation[:found]
     inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
-    segment_inside.fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
+    fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
-    segment_planes.describe_planes(
+    describe_planes(
         inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, noise.together), step_of_raw,
         frame.scale, frame.is_disparity, planes, covariance, rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
     sizes[1:] = moments[:, 0]
-    segment_labels.settle_strays(
+    settle_strays(
         work.runs, work.inverse_depth, _REASONS.unclaimed, min_size, FILLED, work.loose, loose_count, labels, reason,
         sizes,
     )  # fmt: skip

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
-from rgbd_planes.kernels.segment_frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
-from rgbd_planes.kernels.segment_records import Modelled, Noise, Pyramid, Rays
+from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
+from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
 from rgbd_planes.residual_statistics import ResidualStatistics, like_rectangles
 from rgbd_planes.segmentation_reach import reach_table
 

@@ -1,4 +1,4 @@
-"""How errors of different reach show in squares of pixels, for `kernels.segment_reach`."""
+"""How errors of different reach show in squares of pixels, for `kernels.segments.reach`."""
 
 import functools
 import itertools
@@ -6,8 +6,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.kernels.segment_blocks import BLOCK
-from rgbd_planes.kernels.segment_reach import SIZES, SMALLEST
+from rgbd_planes.kernels.segments.blocks import BLOCK
+from rgbd_planes.kernels.segments.reach import SIZES, SMALLEST
 
 Floats = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ _MEAN, _SLOPE = _ALONG, _ALONG + 1  # columns after those of the parts
 
 @functools.cache
 def reach_table() -> Floats:
-    """(2·SIZES + 1, K) float64: see `kernels.segment_reach.mixture`."""
+    """(2·SIZES + 1, K) float64: see `kernels.segments.reach.mixture`."""
     of_sizes = [row for size in range(SIZES) for row in _scatter(BLOCK << (SMALLEST + size))]
     made = np.stack([*of_sizes, 2.0 * np.pi * _LENGTHS**2])
     made.flags.writeable = False

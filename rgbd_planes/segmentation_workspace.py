@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.kernels import segment_noise
-from rgbd_planes.kernels.segment_blocks import BLOCK
-from rgbd_planes.kernels.segment_contest import NEIGHBOURS
-from rgbd_planes.kernels.segment_records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs, Sums
+from rgbd_planes.kernels.segments.blocks import BLOCK
+from rgbd_planes.kernels.segments.contest import NEIGHBOURS
+from rgbd_planes.kernels.segments.noise import stretches as write_stretches
+from rgbd_planes.kernels.segments.records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs, Sums
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -31,7 +31,7 @@ def rays_of(camera: Camera) -> Rays:
         centre_u, centre_v = np.ascontiguousarray(centre_u[middle_y]), np.ascontiguousarray(centre_v[:, middle_x])
     stretches = [np.ones((rows, columns))]
     if lens.size:
-        segment_noise.stretches(centre_u, centre_v, lens, stretches[0])
+        write_stretches(centre_u, centre_v, lens, stretches[0])
     for high, wide in _shapes(camera)[1:]:
         stretches.append(stretches[-1].reshape(high, 2, wide, 2).mean(axis=(1, 3)))
     return Rays(

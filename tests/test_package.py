@@ -154,7 +154,7 @@ def test_warmup_for_segments_leaves_nothing_to_compile():
 import importlib, pkgutil, numpy as np, rgbd_planes as rp, rgbd_planes.kernels as kernels
 from rgbd_planes import scenes
 def compiled():
-    modules = [importlib.import_module(m.name) for m in pkgutil.iter_modules(kernels.__path__, "rgbd_planes.kernels.")]
+    modules = [importlib.import_module(m.name) for m in pkgutil.walk_packages(kernels.__path__, "rgbd_planes.kernels.")]
     return {k: d.signatures for m in modules for k, d in vars(m).items() if hasattr(d, "signatures")}
 distorted = rp.Camera(200, 150, 170.0, 170.0, 99.5, 74.5, (0.1, -0.2, 0.0, 0.0, 0.0), depth_scale=5000.0)
 rp.warmup(distorted, dtypes=["uint16", "float32"], segment=True)

@@ -28,12 +28,9 @@ def test_the_version_is_the_same_everywhere():
 
 def test_every_package_folder_is_installed():
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    folders = {
-        ".".join(file.parent.relative_to(ROOT).parts)
-        for file in (ROOT / "rgbd_planes").rglob("__init__.py")
-        if "kernels" not in file.parts
-    }
-    assert set(tool["packages"]) == folders | {"rgbd_planes.kernels"}
+    face = [file for file in (ROOT / "rgbd_planes").rglob("__init__.py") if "kernels" not in file.parts]
+    kernels = [ROOT / "rgbd_planes" / file.relative_to(ROOT) for file in (ROOT / "kernels").rglob("__init__.py")]
+    assert set(tool["packages"]) == {".".join(file.parent.relative_to(ROOT).parts) for file in face + kernels}
 
 
 def test_every_extra_that_is_spoken_of_exists():

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rgbd_planes.kernels.segment_blocks import BLOCK
-from rgbd_planes.kernels.segment_runs import (
+from rgbd_planes.kernels.segments.blocks import BLOCK
+from rgbd_planes.kernels.segments.runs import (
     ALL,
     GAP,
     PIECES,

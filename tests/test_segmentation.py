@@ -24,12 +24,15 @@ from rgbd_planes import (
     segmentation_workspace,
 )
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import segment_blocks, segment_gaps, segment_inside, segment_shape
 from rgbd_planes.kernels.quantiles import quantile
-from rgbd_planes.kernels.segment_frame_noise import tolerance
-from rgbd_planes.kernels.segment_noise_estimation import estimate_noise as estimate_frame_noise
-from rgbd_planes.kernels.segment_noise_estimation import varied_squares
-from rgbd_planes.kernels.segment_records import Planes, Rays, Runs
+from rgbd_planes.kernels.segments.blocks import BLOCK, block_moments
+from rgbd_planes.kernels.segments.frame_noise import tolerance
+from rgbd_planes.kernels.segments.gaps import find_coplanar, label_boxes
+from rgbd_planes.kernels.segments.inside import inside_moments
+from rgbd_planes.kernels.segments.noise_estimation import estimate_noise as estimate_frame_noise
+from rgbd_planes.kernels.segments.noise_estimation import varied_squares
+from rgbd_planes.kernels.segments.records import Planes, Rays, Runs
+from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation_reach import reach_table
@@ -303,7 +306,7 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     box = np.array([[0, 32, 0, 32]] * 2)
     sigma = np.array([1.0, 1e-3, 1e-3])
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found = segment_shape.continues(region, means, 0, 1, moments, planes, sigma, box)
+    found = continues(region, means, 0, 1, moments, planes, sigma, box)
     assert found == (-1.0, 0.0, 0.0)
 
 
@@ -404,7 +407,7 @@ def test_what_a_grid_leaves_of_a_wall_is_compared_with_what_is_beside_it():
     box[1:] = np.stack([4 * row, 4 * row + 3, 4 * column, 4 * column + 3], axis=1)
     pairs = np.zeros((side**4, 2), np.int64)
     alpha, deviation = np.tile([0.0, 0.0, 0.5], (side * side, 1)), np.full(side * side, 1e-3)
-    count = segment_gaps.find_coplanar(moments, alpha, deviation, box, 2.0, 30.0, pairs)
+    count = find_coplanar(moments, alpha, deviation, box, 2.0, 30.0, pairs)
     found = {tuple(sorted(pair)) for pair in pairs[:count].tolist()}
     place = np.arange(side * side).reshape(side, side)
     beside = {*zip(place[:, :-1].ravel(), place[:, 1:].ravel(), strict=True)}
@@ -938,7 +941,7 @@ def blocks_and_squares(depth, camera):
     """Inverse depth, moments and planes of blocks and squares, largest inverse depth."""
     frame, rays = as_depth_frame(depth, camera), segmentation_workspace.rays_of(camera)
     work = segmentation_workspace.Workspace(camera)
-    nearest = segment_blocks.block_moments(
+    nearest = block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
         rays, work.inverse_depth, work.pyramid,
     )  # fmt: skip
@@ -962,7 +965,7 @@ def test_moments_of_blocks_and_squares(distortion):
     pixels = np.stack([valid, u, v, q64, u * u, u * v, u * q64, v * v, v * q64, q64 * q64]) * valid
     moments, rss, _, offsets, shapes = pyramid
     for level, (rows, columns) in enumerate(shapes):
-        side = segment_blocks.BLOCK << level
+        side = BLOCK << level
         padded = np.zeros((10, rows * side, columns * side))
         padded[:, :37, :330] = pixels
         sums = padded.reshape(10, rows, side, columns, side).sum(axis=(2, 4)).reshape(10, -1)
@@ -1132,7 +1135,7 @@ def test_boxes_of_labels_reach_to_the_edges():
     some = [np.concatenate(of).astype(np.int32) for of in (starts, stops, values)]
     box = np.zeros((9, 4), np.int64)
     start, stop, value = some
-    segment_gaps.label_boxes(Runs(first.astype(np.int32), start, stop, start, start, value, *[start] * 6), box)
+    label_boxes(Runs(first.astype(np.int32), start, stop, start, start, value, *[start] * 6), box)
     for label, (down, across) in enumerate(find_objects(labels), start=1):
         assert box[label].tolist() == [down.start, down.stop, across.start, across.stop]
 
@@ -1172,9 +1175,7 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
 
     everything = np.array([moments(labels == label) for label in (1, 2, 3)])
     found = np.empty_like(everything)
-    segment_inside.inside_moments(
-        labels, q, Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0)), np.ones(1)), everything, found
-    )
+    inside_moments(labels, q, Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0)), np.ones(1)), everything, found)
     surely = inside(labels, q > 0.0)
     for label, all_of_it, row in zip((1, 2, 3), everything, found, strict=True):
         own = surely & (labels == label)

@@ -8,9 +8,9 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segment_reach import SIZES, may_be_chance, mixture
-from rgbd_planes.kernels.segment_search import read_frame
-from rgbd_planes.kernels.segment_unevenness import weigh_rays
+from rgbd_planes.kernels.segments.reach import SIZES, may_be_chance, mixture
+from rgbd_planes.kernels.segments.search import read_frame
+from rgbd_planes.kernels.segments.unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation_reach import reach_table

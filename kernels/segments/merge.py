@@ -9,11 +9,11 @@ large one that they fit best; so do pairs that even independent noise would expl
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .disjoint_sets import root_of
-from .segment_moments import difference, fit, rise, solve
-from .segment_noise import sensor_variance, variance, waviness
+from .._jit import kernel
+from ..copying import copy
+from ..disjoint_sets import root_of
+from .moments import difference, fit, rise, solve
+from .noise import sensor_variance, variance, waviness
 
 # A region this many times larger than its neighbour takes in several of them at a time.
 MUCH_LARGER = 4.0

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .disjoint_sets import root_of
-from .segment_blocks import BLOCK
-from .segment_labels import label_runs
-from .segment_moments import add, ray_of
-from .segment_records import Parts, Sums
-from .segment_runs import WHOLE, find_runs, first_of, how_many
+from .._jit import kernel
+from ..copying import copy
+from ..disjoint_sets import root_of
+from .blocks import BLOCK
+from .labels import label_runs
+from .moments import add, ray_of
+from .records import Parts, Sums
+from .runs import WHOLE, find_runs, first_of, how_many
 
 
 @kernel()
@@ -200,7 +200,7 @@ def find_parts(
     Parameters
     ----------
     inverse_depth, rays, pyramid
-        As in `segment_regions.find_regions`.
+        As in `regions.find_regions`.
     owners, shares, region_number, curved, deviation
         From there.
     rules, least, reasons
@@ -208,7 +208,7 @@ def find_parts(
     sums : Sums
         Of the regions; changed.
     runs, loose
-        Written: see `segment_runs.find_runs`. The runs get their labels.
+        Written: see `runs.find_runs`. The runs get their labels.
     found : Found, written
 
     Returns

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .segment_blocks import EMPTY, UNSEEN
-from .segment_noise import sensor_variances
+from .._jit import kernel
+from .blocks import EMPTY, UNSEEN
+from .noise import sensor_variances
 
 
 @kernel(inline=True)
@@ -22,7 +22,7 @@ def join_blocks(pyramid, noise, rules, sensor, state):
         which counts ``steep_block`` times (a block across a depth jump looks steep, too). Four are one plane if
         joining them adds at most ``square_floor``² variances per pixel, plus ``square_spread``.
     sensor : (R·C,) float64, written
-        For each block: see `segment_noise.sensor_variance`.
+        For each block: see `noise.sensor_variance`.
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """

@@ -1,15 +1,15 @@
 """Segmentation: squares that are surely one plane grow together, before regions are weighed against each other.
 
-`segment_merge` then has to weigh hundreds of regions, best pairs first, instead of thousands of squares. Which of two
+`merge` then has to weigh hundreds of regions, best pairs first, instead of thousands of squares. Which of two
 planes takes a square that fits both is not decided here: such a square adds more than is sure.
 """
 
 import numpy as np
 
-from ._jit import kernel
-from .disjoint_sets import root_of
-from .segment_merge import describe
-from .segment_moments import residual_of_two
+from .._jit import kernel
+from ..disjoint_sets import root_of
+from .merge import describe
+from .moments import residual_of_two
 
 # Steps to the block on the right, and to the one below.
 NEXT_DOWN, NEXT_RIGHT = (0, 1), (1, 0)
@@ -20,7 +20,7 @@ def grow_together(region, moments, noise, rules, parent):
     """Join regions that touch, one pair after the other along the rows of blocks.
 
     Two regions of together at most ``most`` pixels are joined if that raises the sum of squared residuals by no more
-    than the share ``sure`` of what `segment_merge.merge` allows in the end.
+    than the share ``sure`` of what `merge.merge` allows in the end.
 
     Parameters
     ----------

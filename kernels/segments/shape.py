@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .disjoint_sets import root_of, unite
-from .segment_blocks import MIXED
-from .segment_facets import find_faceted, turn_of_groups
-from .segment_moments import jump_at
-from .segment_noise import about_plane, sensor_variance
+from .._jit import kernel
+from ..disjoint_sets import root_of, unite
+from .blocks import MIXED
+from .facets import find_faceted, turn_of_groups
+from .moments import jump_at
+from .noise import about_plane, sensor_variance
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
@@ -349,7 +349,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
 
     Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread``
     variances, form groups. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square:
-    if by less, it is the sensor that bends a plane. Also curved are the groups of `segment_facets.find_faceted`.
+    if by less, it is the sensor that bends a plane. Also curved are the groups of `facets.find_faceted`.
 
     Parameters
     ----------
@@ -357,11 +357,11 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         See `owned_means`.
     region_moments : (N, 10) float64
     planes : Planes
-    sigma : see `segment_noise.sensor_variance`
+    sigma : see `noise.sensor_variance`
     rules : Rules
     rays : Rays
     contacts, count
-        From `segment_merge.neighbours`; overwritten.
+        From `merge.neighbours`; overwritten.
     curved : (N,) bool, written
     """
     alpha = planes.alpha

@@ -5,18 +5,18 @@ In rounds: from joined blocks to regions, from regions to the pixels they own, a
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .segment_blocks import EMPTY
-from .segment_growth import grow_together
-from .segment_joining import join_blocks, leaves
-from .segment_merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, rename_pairs, renumber
-from .segment_moments import misfit
-from .segment_noise import in_square
-from .segment_pixels import own_pixels
-from .segment_planes import deviations, fit_regions
-from .segment_records import Contacts, Planes, Shares, Sums
-from .segment_shape import find_curved, owned_means
+from .._jit import kernel
+from ..copying import copy
+from .blocks import EMPTY
+from .growth import grow_together
+from .joining import join_blocks, leaves
+from .merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, rename_pairs, renumber
+from .moments import misfit
+from .noise import in_square
+from .pixels import own_pixels
+from .planes import deviations, fit_regions
+from .records import Contacts, Planes, Shares, Sums
+from .shape import find_curved, owned_means
 
 # The four blocks beside one.
 BESIDE_DOWN, BESIDE_RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
@@ -28,7 +28,7 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
 
     One after the other from the regions' edges on: rounds advance by one block each, this goes all the way. A block
     fits within ``settled`` standard deviations, root mean square. The arguments are those of
-    `segment_pixels.own_pixels`, and ``owner`` that of the blocks; ``region`` is changed.
+    `pixels.own_pixels`, and ``owner`` that of the blocks; ``region`` is changed.
     """
     moments, alpha = pyramid.moments, planes.alpha
     rows, columns = region.shape
@@ -87,7 +87,7 @@ def merge_and_own(
         See `find_regions`. Regions with a residual above ``rules.rough`` standard deviations are merged anew, with half
         the tolerance.
     sensor, state
-        See `segment_joining.join_blocks`.
+        See `joining.join_blocks`.
     region : (R, C) int32, written
         Region that owns most of a block, or -1.
     contacts : Contacts, written
@@ -161,12 +161,12 @@ def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, cont
     Parameters
     ----------
     inverse_depth, rays, pyramid, noise, rules
-        See `segment_search.find_planes`.
+        See `search.find_planes`.
     least : float
         Pixels that a region must have after the first round.
     owners : Owners, written
     contended, contacts
-        Room: see `segment_pixels.own_pixels` and `segment_merge.neighbours`.
+        Room: see `pixels.own_pixels` and `merge.neighbours`.
     sums : Sums, written
         Of the regions, with room for R·C.
 

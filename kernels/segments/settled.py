@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .segment_blocks import BLOCK, CHUNK, EMPTY, MIXED
-from .segment_moments import rows_of
-from .segment_noise import about_plane, grown_variance, sensor_variance
+from .._jit import kernel
+from ..copying import copy
+from .blocks import BLOCK, CHUNK, EMPTY, MIXED
+from .moments import rows_of
+from .noise import about_plane, grown_variance, sensor_variance
 
 # What is to be done with a block: nothing; look at it; give it to its own region, the only one around, if it fits that;
 # take over what regions have of it.
@@ -57,7 +57,7 @@ def look_around(region, owner, task):
 def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays, moments, owner, task):
     """Leave alone the blocks around which no region has changed since the last round, and no plane has moved.
 
-    Their ``task`` becomes DONE, or SAME if they are MIXED; the rest is as in `segment_pixels.own_pixels`.
+    Their ``task`` becomes DONE, or SAME if they are MIXED; the rest is as in `pixels.own_pixels`.
     """
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = region.shape
@@ -105,7 +105,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
 def give_whole(pyramid, sensor, region, planes, settled, task, owners):
     """Give the blocks that are ALONE to their region if they fit it within ``settled`` deviations; else they are OPEN.
 
-    Those that are DONE get their region's new number. Arguments as in `segment_pixels.own_pixels`.
+    Those that are DONE get their region's new number. Arguments as in `pixels.own_pixels`.
     """
     moments, stretch = pyramid.moments, planes.square_stretch
     rows, columns = region.shape

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .segment_blocks import BLOCK
-from .segment_runs import WHOLE, first_of, in_squares
+from .._jit import kernel
+from ..copying import copy
+from .blocks import BLOCK
+from .runs import WHOLE, first_of, in_squares
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
 COMPANY = 3
@@ -70,7 +70,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
         Of the other pixels.
     inverse_depth : (H, W) float32
     loose, loose_count
-        From `segment_runs.find_runs`; the pixels of those parts are added.
+        From `runs.find_runs`; the pixels of those parts are added.
     label, reason : (H, W) int32 and uint8, written
 
     Returns

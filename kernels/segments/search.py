@@ -2,21 +2,21 @@
 
 import numpy as np
 
-from ._jit import kernel
-from .segment_blocks import block_moments
-from .segment_gaps import join_across_gaps
-from .segment_labels import leave_out, write_labels
-from .segment_noise_estimation import nearest_surface
-from .segment_parts import find_parts
-from .segment_regions import find_regions
-from .segment_runs import PIECES
+from .._jit import kernel
+from .blocks import block_moments
+from .gaps import join_across_gaps
+from .labels import leave_out, write_labels
+from .noise_estimation import nearest_surface
+from .parts import find_parts
+from .regions import find_regions
+from .runs import PIECES
 
 
 @kernel()
 def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
-    """Write inverse depths, and moments and planes of squares: see `segment_blocks.block_moments`.
+    """Write inverse depths, and moments and planes of squares: see `blocks.block_moments`.
 
-    Returns the largest inverse depth of a surface: see `segment_noise_estimation.nearest_surface`.
+    Returns the largest inverse depth of a surface: see `noise_estimation.nearest_surface`.
     """
     nearest = block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid)
     return nearest_surface(pyramid, np.float64(nearest))
@@ -41,10 +41,10 @@ def find_planes(
         Pixels that a plane must have while they are found, and in the end.
     reasons : Reasons
     owners, contended, contacts, sums
-        Room: see `segment_regions.find_regions`.
+        Room: see `regions.find_regions`.
     runs : Runs, written
     loose : (H·W,) int32, written
-        See `segment_runs.find_runs`.
+        See `runs.find_runs`.
     found : Found, written
         With room for as many parts and planes as there is for runs.
     label, reason : (H, W) int32 and uint8, written
@@ -54,7 +54,7 @@ def find_planes(
     needed : int
         Runs that there may be. If there is no room for so many, nothing else is found.
     planes, loose_count : int
-        Their number, and that of the loose pixels: see `segment_labels.write_labels`.
+        Their number, and that of the loose pixels: see `labels.write_labels`.
     """
     shares, region_number, curved, deviation = find_regions(
         inverse_depth, rays, pyramid, noise, rules, float(least), owners, contended, contacts, sums

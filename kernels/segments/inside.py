@@ -7,12 +7,12 @@ fitted to the pixels whose neighbours are also theirs.
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .segment_merge import WORD
-from .segment_moments import add, ray_of, residual
-from .segment_planes import fit_planes
-from .segment_unevenness import weigh_rays
+from .._jit import kernel
+from ..copying import copy
+from .merge import WORD
+from .moments import add, ray_of, residual
+from .planes import fit_planes
+from .unevenness import weigh_rays
 
 # In place of a label: beyond the frame, and where nothing is measured.
 BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
@@ -97,7 +97,7 @@ def fit_inside(label, inverse_depth, rays, pyramid, moments, inside, alpha, rss,
     inside, alpha, rss : (N, 10), (N, 3) and (N,) float64, written
         Moments of these pixels, and the planes.
     weighted : (N, 5) float64, written
-        See `segment_unevenness.weigh_rays`.
+        See `unevenness.weigh_rays`.
     """
     inside_moments(label, inverse_depth, rays, moments, inside)
     fit_planes(inside, alpha, rss)

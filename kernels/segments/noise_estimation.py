@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .quantiles import quantile
-from .segment_blocks import BLOCK
-from .segment_noise import expected_variance
-from .segment_reach import FEWEST, FLAT, FULL, go_together
-from .segment_records import Pyramid
+from .._jit import kernel
+from ..copying import copy
+from ..quantiles import quantile
+from .blocks import BLOCK
+from .noise import expected_variance
+from .reach import FEWEST, FLAT, FULL, go_together
+from .records import Pyramid
 
 # Numbers of blocks of 4 pixels that are enough where larger squares are too few: the smallest plane has as many as the
 # first. With more than MOST_BLOCKS the frame is not small but sparse.
@@ -195,12 +195,12 @@ def estimate_noise(pyramid, sigma, growth, reach, is_modelled):
     ----------
     pyramid : Pyramid
     sigma : (K + 1,) float64
-        What is known of the noise: see `segment_noise.sensor_variance`. Empty if nothing is.
+        What is known of the noise: see `noise.sensor_variance`. Empty if nothing is.
     growth : (3,) float64, written
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
-    reach : see `segment_reach.mixture`
+    reach : see `reach.mixture`
     is_modelled : bool
-        See `segment_reach.go_together`.
+        See `reach.go_together`.
 
     Returns
     -------

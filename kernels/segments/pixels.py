@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .segment_blocks import BLOCK, MIXED
-from .segment_contest import (
+from .._jit import kernel
+from ..copying import copy
+from .blocks import BLOCK, MIXED
+from .contest import (
     AREA,
     LANES,
     NEIGHBOURS,
@@ -21,11 +21,11 @@ from .segment_contest import (
     repeat_rays,
     share_out,
 )
-from .segment_merge import WORD
-from .segment_moments import misfit
-from .segment_noise import grown_variance
-from .segment_records import Shares
-from .segment_settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, look_around
+from .merge import WORD
+from .moments import misfit
+from .noise import grown_variance
+from .records import Shares
+from .settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, look_around
 
 
 @kernel(inline=True)
@@ -42,12 +42,12 @@ def own_pixels(
     rays : Rays
     pyramid : Pyramid
     sensor : (R·C,) float64
-        For each block: see `segment_noise.sensor_variance`.
+        For each block: see `noise.sensor_variance`.
     region : (R, C) int32
         Region of each block, or -1; a block becomes, on return, the region that owns most of its pixels.
     planes : Planes
-        Of the regions: see `segment_planes.fit_regions`.
-    sigma : see `segment_noise.sensor_variance`
+        Of the regions: see `planes.fit_regions`.
+    sigma : see `noise.sensor_variance`
     rules : Rules
         A region contends for a pixel within ``reach`` standard deviations of its plane. Two planes meet where both
         fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ._jit import kernel
-from .segment_blocks import BLOCK
-from .segment_moments import misfit
+from .._jit import kernel
+from .blocks import BLOCK
+from .moments import misfit
 
 SQUARE_SIDE = 2 * BLOCK  # of the squares that are looked at, the pyramid's second level
 # Squares that a plane needs: with fewer, chance says more than the noise.

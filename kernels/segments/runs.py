@@ -5,9 +5,9 @@ No pixel is read: the pixels of a share are one bit each, which also tells where
 
 import numpy as np
 
-from ._jit import kernel
-from .disjoint_sets import unite
-from .segment_blocks import BLOCK, MIXED
+from .._jit import kernel
+from ..disjoint_sets import unite
+from .blocks import BLOCK, MIXED
 
 # Share of a run of whole blocks, which has none.
 WHOLE = np.int32(-1)

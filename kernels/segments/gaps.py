@@ -7,14 +7,14 @@ itself.
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .disjoint_sets import root_of, unite
-from .segment_blocks import BLOCK
-from .segment_labels import label_runs
-from .segment_moments import difference, ray_of, rise
-from .segment_planes import fit_planes
-from .segment_runs import TOP, WHOLE
+from .._jit import kernel
+from ..copying import copy
+from ..disjoint_sets import root_of, unite
+from .blocks import BLOCK
+from .labels import label_runs
+from .moments import difference, ray_of, rise
+from .planes import fit_planes
+from .runs import TOP, WHOLE
 
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane

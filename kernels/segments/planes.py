@@ -2,11 +2,11 @@
 
 import math
 
-from ._jit import kernel
-from .rounding import in_common
-from .sandwich import sandwich
-from .segment_moments import fit
-from .segment_noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
+from .._jit import kernel
+from ..rounding import in_common
+from ..sandwich import sandwich
+from .moments import fit
+from .noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
 
 
 @kernel()
@@ -46,7 +46,7 @@ def fit_planes(moments, alpha, rss):
 def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
     """Write the covariance of α, (3, 3), about the pixels' middle: see `sandwich.sandwich`.
 
-    ``weighted`` (5,) comes from `segment_unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
+    ``weighted`` (5,) comes from `unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
     variances of a pixel, one for each part.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
@@ -71,11 +71,11 @@ def describe_planes(
     Parameters
     ----------
     moments, weighted, alpha, rss, deviation : (N, 10), (N, 5), (N, 3), (N,), (N,) float64
-        ``weighted`` comes from `segment_unevenness.weigh_rays`.
+        ``weighted`` comes from `unevenness.weigh_rays`.
     noise : Noise
     modelled : Modelled
     step_of_raw, scale, is_disparity
-        See `segment_noise.step_at`.
+        See `noise.step_at`.
     planes : (N, 4) float64, written
         nx, ny, nz, d.
     covariance : (N, 3, 3) float64, written

@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .disjoint_sets import root_of, unite
-from .segment_blocks import BLOCK
-from .segment_moments import difference, jump_at
+from .._jit import kernel
+from ..disjoint_sets import root_of, unite
+from .blocks import BLOCK
+from .moments import difference, jump_at
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
 FACETS = 4  # planes that something round has at least: a ceiling between two slopes has three
@@ -72,7 +72,7 @@ def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, co
 
     Planes that meet at less than ``blunt`` radians and bend the same way form groups. A group is round if it has FACETS
     or more, none of which is half of it, and turns by more than ``sharp`` radians, root mean square. The other
-    arguments are those of `segment_shape.find_curved`.
+    arguments are those of `shape.find_curved`.
     """
     pairs, where, _ = contacts
     regions = len(alpha)

@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .quantiles import quantile
-from .segment_blocks import BLOCK
-from .segment_moments import solve
-from .segment_noise import expected_variance
+from .._jit import kernel
+from ..quantiles import quantile
+from .blocks import BLOCK
+from .moments import solve
+from .noise import expected_variance
 
 FULL = 0.5  # share of a square's pixels that must be measured
 FEWEST = 10  # squares that are needed to tell something
@@ -156,7 +156,7 @@ def go_together(pyramid, sigma, typical, growth, reach, is_modelled):
     """How many pixels of a frame have one error between them, as squares of 32 pixels show it, and on the whole.
 
     Both are 0 if unknown, and with a noise model, which ``is_modelled`` says, the second also if it may be chance that
-    squares show any. ``sigma``, ``typical`` and ``growth`` are those of `segment_noise_estimation.estimate_noise`,
+    squares show any. ``sigma``, ``typical`` and ``growth`` are those of `noise_estimation.estimate_noise`,
     ``reach`` that of `mixture`.
     """
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
+from .._jit import kernel
 
 # Where 1 less the squared correlation of u and v is no more than this, or one of them is constant, pixels lie on a
 # line.

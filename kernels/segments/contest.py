@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .segment_blocks import BLOCK
-from .segment_moments import difference
+from .._jit import kernel
+from .blocks import BLOCK
+from .moments import difference
 
 NEIGHBOURS = 9  # blocks around a block, itself included, and so the regions that can contend for it
 PAIRS = NEIGHBOURS * (NEIGHBOURS - 1) // 2
@@ -274,7 +274,7 @@ def share_out(contending, space, plane, penalty, line, limit, close, cut, square
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
         α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
     limit, close, cut : float32
-        Squares of what `segment_pixels.own_pixels` calls ``reach``, ``close`` and ``cut``.
+        Squares of what `pixels.own_pixels` calls ``reach``, ``close`` and ``cut``.
     square, sums, winner
         Room: see `misfits`, `sums_of_nine` and `contend`.
     owned, pixels : (11·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written

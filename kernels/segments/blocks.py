@@ -5,10 +5,10 @@ The frame is read once, for the moments and the plane of each block and of each 
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .segment_moments import solve
-from .segment_noise import through_lens
+from .._jit import kernel
+from ..copying import copy
+from .moments import solve
+from .noise import through_lens
 
 # Pixels along a block's side.
 BLOCK = 4

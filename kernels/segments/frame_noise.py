@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .quantiles import quantile
-from .segment_noise import step_at
-from .segment_noise_estimation import estimate_noise
+from .._jit import kernel
+from ..copying import copy
+from ..quantiles import quantile
+from .noise import step_at
+from .noise_estimation import estimate_noise
 
 # Entries of the table of standard deviations: from an inverse depth of 0 to that of the nearest surface, in equal
 # steps. MIDDLE is that of a surface twice as far away as the nearest.
@@ -58,17 +58,17 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
         Some are, and they are a sensor's: of errors that neighbours share, which may be part of it, the frame shows
         less.
     step, scale, is_disparity
-        See `segment_noise.step_at`.
-    reach : see `segment_reach.mixture`
+        See `noise.step_at`.
+    reach : see `reach.mixture`
     growth : (3,) float64, written
-        See `segment_noise.waviness`.
+        See `noise.waviness`.
     sigma : (ENTRIES + 1,) float64, written
-        See `segment_noise.sensor_variance`.
+        See `noise.sensor_variance`.
 
     Returns
     -------
     lateral, together : float
-        See `segment_noise_estimation.estimate_noise`; ``together`` is 1 or more.
+        See `noise_estimation.estimate_noise`; ``together`` is 1 or more.
     share : float
         See `tolerance`.
     typical_sigma : float

@@ -20,11 +20,11 @@ class Rules(NamedTuple):
 
     rough_block: float = 3.0  # deviations of a planar block
     steep_block: float = 0.6  # the same for the part that the block's own slope makes
-    square_floor: float = 1.0  # when four squares are one plane: see `segment_joining.join_blocks`
+    square_floor: float = 1.0  # when four squares are one plane: see `joining.join_blocks`
     square_spread: float = 30.0
-    sure: float = 0.1  # share of what one plane may add that leaves no doubt: see `segment_growth`
+    sure: float = 0.1  # share of what one plane may add that leaves no doubt: see `growth`
     most: float = 4096.0  # pixels that two regions may have to be joined so
-    region_floor: float = 4.5  # when two regions are one plane: see `segment_merge.merge`
+    region_floor: float = 4.5  # when two regions are one plane: see `merge.merge`
     region_jump: float = 6.0
     region_crest: float = 3.0
     region_spread: float = 30.0
@@ -71,8 +71,8 @@ class Rays(NamedTuple):
     centre_v: Array  # (R, 1) or (R, C)
     pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
-    lens: Array  # (2, K) float64: see `segment_noise.through_lens`; (2, 0) without a lens
-    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `segment_noise.in_square`
+    lens: Array  # (2, K) float64: see `noise.through_lens`; (2, 0) without a lens
+    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `noise.in_square`
 
 
 class Pyramid(NamedTuple):
@@ -86,14 +86,14 @@ class Pyramid(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Variance of a pixel about its plane: see `segment_noise.variance`."""
+    """Variance of a pixel about its plane: see `noise.variance`."""
 
-    sigma: Array  # (K + 1,) float64: see `segment_noise.sensor_variance`
+    sigma: Array  # (K + 1,) float64: see `noise.sensor_variance`
     lateral_variance: float  # in pixels², of where within its pixel a measurement lies
     lateral_variance_x: float  # the same in units of tanθx, and of tanθy
     lateral_variance_y: float
     lens: Array  # that of `Rays`
-    growth: Array  # (S,) float64: see `segment_noise.waviness`
+    growth: Array  # (S,) float64: see `noise.waviness`
     together: float  # pixels that have one error between them: n of them tell as much as n / together
 
 
@@ -106,12 +106,12 @@ class Modelled(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """Planes of regions, and what adds to a pixel's variance about them: see `segment_noise.about_plane`."""
+    """Planes of regions, and what adds to a pixel's variance about them: see `noise.about_plane`."""
 
     alpha: Array  # (N, 3) float64
     slope_variance: Array  # (N,) float64: where ``stretch`` is 1
     waviness_square: Array  # (N,) float64
-    stretch: Array  # (N,) float64: see `segment_noise.stretch_of`
+    stretch: Array  # (N,) float64: see `noise.stretch_of`
     square_stretch: Array  # that of `Rays`
 
 
@@ -147,15 +147,15 @@ class Contended(NamedTuple):
     many: Array  # (K,) int32: how many regions contend for it
     first: Array  # (K,) int32: the first of them among the following
     candidate: Array  # (L,) int32: region
-    centre: Array  # (L, 3) float64: where its blocks around the block lie, see `segment_contest.contenders`
+    centre: Array  # (L, 3) float64: where its blocks around the block lie, see `contest.contenders`
 
 
 class Contacts(NamedTuple):
     """Regions that touch: the first rows are in use, and their number is passed separately."""
 
-    pairs: Array  # (K, 3) int32: two regions, smaller first, and what `segment_merge.row_of` needs
+    pairs: Array  # (K, 3) int32: two regions, smaller first, and what `merge.row_of` needs
     where: Array  # (K, 3) float64: how many of their blocks touch, and the sum of the (u, v) in between
-    table: Array  # (2^k,) int32, larger than K: see `segment_merge.row_of`
+    table: Array  # (2^k,) int32, larger than K: see `merge.row_of`
 
 
 class Runs(NamedTuple):
@@ -189,10 +189,10 @@ class Parts(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What `segment_search.find_planes` finds: of the parts, and of those that are planes, each in the first rows."""
+    """What `search.find_planes` finds: of the parts, and of those that are planes, each in the first rows."""
 
     number: Array  # (P,) int32: label, 1, 2, ... for planes in the order of their first pixels, 0 for other parts
     why: Array  # (P,) uint8: reason
-    stray: Array  # (P,) bool: see `segment_parts.judge_parts`
+    stray: Array  # (P,) bool: see `parts.judge_parts`
     moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
     deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region
