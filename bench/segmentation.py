@@ -31,11 +31,12 @@ from numpy.typing import NDArray
 from bench import curved_scenes
 from bench.fitting import numpy_fit
 from bench.timing import in_turns
-from rgbd_planes import Camera, scenes, segmentation
+from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.metrics import compare_labels, plane_errors
-from rgbd_planes.segmentation import Rules, segment, segment_frame
-from rgbd_planes.segmentation_noise import Given
+from rgbd_planes.segmentation import segment as segmentation
+from rgbd_planes.segmentation.noise import Given
+from rgbd_planes.segmentation.segment import Rules, segment, segment_frame
 from tests.real_data import FOLDER as DATA
 
 LABELLED = {
@@ -361,7 +362,7 @@ def picture(frames: Sequence[Frame], path: Path) -> None:
     """Truth beside result."""
     from matplotlib.figure import Figure
 
-    from rgbd_planes.plotting_segments import label_colours
+    from rgbd_planes.plotting.segments import label_colours
 
     figure = Figure((8.0, 3.1 * len(frames)), layout="constrained")
     panels = figure.subfigures(len(frames), 2, squeeze=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.noise_samples import mean_depth
+from rgbd_planes.noise.samples import mean_depth
 from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.tile_grid import central_rays, tile_footprints
 from tests.real_data import FOLDER as DATA

@@ -19,28 +19,28 @@ __version__ = "0.2.0.dev0"
 # Where each public name comes from.
 _NAMES = {
     "Camera": "camera",
-    "FitSettings": "batch_parts",
+    "FitSettings": "batch.parts",
     "LabelPlanes": "labels",
-    "Reason": "segmentation_result",
-    "Segmentation": "segmentation_result",
+    "Reason": "segmentation.result",
+    "Segmentation": "segmentation.result",
     "TileFitter": "tiles",
     "TilePlanes": "tile_planes",
     "TileStatus": "plane_fits",
     "WindowPlanes": "windows",
     "curvature": "surfaces",
-    "estimate_noise": "noise_estimation",
+    "estimate_noise": "noise.estimation",
     "fit_labels": "labels",
-    "fit_sequence": "batch",
+    "fit_sequence": "batch.sequence",
     "fit_tiles": "tiles",
     "fit_windows": "windows",
-    "measurement_noise": "point_noise",
+    "measurement_noise": "noise.points",
     "merge": "merging",
     "normals": "surfaces",
     "open_sequence": "sequences",
     "plane_polygons": "polygons",
-    "segment": "segmentation",
+    "segment": "segmentation.segment",
     "segment_quadtree": "quadtree",
-    "segment_sequence": "tracking",
+    "segment_sequence": "segmentation.tracking",
     "warmup": "warm",
 }
 _MODULES = (
@@ -69,27 +69,27 @@ if TYPE_CHECKING:
     from rgbd_planes import segmentation_export as segmentation_export
     from rgbd_planes import sequences as sequences
     from rgbd_planes import uncertainty as uncertainty
-    from rgbd_planes.batch import fit_sequence as fit_sequence
-    from rgbd_planes.batch_parts import FitSettings as FitSettings
+    from rgbd_planes.batch.parts import FitSettings as FitSettings
+    from rgbd_planes.batch.sequence import fit_sequence as fit_sequence
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.labels import LabelPlanes as LabelPlanes
     from rgbd_planes.labels import fit_labels as fit_labels
     from rgbd_planes.merging import merge as merge
-    from rgbd_planes.noise_estimation import estimate_noise as estimate_noise
+    from rgbd_planes.noise.estimation import estimate_noise as estimate_noise
+    from rgbd_planes.noise.points import measurement_noise as measurement_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus
-    from rgbd_planes.point_noise import measurement_noise as measurement_noise
     from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
-    from rgbd_planes.segmentation import segment as segment
-    from rgbd_planes.segmentation_result import Reason as Reason
-    from rgbd_planes.segmentation_result import Segmentation as Segmentation
+    from rgbd_planes.segmentation.result import Reason as Reason
+    from rgbd_planes.segmentation.result import Segmentation as Segmentation
+    from rgbd_planes.segmentation.segment import segment as segment
+    from rgbd_planes.segmentation.tracking import segment_sequence as segment_sequence
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature
     from rgbd_planes.surfaces import normals as normals
     from rgbd_planes.tile_planes import TilePlanes as TilePlanes
     from rgbd_planes.tiles import TileFitter as TileFitter
     from rgbd_planes.tiles import fit_tiles as fit_tiles
-    from rgbd_planes.tracking import segment_sequence as segment_sequence
     from rgbd_planes.warm import warmup as warmup
     from rgbd_planes.windows import WindowPlanes as WindowPlanes
     from rgbd_planes.windows import fit_windows as fit_windows

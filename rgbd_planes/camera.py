@@ -12,11 +12,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes import camera_formats, distortion
+from rgbd_planes import camera_formats
 from rgbd_planes.checks import check_not_a_maker, check_whole, number, numbers, real_array, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
-from rgbd_planes.noise_model import NoiseModel
+from rgbd_planes.lenses import distortion
+from rgbd_planes.noise.model import NoiseModel
 
 Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]

@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
-from rgbd_planes.falloff import growth_of_pixels
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.label_variances import label_variances
-from rgbd_planes.noise_model import NoiseModel
+from rgbd_planes.noise.falloff import growth_of_pixels
+from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.ray_pitch import GAUSS_PLACES, GAUSS_WEIGHTS
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
-from rgbd_planes.falloff import EVEN
 from rgbd_planes.kernels import statistics
-from rgbd_planes.noise_model import NoiseModel
+from rgbd_planes.noise.falloff import EVEN
+from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.noise.residuals import inverse_freedom
 from rgbd_planes.ray_pitch import pitch_square
-from rgbd_planes.residual_statistics import inverse_freedom
 from rgbd_planes.threads import Work
 
 if TYPE_CHECKING:
@@ -190,11 +190,11 @@ class Assessment:
         As in `fit_tiles`.
     sizes : (N, 2) int64 or float64
         Height and width of each tile of a frame, row by row, missing pixels included; for other shapes, what
-        `residual_statistics.like_rectangles` gives.
+        `noise.residuals.like_rectangles` gives.
     footprint : (N, 5) int64
         For each tile's pixels, missing ones included: their number, Σx, Σy, Σx² and Σy².
     growth : (N,) float64
-        See `falloff.growth_of_parts`.
+        See `noise.falloff.growth_of_parts`.
     """
 
     def __init__(

@@ -21,12 +21,12 @@ from rgbd_planes.checks import (
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.error_sums import KeepsPixels, Pixels, sums_of_labels
-from rgbd_planes.falloff import EVEN
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
+from rgbd_planes.noise.falloff import EVEN
+from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.plane_fits import PlacedFits, allocate
-from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.wording import counted
 
 

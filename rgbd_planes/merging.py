@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from rgbd_planes.checks import check_labels, plain_array
 from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, sums_of_fits
-from rgbd_planes.falloff import EVEN
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
+from rgbd_planes.noise.falloff import EVEN
+from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.plane_fits import PlaneFits, allocate
-from rgbd_planes.residual_statistics import like_rectangles
 
 
 @dataclass(frozen=True, eq=False, repr=False)

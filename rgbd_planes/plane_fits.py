@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.falloff import growth_of_parts
 from rgbd_planes.kernels import statistics
-from rgbd_planes.residual_statistics import like_rectangles
+from rgbd_planes.noise.falloff import growth_of_parts
+from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.wording import two_digits
 
 if TYPE_CHECKING:
@@ -156,12 +156,12 @@ class PlaneFits:
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
-        """(N, 5): for each part of one frame, what `residual_statistics.like_rectangles` takes."""
+        """(N, 5): for each part of one frame, what `noise.residuals.like_rectangles` takes."""
         raise NotImplementedError
 
     @property
     def _growth(self) -> Floats:
-        """(N,): for each part of one frame, `falloff.growth_of_parts`."""
+        """(N,): for each part of one frame, `noise.falloff.growth_of_parts`."""
         return growth_of_parts(self.camera, self._footprint)
 
     @property
@@ -209,7 +209,7 @@ class PlacedFits(PlaneFits):
         return fits_html(self)
 
     def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
-        """Draw the depth, the normals as colours and the parts by status; see `plotting.plot_fits`.
+        """Draw the depth, the normals as colours and the parts by status; see `plotting.tiles.plot_fits`.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ class PlacedFits(PlaneFits):
         figure : matplotlib Figure, optional
             Drawn into, with text for a width of 15 inches; a new one of that width by default.
         """
-        from rgbd_planes.plotting import plot_fits
+        from rgbd_planes.plotting.tiles import plot_fits
 
         metres = None if depth is None else as_depth_frame(depth, self.camera).metres
         return plot_fits(self, metres, figure)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.extras import needs
-from rgbd_planes.segmentation_result import Reason, Segmentation
+from rgbd_planes.segmentation.result import Reason, Segmentation
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
-from rgbd_planes.plotting_segments import NO_PLANE, label_colours, label_image
+from rgbd_planes.plotting.segments import NO_PLANE, label_colours, label_image
 
 if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
-    from rgbd_planes.segmentation_result import Segmentation
+    from rgbd_planes.segmentation.result import Segmentation
 
 _WIDEST = 320  # pixels of a panel
 _GAP = 8

@@ -84,7 +84,7 @@ class QuadtreeSegmentation:
         return quadtree_html(self)
 
     def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
-        """Draw the depth, and the elements as the paper does; see `plotting_quadtree.plot_quadtree`.
+        """Draw the depth, and the elements as the paper does; see `plotting.quadtree.plot_quadtree`.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class QuadtreeSegmentation:
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.plotting_quadtree import plot_quadtree
+        from rgbd_planes.plotting.quadtree import plot_quadtree
 
         metres = None if depth is None else as_depth_frame(depth, self.elements.camera).metres
         return plot_quadtree(self, metres, figure)

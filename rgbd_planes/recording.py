@@ -12,12 +12,12 @@ from rgbd_planes.colours import in_image, normal_colours
 from rgbd_planes.export import exported, tile_polygons
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
-from rgbd_planes.plotting_segments import label_colours
+from rgbd_planes.plotting.segments import label_colours
 from rgbd_planes.polygons import plane_polygons
-from rgbd_planes.segmentation import SMALLEST, segment
+from rgbd_planes.segmentation.segment import SMALLEST, segment
+from rgbd_planes.segmentation.tracking import MEMORY, Tracker
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
-from rgbd_planes.tracking import MEMORY, Tracker
 
 _MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
 

@@ -17,10 +17,10 @@ from rgbd_planes.export import Floats, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.open3d_mesh import triangle_mesh
-from rgbd_planes.plotting_segments import NO_PLANE, label_colours
+from rgbd_planes.plotting.segments import NO_PLANE, label_colours
 from rgbd_planes.polygons import PlanePolygon
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
-from rgbd_planes.segmentation_result import Segmentation
+from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:

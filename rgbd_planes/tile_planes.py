@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
-from rgbd_planes.falloff import growth_of_tiles
 from rgbd_planes.fitting import ARRAYS, METHODS
+from rgbd_planes.noise.falloff import growth_of_tiles
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.saved import Arrays, Savable, check_alike
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows

@@ -15,10 +15,10 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.falloff import growth_of_tiles
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import ARRAYS, METHODS, SOLVES, Arrays, flat, solve_planes, valid_needed
 from rgbd_planes.kernels import grid
+from rgbd_planes.noise.falloff import growth_of_tiles
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_footprints, tile_windows

@@ -67,7 +67,7 @@ def warmup(
 def _segment(small: Camera, dtypes: Sequence[DType]) -> None:
     """Segment a scene that takes every code path, and frames of each dtype: only their first kernel differs."""
     from rgbd_planes import scenes
-    from rgbd_planes.segmentation import segment
+    from rgbd_planes.segmentation.segment import segment
 
     camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
     segment(scenes.room().render(camera).measure(holes=0.05, patches=0.05), camera)

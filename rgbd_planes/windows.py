@@ -11,9 +11,9 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share, plain_array
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.falloff import growth_of_windows
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
+from rgbd_planes.noise.falloff import growth_of_windows
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.tile_grid import footprints

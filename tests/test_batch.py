@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import batch, cli, files, images, presets, scenes
-from rgbd_planes.batch_parts import FitSettings
+from rgbd_planes import cli, files, images, presets, scenes
+from rgbd_planes.batch import sequence as batch
+from rgbd_planes.batch.parts import FitSettings
 from rgbd_planes.sequences import FrameEntry, FrameSequence
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -578,7 +579,8 @@ def test_progress_shows_before_the_first_part_is_done(recording, tmp_path, monke
 # After three parts nothing more is done until the process is told to stop.
 SLOW = """
 import signal, sys, time
-from rgbd_planes import batch_parts, cli
+from rgbd_planes import cli
+from rgbd_planes.batch import parts as batch_parts, sequence as batch_sequence
 # Where the tests run in the background of a shell, SIGINT is ignored, and so it would be here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 fit_part = batch_parts.fit_part
@@ -588,8 +590,7 @@ def slowly(sequence, first, settings, columns, where, stopped, fitted):
         time.sleep(0.01)
     parts.append(first)
     return fit_part(sequence, first, settings, columns, where, stopped, fitted)
-import rgbd_planes.batch
-rgbd_planes.batch.fit_part = slowly
+batch_sequence.fit_part = slowly
 sys.exit(cli.main(sys.argv[1:]))
 """
 

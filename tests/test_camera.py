@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rgbd_planes import noise, presets
-from rgbd_planes.brown_conrady import TOLERANCE, distort
 from rgbd_planes.camera import Camera
+from rgbd_planes.lenses.brown_conrady import TOLERANCE, distort
 
 REAL = [root / "camera.json" for root in real_data.sets()]
 real_cameras = pytest.mark.parametrize(

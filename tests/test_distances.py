@@ -163,8 +163,8 @@ def test_a_batch_says_so_once_a_call(tmp_path):
 
 def test_a_worker_elsewhere_says_so_of_its_part(tmp_path):
     pytest.importorskip("pyarrow")
-    from rgbd_planes.batch_parts import fit_part
-    from rgbd_planes.batch_rows import Columns
+    from rgbd_planes.batch.parts import fit_part
+    from rgbd_planes.batch.rows import Columns
 
     sequence = rp.open_sequence(frames_of_distances(tmp_path / "frames", 3))
     for segments in (False, True):

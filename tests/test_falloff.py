@@ -10,9 +10,9 @@ from test_noise_estimation import CAMERA as SEEING
 from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
-from rgbd_planes import noise_estimation
-from rgbd_planes.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
 from rgbd_planes.kernels import label_variances, statistics
+from rgbd_planes.noise import estimation
+from rgbd_planes.noise.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
 from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
 
 PINHOLE = rp.Camera(192, 144, 120.0, 120.0, 90.5, 74.5)  # up to 40 degrees off the axis
@@ -275,7 +275,7 @@ def test_where_there_is_none_nothing_changes(rng, monkeypatch):
     assert found.falloff == 0.0
     assert found.evidence.edge_growth == 1.0
     assert "towards the edge" not in "".join(axes.get_xlabel() for axes in found.evidence.plot().axes)
-    monkeypatch.setattr(noise_estimation, "_fit_falloff", lambda samples, model: model)
+    monkeypatch.setattr(estimation, "_fit_falloff", lambda samples, model: model)
     assert rp.estimate_noise(seen, replace(SEEING, depth_scale=None)) == found
 
 

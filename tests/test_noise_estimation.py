@@ -8,9 +8,9 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
-from rgbd_planes.flatness import flatness
-from rgbd_planes.large_planes import large_planes
-from rgbd_planes.noise_samples import WINDOW, Samples
+from rgbd_planes.noise.flatness import flatness
+from rgbd_planes.noise.large_planes import large_planes
+from rgbd_planes.noise.samples import WINDOW, Samples
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]

@@ -14,7 +14,7 @@ from test_tiles import DISTORTIONS, as_dtype, make_camera, make_depth
 
 import rgbd_planes as rp
 from rgbd_planes import cli, images, scenes
-from rgbd_planes.plotting_surfaces import plot_surfaces
+from rgbd_planes.plotting.surfaces import plot_surfaces
 
 HOLES = ("none", "some", "most", "patches", "lines", "almost all")
 

@@ -12,10 +12,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import rgbd_planes as rp
-from rgbd_planes import plotting, plotting_segments, scenes
-from rgbd_planes.noise_evidence import NoiseEvidence
-from rgbd_planes.plotting_quadtree import OUTLINES
-from rgbd_planes.plotting_surfaces import plot_surfaces
+from rgbd_planes import scenes
+from rgbd_planes.noise.evidence import NoiseEvidence
+from rgbd_planes.plotting import segments
+from rgbd_planes.plotting import tiles as plotting
+from rgbd_planes.plotting.quadtree import OUTLINES
+from rgbd_planes.plotting.surfaces import plot_surfaces
 
 
 def fitted(tile=8, **options):
@@ -191,7 +193,7 @@ def test_a_plane_has_one_brightness(fy, lens, rng):
     alpha = np.array([0.3, 0.2, 0.6])
     q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
     q[rng.random(q.shape) < 0.3] = np.nan
-    light = plotting_segments._relief(q, camera, 1e-2)[2:-2, 2:-2]
+    light = segments._relief(q, camera, 1e-2)[2:-2, 2:-2]
     expected = 1.0 + 0.12 * (alpha[0] / 52.5 + alpha[1] / fy) / 1e-2
     assert expected < 1.12
     np.testing.assert_allclose(light, expected, atol=0.004)

@@ -182,7 +182,7 @@ def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
     from matplotlib.collections import PatchCollection
     from matplotlib.colors import to_rgba
 
-    from rgbd_planes.plotting_quadtree import OUTLINES
+    from rgbd_planes.plotting.quadtree import OUTLINES
 
     segmentation = rp.segment_quadtree(frame, camera)
     figure = segmentation.plot(frame)

@@ -14,15 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
-from rgbd_planes import (
-    Camera,
-    estimate_noise,
-    scenes,
-    segment,
-    segmentation,
-    segmentation_noise,
-    segmentation_workspace,
-)
+from rgbd_planes import Camera, estimate_noise, scenes, segment
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.quantiles import quantile
 from rgbd_planes.kernels.segments.blocks import BLOCK, block_moments
@@ -35,8 +27,11 @@ from rgbd_planes.kernels.segments.records import Planes, Rays, Runs
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
-from rgbd_planes.segmentation_reach import reach_table
-from rgbd_planes.segmentation_result import Reason
+from rgbd_planes.segmentation.noise import noise_of
+from rgbd_planes.segmentation.reach import reach_table
+from rgbd_planes.segmentation.result import Reason
+from rgbd_planes.segmentation.segment import _given
+from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 
@@ -939,8 +934,8 @@ def test_a_quantile_of_what_is_no_number_ends():
 
 def blocks_and_squares(depth, camera):
     """Inverse depth, moments and planes of blocks and squares, largest inverse depth."""
-    frame, rays = as_depth_frame(depth, camera), segmentation_workspace.rays_of(camera)
-    work = segmentation_workspace.Workspace(camera)
+    frame, rays = as_depth_frame(depth, camera), rays_of(camera)
+    work = Workspace(camera)
     nearest = block_moments(
         frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
         rays, work.inverse_depth, work.pyramid,
@@ -994,10 +989,10 @@ def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparit
     camera = replace(CAMERA, disparity=disparity, depth_scale=None if disparity else 1000.0)
     q = 0.5 + 0.1 * camera.tan_x + 1.4e-3 * smooth_noise(3, 1.0)
     raw = np.rint((q - 0.1) / 5e-4 if disparity else 1000.0 / q).astype(np.uint16)
-    frame, rays, given = as_depth_frame(raw, camera), segmentation_workspace.rays_of(camera), segmentation._given(noise)
+    frame, rays, given = as_depth_frame(raw, camera), rays_of(camera), _given(noise)
     _, pyramid, _ = blocks_and_squares(raw, camera)
     nearest, step_of_raw = 0.7, 2.0
-    found, about = segmentation_noise.noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
+    found, about = noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
 
     inverse_depth = np.linspace(0.0, nearest, 33)
     step, flattest, growth = inverse_depth[1], 4e-4 * inverse_depth, np.empty(3)
@@ -1221,9 +1216,9 @@ def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):
     camera = Camera(160, 120, 131.25, 131.25, 79.5, 59.5, depth_scale=1000.0)
     depth = scenes.room().render(camera).measure(holes=0.05, seed=1)
     wanted = segment(depth, camera)
-    work = segmentation_workspace.Workspace(camera)
+    work = Workspace(camera)
     work.runs, work.found = work._room_for(1)
-    monkeypatch.setattr(segmentation_workspace.workspaces, "_kept", [work])
+    monkeypatch.setattr(workspaces, "_kept", [work])
     found = segment(depth, camera)
     assert len(work.runs.start) > 1
     assert np.array_equal(found.labels, wanted.labels)

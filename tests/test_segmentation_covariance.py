@@ -13,8 +13,8 @@ from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.segmentation_reach import reach_table
-from rgbd_planes.segmentation_workspace import Workspace, rays_of
+from rgbd_planes.segmentation.reach import reach_table
+from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 

@@ -24,9 +24,9 @@ from rgbd_planes import (
     segment_sequence,
     segmentation_export,
 )
-from rgbd_planes.plotting_segments import label_colours
+from rgbd_planes.plotting.segments import label_colours
+from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
-from rgbd_planes.segmentation_result import Reason
 from rgbd_planes.sequences import FrameEntry, FrameSequence
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)

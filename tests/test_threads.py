@@ -15,7 +15,8 @@ import pytest
 from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
-from rgbd_planes import batch, threads
+from rgbd_planes import threads
+from rgbd_planes.batch import sequence as batch
 
 ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
@@ -63,7 +64,7 @@ FORK_WHILE_TABLES_ARE_MADE = """
 import os, signal, threading
 from dataclasses import replace
 import rgbd_planes as rp
-from rgbd_planes import distortion
+from rgbd_planes.lenses import distortion
 
 one = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, (0.01, 0.0, 0.0, 0.0))
 other = replace(one, fx=53.0)

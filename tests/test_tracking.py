@@ -8,7 +8,7 @@ import pytest
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.metrics import compare_labels
-from rgbd_planes.tracking import Tracker, segment_sequence
+from rgbd_planes.segmentation.tracking import Tracker, segment_sequence
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
 

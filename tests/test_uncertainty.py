@@ -13,10 +13,11 @@ from scipy import special, stats
 from scipy.spatial.transform import Rotation
 
 import rgbd_planes as rp
-from rgbd_planes import fit_statistics, residual_statistics
+from rgbd_planes import fit_statistics
 from rgbd_planes.kernels import chi_square, variance_ratio
 from rgbd_planes.kernels.normal_distribution import WORK
 from rgbd_planes.kernels.normal_distribution import tails as normal_tails
+from rgbd_planes.noise import residuals
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5, floor_length=20.0)
@@ -182,7 +183,7 @@ def test_tail_of_chi_square(low, high, error, rng):
 def test_tail_of_a_ratio_of_variances(spread, rng):
     """As near to Fisher's F as documented, for 3 degrees of freedom or more; its limits are its inverse."""
     freedom = np.exp(rng.uniform(np.log(3.0), np.log(1e4), 2000))
-    inverse = residual_statistics.inverse_freedom(spread)
+    inverse = residuals.inverse_freedom(spread)
     assert stats.invgamma(0.5 / inverse, scale=0.5 / inverse - 1.0).std() == pytest.approx(spread, rel=1e-6)
     work = np.empty((WORK, len(freedom)))
     for p, low, high in (
@@ -197,13 +198,11 @@ def test_tail_of_a_ratio_of_variances(spread, rng):
         variance_ratio.deviates(inverse, work, len(freedom))
         normal_tails(work, len(freedom))
         assert low * p < work[0].min() < work[0].max() < high * p
-        deviate = residual_statistics.deviate_of(ratio, freedom, spread)
+        deviate = residuals.deviate_of(ratio, freedom, spread)
         np.testing.assert_allclose(work[0], stats.norm.sf(deviate), rtol=1e-5)
         variance_ratio.limits(stats.norm.isf(p), inverse, work, len(freedom))
-        np.testing.assert_allclose(work[2], residual_statistics.ratio_at(stats.norm.isf(p), freedom, spread))
-        np.testing.assert_allclose(
-            residual_statistics.deviate_of(work[2], freedom, spread), stats.norm.isf(p), atol=1e-12
-        )
+        np.testing.assert_allclose(work[2], residuals.ratio_at(stats.norm.isf(p), freedom, spread))
+        np.testing.assert_allclose(residuals.deviate_of(work[2], freedom, spread), stats.norm.isf(p), atol=1e-12)
 
 
 def test_tails_end_at_one_and_zero_and_keep_nan():

@@ -48,7 +48,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import FitSettings, fit_sequence
-        from rgbd_planes.batch import Progress
+        from rgbd_planes.batch.sequence import Progress
         from rgbd_planes.extras import needs
 
         with needs("tqdm", "batch" if arguments.scheduler is None else "dask"):

@@ -32,7 +32,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import fit_tiles
         from rgbd_planes.depth import as_depth_frame
-        from rgbd_planes.noise_model import warn_of_noise
+        from rgbd_planes.noise.model import warn_of_noise
 
         check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz",), figure=FIGURES)
         depth, camera, status = read_frame(arguments)

@@ -45,7 +45,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         import numpy as np
 
         from rgbd_planes import estimate_noise
-        from rgbd_planes.noise_samples import WINDOW
+        from rgbd_planes.noise.samples import WINDOW
 
         if arguments.count < 1:
             raise CommandError(f"--count must be at least 1, got {arguments.count}")

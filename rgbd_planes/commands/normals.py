@@ -60,7 +60,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
                 beside.write_bytes(content.getbuffer())
             print(f"Wrote {arguments.out}")
         if arguments.figure is not None:
-            from rgbd_planes.plotting_surfaces import plot_surfaces
+            from rgbd_planes.plotting.surfaces import plot_surfaces
 
             curvature = rp.curvature(depth, camera, arguments.window, **options)
             write_figure(plot_surfaces(depth, camera, found, curvature), arguments.figure)

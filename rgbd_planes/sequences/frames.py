@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
 from rgbd_planes.images import read_depth
-from rgbd_planes.noise_model import NoiseModel
+from rgbd_planes.noise.model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)

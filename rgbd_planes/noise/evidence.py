@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.flatness import flatness
-from rgbd_planes.large_planes import TILE, bends_by_side, large_planes
-from rgbd_planes.noise_model import NoiseModel
-from rgbd_planes.noise_samples import REFERENCE, WINDOW, Samples, bins_of
-from rgbd_planes.residual_statistics import deviate_of
+from rgbd_planes.noise.flatness import flatness
+from rgbd_planes.noise.large_planes import TILE, bends_by_side, large_planes
+from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.noise.residuals import deviate_of
+from rgbd_planes.noise.samples import REFERENCE, WINDOW, Samples, bins_of
 from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
@@ -74,14 +74,14 @@ class NoiseEvidence:
         return percent(np.mean(self.p_values < 0.01))
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Draw the fit and the maps; see `plotting_noise.plot_evidence`.
+        """Draw the fit and the maps; see `plotting.noise.plot_evidence`.
 
         Parameters
         ----------
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.plotting_noise import plot_evidence
+        from rgbd_planes.plotting.noise import plot_evidence
 
         return plot_evidence(self, figure)
 

@@ -18,12 +18,12 @@ from rgbd_planes.kernels.segments.labels import settle_strays
 from rgbd_planes.kernels.segments.planes import describe_planes
 from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
-from rgbd_planes.segmentation_noise import Given, noise_of
-from rgbd_planes.segmentation_result import Reason, Segmentation
-from rgbd_planes.segmentation_workspace import Workspace, rays_of, workspaces
+from rgbd_planes.segmentation.noise import Given, noise_of
+from rgbd_planes.segmentation.result import Reason, Segmentation
+from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 
 if TYPE_CHECKING:
-    from rgbd_planes.noise_model import NoiseModel
+    from rgbd_planes.noise.model import NoiseModel
 
 Floats = NDArray[np.float64]
 

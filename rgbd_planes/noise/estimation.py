@@ -22,10 +22,11 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, warn_caller
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.large_planes import TILE, LargePlanes, bends_by_side, large_planes
 from rgbd_planes.noise import NoiseModel, quantised, table
-from rgbd_planes.noise_evidence import evidence_of
-from rgbd_planes.noise_samples import (
+from rgbd_planes.noise.evidence import evidence_of
+from rgbd_planes.noise.large_planes import TILE, LargePlanes, bends_by_side, large_planes
+from rgbd_planes.noise.residuals import ratio_at
+from rgbd_planes.noise.samples import (
     EXACT,
     FEWEST_WINDOWS,
     MOST_MISSING,
@@ -38,7 +39,6 @@ from rgbd_planes.noise_samples import (
     mean_depth,
     unevenness,
 )
-from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.wording import counted, two_digits
 

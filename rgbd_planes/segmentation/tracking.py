@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_whole
 from rgbd_planes.metrics import plane_errors
-from rgbd_planes.segmentation import SMALLEST, check_settings, segment
-from rgbd_planes.segmentation_result import Segmentation
+from rgbd_planes.segmentation.result import Segmentation
+from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rgbd_planes.noise_model import NoiseModel
+    from rgbd_planes.noise.model import NoiseModel
 
 SHARED = 0.25  # share of the smaller one's pixels that a plane and its earlier self must have in common
 TURNED = 20.0  # degrees between them, at most
@@ -66,7 +66,7 @@ class TrackedSegmentation:
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.plotting_segments import plot_segments
+        from rgbd_planes.plotting.segments import plot_segments
 
         return plot_segments(self.segmentation, depth, figure, self.ids)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.colours import MISSING
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting import (
+from rgbd_planes.plotting.tiles import (
     depth_limits,
     draw_fitted_depth,
     draw_legend_of_statuses,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rgbd_planes.camera import Camera
-    from rgbd_planes.segmentation_result import Segmentation
+    from rgbd_planes.segmentation.result import Segmentation
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def label_image(
     Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief; with ``ids`` a plane has
     the colour of its id instead of its label.
     """
-    from rgbd_planes.segmentation_result import Reason
+    from rgbd_planes.segmentation.result import Reason
 
     colours = label_colours(len(segmentation)) if ids is None else label_colours(ids.max(initial=0))[ids - 1]
     palette = np.vstack([[NO_PLANE], colours])
@@ -110,7 +110,7 @@ def plot_segments(
     -------
     matplotlib Figure or SubFigure
     """
-    from rgbd_planes.plotting import NotebookFigure, panel_height
+    from rgbd_planes.plotting.tiles import NotebookFigure, panel_height
 
     check_figure(figure)
     if figure is None:

@@ -14,15 +14,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number, warn_caller
-from rgbd_planes.noise_model import KINECT_V1 as KINECT_V1
-from rgbd_planes.noise_model import Floats
-from rgbd_planes.noise_model import NoiseModel as NoiseModel
+from rgbd_planes.noise.model import KINECT_V1 as KINECT_V1
+from rgbd_planes.noise.model import Floats
+from rgbd_planes.noise.model import NoiseModel as NoiseModel
+
+if TYPE_CHECKING:
+    from rgbd_planes.camera import Camera
 
 _LONGEST_BASELINE = 5.0  # metres, of a stereo camera
 
@@ -181,6 +184,8 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances account for
     it, p-values are then too large.
     """
+    from rgbd_planes.camera import Camera  # which has a noise model itself
+
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")
     if not isinstance(step, Camera):

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.large_planes import TILE, LargePlanes
+from rgbd_planes.noise.large_planes import TILE, LargePlanes
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from rgbd_planes.checks import check_camera, number
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.falloff import growth_of_pixels
 from rgbd_planes.noise import KINECT_V1
+from rgbd_planes.noise.falloff import growth_of_pixels
 
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera

@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rgbd_planes.batch_digest import UNKNOWN, digests
-from rgbd_planes.batch_parts import FitSettings, Part, Problem, fit_part
-from rgbd_planes.batch_rows import Columns
+from rgbd_planes.batch.digest import UNKNOWN, digests
+from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part
+from rgbd_planes.batch.rows import Columns
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads, warn_caller
 from rgbd_planes.extras import needs

@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rgbd_planes.batch_rows import KEY, Columns, Grid, Rows, empty_rows
+from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import collected_warnings, number
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
-from rgbd_planes.noise_model import warn_of_noise
-from rgbd_planes.segmentation import SMALLEST, check_min_size, segment
+from rgbd_planes.noise.model import warn_of_noise
+from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tile_grid import check_tile, grid_shape
 from rgbd_planes.tile_planes import TilePlanes

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import check_noise, for_each, number, numbers, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame, some_of
-from rgbd_planes.residual_statistics import Components, ResidualStatistics, correlated_statistics
+from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
 from rgbd_planes.wording import two_digits
 
 Floats = NDArray[np.float64]

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.polynomials import first_zero
+from rgbd_planes.lenses.polynomials import first_zero
 
 Floats = NDArray[np.float64]
 

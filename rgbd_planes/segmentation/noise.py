@@ -11,8 +11,8 @@ from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
-from rgbd_planes.residual_statistics import ResidualStatistics, like_rectangles
-from rgbd_planes.segmentation_reach import reach_table
+from rgbd_planes.noise.residuals import ResidualStatistics, like_rectangles
+from rgbd_planes.segmentation.reach import reach_table
 
 Floats = NDArray[np.float64]
 

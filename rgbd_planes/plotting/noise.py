@@ -6,15 +6,15 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.checks import check_figure
-from rgbd_planes.noise_samples import REFERENCE
-from rgbd_planes.plotting import NotebookFigure
+from rgbd_planes.noise.samples import REFERENCE
+from rgbd_planes.plotting.tiles import NotebookFigure
 from rgbd_planes.wording import two_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rgbd_planes.noise_evidence import NoiseEvidence
+    from rgbd_planes.noise.evidence import NoiseEvidence
 
 _PALE = 6.0  # standard deviations of chance that the colours of the bias reach at least
 _SEEN, _MODEL, _PLAIN = "#2f6fb0", "#c8442e", "#8a8a8a"

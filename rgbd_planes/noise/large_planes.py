@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.merging import merge
-from rgbd_planes.noise_model import NoiseModel
-from rgbd_planes.noise_samples import bins_of, mean_depth
+from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.noise.residuals import like_rectangles
+from rgbd_planes.noise.samples import bins_of, mean_depth
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.ray_pitch import slope_square
-from rgbd_planes.residual_statistics import like_rectangles
 from rgbd_planes.tile_grid import central_rays
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter

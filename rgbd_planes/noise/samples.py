@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.noise_model import NoiseModel
+from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.noise.residuals import ratio_at
 from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES, rays_in, slope_square
-from rgbd_planes.residual_statistics import ratio_at
 from rgbd_planes.tile_planes import TilePlanes
 
 Floats = npt.NDArray[np.float64]

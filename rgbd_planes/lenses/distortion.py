@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes import brown_conrady, fisheye
 from rgbd_planes.checks import check_choice
+from rgbd_planes.lenses import brown_conrady, fisheye
 
 Floats = NDArray[np.float64]
 

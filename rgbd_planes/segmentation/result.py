@@ -223,7 +223,7 @@ class Segmentation(Savable):
         return cls(camera=camera, sigma=sigma, **own)
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
-        """Draw the planes in colours over the relief of the depth; see `plotting_segments.plot_segments`.
+        """Draw the planes in colours over the relief of the depth; see `plotting.segments.plot_segments`.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class Segmentation(Savable):
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
         """
-        from rgbd_planes.plotting_segments import plot_segments
+        from rgbd_planes.plotting.segments import plot_segments
 
         return plot_segments(self, depth, figure)
 

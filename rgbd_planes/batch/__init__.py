@@ -1,0 +1,1 @@
+"""Fit or segment whole sequences, and write tables."""

@@ -1,0 +1,1 @@
+"""Lens distortion: what a lens does to rays, and back."""

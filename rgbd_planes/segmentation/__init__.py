@@ -1,0 +1,1 @@
+"""Find the planes of a frame, and follow them through a video."""
