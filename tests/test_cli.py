@@ -87,6 +87,15 @@ def test_demo_writes_a_picture_and_says_what_it_found(tmp_path, monkeypatch, cap
         assert np.array_equal(np.asarray(again), np.asarray(picture))
 
 
+def test_demo_compares_tiles_that_end_before_their_middle_with_the_truth(tmp_path, capsys):
+    # 480 x 640 in tiles of 25 leaves a last row of 5 pixels, and in tiles of 12 a last column of 4.
+    for tile, columns, rows in ((25, 26, 20), (12, 54, 40)):
+        assert cli.main(["demo", "--out", str(tmp_path), "--tile", str(tile)]) == 0
+        out = capsys.readouterr().out
+        assert f"{rows * columns} tiles" in out
+        assert float(re.search(r"^  all\s+\d+\s+[\d.]+°\s+([\d.]+) mm", out, re.M)[1]) < 1.0
+
+
 def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
     assert cli.main(["demo", "--out", str(tmp_path), "--tile", "480x640"]) == 0
     assert "nothing to compare" in capsys.readouterr().out

@@ -79,9 +79,9 @@ def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") 
 
     from rgbd_planes.metrics import plane_errors
 
-    height, width = tiles.tile
-    middle = np.s_[height // 2 :: height, width // 2 :: width]  # one pixel of each tile
-    x, y = rendering.camera.tan_x[middle], rendering.camera.tan_y[middle]
+    # One pixel of each tile: a ragged one may end before the middle of a whole one.
+    rows, columns = (np.cumsum(sides) - (sides + 1) // 2 for sides in (tiles.tile_heights, tiles.tile_widths))
+    x, y = (table[np.ix_(rows, columns)] for table in (rendering.camera.tan_x, rendering.camera.tan_y))
 
     def line(name: str, fits: "TilePlanes", chosen: Any) -> str:
         truth, found = rendering.planes[labels[chosen] - 1], fits.planes[chosen]
