@@ -241,6 +241,26 @@ def test_drawn_into_a_part_of_a_figure():
     assert len(upper.axes) == len(lower.axes) > 0
 
 
+@pytest.mark.parametrize("shape", [(480, 640), (512, 512), (640, 480), (640, 360)])
+def test_the_figure_of_noise_says_all_of_it_for_narrow_images(shape):
+    height, width = shape
+    maps, cells = (height // 12, width // 12), (height // 8, width // 8)
+    curve = np.ones(6)
+    evidence = NoiseEvidence(
+        windows=100, sizes=np.array([6, 8, 12, 24, 48, 96]), residuals=curve, expected=curve,
+        inverse_depth=np.linspace(0.3, 1.0, 6), sigma=1e-3 * curve, sigma_fit=1e-3 * curve,
+        p_values=np.linspace(0.0, 1.0, 100), noise_map=np.ones(maps), edge_growth=1.3,
+        flatness=np.full(cells, 1e-3), flatness_count=np.full(cells, 100), flatness_std=np.full(cells, 1e-4),
+    )  # fmt: skip
+    figure = evidence.plot()
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for text in (axes.title, axes.xaxis.label, axes.yaxis.label):
+            box = text.get_window_extent()
+            assert box.x0 >= 0.0, text.get_text()
+            assert box.x1 <= figure.bbox.width, text.get_text()
+
+
 def test_axes_in_the_place_of_a_figure():
     tiles, depth = fitted()
     axes = Figure().add_subplot()

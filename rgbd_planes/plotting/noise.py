@@ -97,7 +97,9 @@ def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
 def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, **style: Any) -> None:
     axes.set_facecolor((0.86, 0.86, 0.86))
     image = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
-    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+    # Beside the map. A colour bar that takes its room from the axes would move the map to the side of its half of the
+    # figure, where titles that are wider than a narrow map are cut off.
+    axes.figure.colorbar(image, cax=axes.inset_axes((1.03, 0.075, 0.05, 0.85)))
     axes.set_title(title, fontsize=10)
     axes.set_xlabel("grey: nothing flat there", fontsize=9)
     axes.set_xticks([])
