@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_share, check_whole, number
+from rgbd_planes.checks import check_camera, check_share, check_whole, number, real_array
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 
@@ -223,9 +223,9 @@ def plane(normal: ArrayLike, distance: float) -> Scene:
     TypeError, ValueError
         The normal is zero or not finite, or the distance is not a positive number.
     """
-    direction = np.asarray(normal, dtype=np.float64)
-    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
-        raise ValueError(f"normal must be three finite numbers, not all zero, got {normal!r}")
+    direction = _three("normal", normal)
+    if not direction.any():
+        raise ValueError(f"expected normal as a direction, got {normal!r}")
     distance = number("distance", distance)
     if not distance > 0.0:
         raise ValueError(f"distance must be positive, in metres, got {distance}")
@@ -243,10 +243,10 @@ def polygon(name: str, vertices: ArrayLike) -> Surface:
 
     Raises
     ------
-    ValueError
-        There are fewer than three corners, or they are not those of a flat, convex polygon.
+    TypeError, ValueError
+        There are fewer than three corners, or they are not those of a flat, convex polygon, or not numbers.
     """
-    points = np.asarray(vertices, dtype=np.float64)
+    points = real_array("vertices", vertices)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
         raise ValueError(f"vertices must be (K, 3) with K >= 3, got shape {points.shape}")
     edges = np.roll(points, -1, axis=0) - points
@@ -281,15 +281,18 @@ def box(name: str, foot: Sequence[float], size: Sequence[float], turn: float = 0
 
     Raises
     ------
-    ValueError
-        A side has no length, or a number is not finite; or there are not three of them.
+    TypeError, ValueError
+        A side is not a positive length, or there are not three finite numbers.
     """
-    width, height, depth = size
+    width, height, depth = sides = _three("size", size)
+    if not (sides > 0.0).all():
+        raise ValueError(f"expected size as three positive lengths in metres, got {size!r}")
+    turn = number("turn", turn)
     cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     across = 0.5 * width * np.array([cos, 0.0, -sin])
     along = 0.5 * depth * np.array([sin, 0.0, cos])
     up = 0.5 * height * np.array([0.0, -1.0, 0.0])
-    centre = np.asarray(foot, dtype=np.float64) + up
+    centre = _three("foot", foot) + up
 
     def face(side: str, outward: Floats, u: Floats, v: Floats) -> Surface:
         middle = centre + outward
@@ -319,8 +322,8 @@ def room(eye: Sequence[float] = (0.35, -1.5, -0.2), target: Sequence[float] = (-
 
     Raises
     ------
-    ValueError
-        The camera would look straight up or down, or nowhere.
+    TypeError, ValueError
+        They are not three finite numbers each, or the camera would look straight up or down, or nowhere.
     """
     shell = (
         _whole_plane("floor", np.array([0.0, -1.0, 0.0]), 0.0),
@@ -353,11 +356,11 @@ def look_at(eye: Sequence[float], target: Sequence[float]) -> Floats:
 
     Raises
     ------
-    ValueError
-        The camera would look straight up or down, or nowhere.
+    TypeError, ValueError
+        They are not three finite numbers each, or the camera would look straight up or down, or nowhere.
     """
-    position = np.asarray(eye, dtype=np.float64)
-    forward = np.asarray(target, dtype=np.float64) - position
+    position = _three("eye", eye)
+    forward = _three("target", target) - position
     right = np.cross((0.0, 1.0, 0.0), forward)
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
         raise ValueError(f"the camera must look somewhere, not straight up or down, got eye {eye}, target {target}")
@@ -370,6 +373,14 @@ def look_at(eye: Sequence[float], target: Sequence[float]) -> Floats:
 
 def _whole_plane(name: str, normal: Floats, offset: float) -> Surface:
     return Surface(name, np.append(normal, offset), np.empty((0, 4)))
+
+
+def _three(name: str, values: ArrayLike) -> Floats:
+    """(3,) float64: three finite numbers."""
+    vector = real_array(name, values)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f"expected {name} as three finite numbers, got {values!r}")
+    return vector
 
 
 def _facing_camera(coefficients: Floats) -> Floats:

@@ -266,3 +266,31 @@ def test_impossible_views_and_planes():
         scenes.plane((0, 0, -1), 0.0)
     with pytest.raises(TypeError, match="distance as a number, got None"):
         scenes.plane((0, 0, -1), None)
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "message"),
+    [
+        (
+            lambda: scenes.box("box", (0, 0), (1, 1, 1)),
+            ValueError,
+            r"expected foot as three finite numbers, got \(0, 0\)",
+        ),
+        (
+            lambda: scenes.box("box", (0, 0, 1), (1, 1)),
+            ValueError,
+            r"expected size as three finite numbers, got \(1, 1\)",
+        ),
+        (lambda: scenes.box("box", (0, 0, 1), (1, -1, 1)), ValueError, r"three positive lengths .* got \(1, -1, 1\)"),
+        (lambda: scenes.box("box", (0, 0, 1), (1, 1, 0)), ValueError, r"three positive lengths .* got \(1, 1, 0\)"),
+        (lambda: scenes.box("box", (0, 0, 1), (1, 1, 1), None), TypeError, "expected turn as a number, got None"),
+        (lambda: scenes.plane("abc", 1.0), TypeError, "expected normal as numbers"),
+        (lambda: scenes.plane((0, 0, np.nan), 1.0), ValueError, "expected normal as three finite numbers"),
+        (lambda: scenes.look_at((0, 0), (0, 0, 1)), ValueError, "expected eye as three finite numbers"),
+        (lambda: scenes.room(target=(0, 0, np.inf)), ValueError, "expected target as three finite numbers"),
+        (lambda: scenes.polygon("thing", [("a", "b", "c")] * 3), TypeError, "expected vertices as numbers"),
+    ],
+)
+def test_places_and_sizes_that_are_none(make, kind, message):
+    with pytest.raises(kind, match=message):
+        make()
