@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,8 +69,10 @@ def same(sequence, frames, camera, names=None, times=None):
         assert frame.name == sequence.names[i]
     assert np.array_equal(sequence[-1].depth, frames[-1], equal_nan=True)
     assert np.array_equal(pickle.loads(pickle.dumps(sequence[1:]))[0].depth, frames[1], equal_nan=True)
-    with pytest.raises(IndexError):
+    with pytest.raises(IndexError, match=rf"^expected the number of one of {len(frames)} frames, got {len(frames)}$"):
         sequence[len(frames)]
+    with pytest.raises(TypeError, match=r"^expected the number of a frame, or a slice, got \[0, 1\]$"):
+        sequence[[0, 1]]
     if names is not None:
         assert list(sequence.names) == names
     times = [math.nan] * len(frames) if times is None else times
@@ -85,7 +88,11 @@ def test_tum_frames_come_with_camera_and_times(tmp_path, frames, number):
     names = [f"depth/{time:.6f}.png" for time in times]
     same(rp.open_sequence(root), frames, camera, names, times)
     same(sequences.tum(root, CAMERA), frames, CAMERA, names, times)
-    assert repr(rp.open_sequence(root)).startswith("<FrameSequence: 3 frames, 640 x 480 pixels, depth/")
+    sequence = rp.open_sequence(root)
+    assert repr(sequence).startswith("<FrameSequence: 3 frames, 640 x 480 pixels, depth/")
+    assert repr(sequence[:1]).startswith("<FrameSequence: 1 frame, 640 x 480 pixels, depth/")
+    assert repr(sequence[0]) == f"<Frame: {names[0]}, 640 x 480 pixels, 1305031102.160407 s>"
+    assert repr(replace(sequence[0], timestamp=math.nan)) == f"<Frame: {names[0]}, 640 x 480 pixels>"
 
 
 def test_tum_by_a_link(tmp_path, frames, link):

@@ -1,5 +1,6 @@
 """What every format is reduced to: a list that describes the frames, and a function that reads one of them."""
 
+import math
 import os
 import re
 import threading
@@ -15,9 +16,10 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
 from rgbd_planes.images import read_depth
 from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.wording import counted
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
     """A depth frame with all that is needed to fit it.
 
@@ -36,6 +38,10 @@ class Frame:
     camera: Camera
     timestamp: float
     name: str
+
+    def __repr__(self) -> str:
+        time = "" if math.isnan(self.timestamp) else f", {self.timestamp:.6f} s"
+        return f"<Frame: {self.name}, {self.camera.width} x {self.camera.height} pixels{time}>"
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,12 @@ class FrameSequence(Sequence[Frame]):
     def __getitem__(self, index: int | slice) -> "Frame | FrameSequence":
         if isinstance(index, slice):
             return FrameSequence(self.entries[index], self._read)
-        entry = self.entries[index]
+        try:
+            entry = self.entries[index]
+        except TypeError:
+            raise TypeError(f"expected the number of a frame, or a slice, got {index!r}") from None
+        except IndexError:
+            raise IndexError(f"expected the number of one of {len(self)} frames, got {index}") from None
         return Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name)
 
     @property
@@ -116,7 +127,8 @@ class FrameSequence(Sequence[Frame]):
             return "<FrameSequence: no frames>"
         cameras = len(self.cameras)
         of = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
-        return f"<FrameSequence: {len(self)} frames, {of}, {self.entries[0].name} to {self.entries[-1].name}>"
+        frames = counted(len(self), "frame")
+        return f"<FrameSequence: {frames}, {of}, {self.entries[0].name} to {self.entries[-1].name}>"
 
 
 def image_sequence(
