@@ -1,6 +1,7 @@
 """The figure of a fit: what it draws is what was fitted."""
 
 import io
+import itertools
 import os
 import subprocess
 import sys
@@ -155,6 +156,22 @@ def test_rounding_is_no_curvature():
     shown = image.norm(image.get_array())
     assert not np.ma.getmaskarray(shown).any()
     assert (shown < 0.01).all()
+
+
+@pytest.mark.parametrize(("low", "high"), [(1e-6, 1.0), (1.1e-4, 0.21), (1e-6, 1e-5), (3e-5, 3e-4), (9e-4, 0.9)])
+def test_the_scale_of_curvature_has_round_numbers(low, high):
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
+    depth = np.ones(camera.shape)
+    curvature = np.geomspace(low, high, depth.size).reshape(depth.shape).astype(np.float32)
+    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), curvature)
+    figure.draw_without_rendering()
+    (scale,) = (axes for below in figure.axes for axes in below.child_axes if "variance" in axes.get_xlabel())
+    shown = [float(label.get_text()) for label in scale.get_xticklabels()]
+    np.testing.assert_allclose(shown, scale.get_xticks())  # no label is rounded
+    assert 3 <= len(shown) <= 8
+    assert all(f"{value:.0e}"[0] in "1235" and float(f"{value:.0e}") == value for value in shown)
+    boxes = [label.get_window_extent() for label in scale.get_xticklabels()]
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
 
 
 @pytest.mark.parametrize("shape", [(1280, 16), (16, 1280)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
@@ -50,8 +52,8 @@ def plot_surfaces(
     label = "share of the points' variance across the plane (depth edges look flat, too)"
     bar = draw_scale(legends[2], image, label)
     # Few enough to be legible, whatever the range: matplotlib's own overlap, or are missing.
-    ticks = np.geomspace(low, high, 6).tolist()
-    bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+    ticks = _round_numbers(low, high)
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.minorticks_off()
     return figure
 
@@ -61,3 +63,15 @@ def _curvature_limits(known: npt.NDArray[np.float32]) -> tuple[float, float]:
     low, high = np.percentile(known, (1.0, 99.5)) if known.size else (1e-3, 1.0)
     low = max(float(low), _FLAT)
     return low, max(float(high), 10.0 * low)
+
+
+def _round_numbers(low: float, high: float) -> list[float]:
+    """Some round numbers between two bounds, of which one is at least ten times the other, for a logarithmic scale."""
+    ticks: list[float] = []
+    for first_digits in ((1,), (1, 3), (1, 2, 5)):
+        powers = range(math.floor(math.log10(low)), math.floor(math.log10(high)) + 1)
+        ticks = [float(f"{digit}e{power}") for power in powers for digit in first_digits]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) >= 4:
+            break
+    return ticks
