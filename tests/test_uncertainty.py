@@ -994,6 +994,9 @@ def test_model_goes_with_the_camera(model, tmp_path, rng):
     [
         (lambda: rp.noise.stereo(0.0, 400.0), ValueError, "positive baseline, got 0.0"),
         (lambda: rp.noise.axial(), ValueError, "at least one coefficient"),
+        (lambda: rp.noise.axial(None), TypeError, "constant as a number, got None"),
+        (lambda: rp.noise.time_of_flight(1e-3, "a"), TypeError, "linear as a number, got 'a'"),
+        (lambda: rp.noise.table([1.0, 2.0], "ab"), TypeError, "sigma as numbers, got an array of <U2"),
         (lambda: rp.noise.table([1.0, 0.5], [1e-3, 1e-3]), ValueError, "growing inverse depth"),
         (lambda: rp.noise.table([1.0], [1e-3, 1e-3]), ValueError, "one length"),
         (lambda: rp.noise.function(3.0), TypeError, "function"),

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.checks import number, warn_caller
+from rgbd_planes.checks import number, real_array, warn_caller
 from rgbd_planes.noise.model import KINECT_V1 as KINECT_V1
 from rgbd_planes.noise.model import Floats
 from rgbd_planes.noise.model import NoiseModel as NoiseModel
@@ -99,8 +99,9 @@ def axial(constant: float = 0.0, linear: float = 0.0, quadratic: float = 0.0) ->
     Raises
     ------
     TypeError, ValueError
-        All are 0, or σZ is negative at some depth.
+        All are 0, one is not a finite number, or σZ is negative at some depth.
     """
+    constant, linear, quadratic = number("constant", constant), number("linear", linear), number("quadratic", quadratic)
     if not (constant or linear or quadratic):
         raise ValueError("expected at least one coefficient of the noise that is not 0, got none")
     return NoiseModel((quadratic, linear, constant))
@@ -136,10 +137,11 @@ def table(inverse_depth: ArrayLike, sigma: ArrayLike) -> NoiseModel:
 
     Raises
     ------
-    ValueError
-        Inverse depths do not increase, a standard deviation is not positive, or the lengths differ.
+    TypeError, ValueError
+        Inverse depths do not increase, a standard deviation is not positive, the lengths differ, or something is not a
+        number.
     """
-    q, s = np.atleast_1d(inverse_depth), np.atleast_1d(sigma)
+    q, s = np.atleast_1d(real_array("inverse_depth", inverse_depth)), np.atleast_1d(real_array("sigma", sigma))
     if q.shape != s.shape or q.ndim != 1:
         raise ValueError(f"expected inverse_depth and sigma of one length, got {q.shape} and {s.shape}")
     return NoiseModel(samples=tuple((float(a), float(b)) for a, b in zip(q, s, strict=True)))
