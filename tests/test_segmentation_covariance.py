@@ -276,3 +276,23 @@ def test_rays_are_weighed_up_to_the_edges(rng):
         weigh_rays(label, work.pyramid, moments[None], alpha[None], rss, weighted)
     wanted = [of[on].mean() for of in (u, v, u * u, u * v, v * v)]  # the noise is the same everywhere
     np.testing.assert_allclose(all_weighted.mean(axis=(0, 1)), wanted, atol=2e-3)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-5])
+def test_a_picture_frame_has_a_covariance(noise):
+    """Its left side alone contains squares of 8 pixels, and its rims are rounder than they: what the squares show of
+    errors here and there is no more than chance, and says nothing of the other sides."""
+    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+    row, column = np.indices(camera.shape)
+    beyond = np.maximum(np.abs(row - 227.5) - 186.5, np.abs(column - 285.5) - 208.5)  # of its outer edge
+    is_frame = (beyond <= 0.0) & (beyond > -14.0)
+    is_rim = is_frame & (np.abs(beyond + 6.5) > 4.0)
+    q = 1.0 / np.where(is_frame, 1.0 / 0.3 - 0.05, 1.0 / 0.3) + np.where(is_rim, 1e-4, 0.0)
+    found = segment(1.0 / (q + np.random.default_rng(0).normal(0.0, noise, q.shape)), camera)
+    frame = found.labels[220, 84] - 1
+    assert found.sizes[frame] == np.count_nonzero(is_frame)
+    smallest, _, largest = np.linalg.eigvalsh(found.alpha_covariance[frame])
+    moments = np.array([camera.tan_x[is_frame], camera.tan_y[is_frame], np.ones(found.sizes[frame])])
+    of_equals = np.linalg.eigvalsh(np.linalg.inv(moments @ moments.T))
+    assert smallest / largest == pytest.approx(of_equals[0] / of_equals[2], rel=0.1)
+    assert np.isfinite(found.offset_std).all()

@@ -9,8 +9,26 @@ from .moments import misfit
 SQUARE_SIDE = 2 * BLOCK  # of the squares that are looked at, the pyramid's second level
 # Squares that a plane needs: with fewer, chance says more than the noise.
 FEWEST_SQUARES = 32
+# Smallest share of the equal weights' second moment that the weights may leave in any direction. They are extrapolated
+# from squares to all pixels, and where the squares lie elsewhere, as in one side of a picture frame, too far.
+LEAST_WEIGHT = 0.1
 # Multiple of its plane's mean at which a square's variance is cut off: there may be an edge in it.
 MOST = 25.0
+
+
+@kernel(inline=True)
+def leave_enough(m, weighted):
+    """Whether the weighted mean of (u, v, 1)(u, v, 1)ᵀ is more than LEAST_WEIGHT of the equal one in all directions.
+
+    ``m`` (10,) are moments, ``weighted`` (5,) is a row of `weigh_rays`'.
+    """
+    share = LEAST_WEIGHT / m[0]
+    one = 1.0 - LEAST_WEIGHT
+    u, v = weighted[0] - share * m[1], weighted[1] - share * m[2]
+    uu = weighted[2] - share * m[4] - u * u / one
+    uv = weighted[3] - share * m[5] - u * v / one
+    vv = weighted[4] - share * m[7] - v * v / one
+    return uu > 0.0 and uu * vv > uv * uv
 
 
 @kernel(inline=True)
@@ -27,7 +45,7 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     weighted : (N, 5) float64, written
         Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SQUARE_SIDE pixels: as far from the means
         of all pixels as those that the squares have are from the squares' own, since these do not reach the edges.
-        Where there are fewer than FEWEST_SQUARES, all pixels count equally.
+        Where there are fewer than FEWEST_SQUARES, or less than LEAST_WEIGHT would be left, all pixels count equally.
     """
     height, width = label.shape
     first, columns = pyramid.offsets[1], pyramid.shapes[1, 1]
@@ -62,3 +80,6 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
         for j, of in enumerate((1, 2, 4, 5, 7)):
             even = m[of] / m[0]
             weighted[k, j] = even + (weighted[k, j] - total[k] * even) / weight if is_told else even
+        if is_told and not leave_enough(m, weighted[k]):
+            for j, of in enumerate((1, 2, 4, 5, 7)):
+                weighted[k, j] = m[of] / m[0]
