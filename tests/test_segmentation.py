@@ -381,6 +381,20 @@ def test_what_is_seen_beside_a_thin_thing_is_farther_by_more_than_the_noise(devi
     assert len({labels[120, 50], labels[120, 250]}) == parts
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_strip_that_agrees_with_two_planes_does_not_make_them_one(mirrored):
+    # Two walls meet behind a strip that hides the corner, with gaps beside it: within the 4e-4 of 1/Z that exact frames
+    # may be rough, it agrees with either wall, while one plane through both walls would be twenty deviations off.
+    away = np.abs(np.arange(CAMERA.width) - 160.0)
+    row = 0.5 - 4e-5 * np.where(away < 14.0, 0.0, away)
+    row[(away >= 14.0) & (away < 26.0)] = 0.0
+    q = np.broadcast_to(row[::-1] if mirrored else row, CAMERA.shape)
+    labels = segment(np.divide(1.0, q, out=np.zeros_like(q), where=q > 0.0), CAMERA).labels
+    left, strip, right = labels[120, [50, 160, 270]]
+    assert left != right
+    assert strip in (left, right)
+
+
 @pytest.mark.parametrize("between", [0.0, 0.9])
 def test_a_wall_behind_many_bars_is_one_plane(between):
     rng = np.random.default_rng(21)

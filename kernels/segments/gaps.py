@@ -44,6 +44,14 @@ def may_be_thin(box, a, b, down):
 
 
 @kernel(inline=True)
+def are_coplanar(moments, deviation, a, b, floor, spread):
+    """Whether planes a and b are one plane; the arguments are those of `find_coplanar`."""
+    smaller = min(moments[a, 0], moments[b, 0])
+    variance = min(deviation[a], deviation[b]) ** 2
+    return rise(moments, a, b) <= variance * (floor * floor * smaller + spread)
+
+
+@kernel(inline=True)
 def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
     """Pairs of planes whose union is also one plane, and that are near enough for a thin gap.
 
@@ -79,7 +87,7 @@ def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
             # The smaller one's pixels make nearly all of the rise: a quick rejection.
             if not d * d <= 4.0 * allowed * variance:
                 continue
-            if rise(moments, a, b) <= allowed * variance * smaller[0]:
+            if are_coplanar(moments, deviation, a, b, floor, spread):
                 if count < len(pairs):
                     pairs[count, 0], pairs[count, 1] = b, a
                 count += 1
@@ -223,20 +231,28 @@ def is_thin(gaps, opened, closed):
 
 
 @kernel(inline=True)
-def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent):
+def join_across(
+    runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent, together
+):  # fmt: skip
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first plane that each is united with.
+
+    What they have been united with must be one plane, too: a strip along an edge may agree with both sides of it.
 
     Parameters
     ----------
     runs : Runs
-        Row i of ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
+        Row i of ``moments`` (N, 10), ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
     inverse_depth : (H, W) float32
     rays : Rays
-    box, pairs, count : see `find_coplanar`
+    box, floor, spread, pairs, count : see `find_coplanar`
+    together : (N, 10) float64, written
+        Moments of what each first plane is united with.
     """
+    together[:] = moments
     for k in range(count):
         a, b = pairs[k]
-        if root_of(parent, a) == root_of(parent, b):
+        first, other = root_of(parent, a), root_of(parent, b)
+        if first == other or not are_coplanar(together, deviation, first, other, floor, spread):
             continue
         reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this is seen through the gap
         thin = False
@@ -259,6 +275,9 @@ def join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, 
                     break
         if thin:
             unite(parent, a, b)
+            first, other = min(first, other), max(first, other)
+            for j in range(10):
+                together[first, j] += together[other, j]
     for a in range(len(parent)):
         parent[a] = parent[parent[a]]
 
@@ -317,7 +336,10 @@ def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, 
     if count == 0:
         return planes
     parent = np.arange(planes)
-    join_across(runs, inverse_depth, rays, alpha, deviation, box, pairs, count, parent)
+    together = np.empty((planes, 10))
+    join_across(
+        runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent, together
+    )  # fmt: skip
     left = join_planes(parent, number, moments, deviation)
     if left < planes:
         label_runs(runs, number)
