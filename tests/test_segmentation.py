@@ -204,6 +204,18 @@ def test_crease_is_where_the_planes_meet():
     assert edge.std() < 0.5  # straight: residuals alone leave it ragged
 
 
+@pytest.mark.parametrize(("bend", "planes"), [(0.0, 1), (0.038, 2), (0.046, 2)])
+def test_waves_do_not_bend_a_wall_as_if_it_were_two(bend, planes):
+    # As of active stereo, whose neighbouring pixels share their errors. By the height of the waves two walls may be
+    # one, but over a hundred pixels waves cancel. With the larger bend the walls were one, which was too rough, so that
+    # it fell into twenty planes.
+    q = 0.4 + bend * np.abs(CAMERA.tan_x) + 3e-3 * smooth_noise(1, 3.0)
+    found = segment(1.0 / q, CAMERA)
+    assert len(found) == planes
+    truth = np.where((CAMERA.tan_x < 0.0) & (bend > 0.0), 2, 1)
+    assert compare_labels(found.labels, np.broadcast_to(truth, CAMERA.shape)).detection(0.9).f_score == 1.0
+
+
 def test_a_folded_surface_is_its_folds():
     # Eight panels, each bent a little against the next: any two pass for one plane, all eight do not.
     fold = 40.0 / CAMERA.fx

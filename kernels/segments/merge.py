@@ -158,11 +158,13 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     and a jump from one plane to the other where the regions touch. A sensor's bias bends a plane, which
     makes Δ and no jump; two parallel planes make a jump before they make much Δ. And a small region may be a crest
     of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
+    Waves are hills and dales beside each other: over large regions they cancel, and do not bend one as if it were two.
     """
     alpha, rss, variances, waviness_square = described
     pairs, where = contacts.pairs, contacts.where
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
+    waves, wave_pixels = rules.region_waves, rules.wave_pixels
     # Joint moments; smaller, touch, step, rss, variance, squared waviness; the result.
     m = np.empty((18, TOGETHER))
     for start in range(0, count, TOGETHER):
@@ -181,7 +183,8 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
             w_a, w_b = waviness_square[a], waviness_square[b]
             m[15, i], m[16, i] = min(w_a, w_b), max(w_a, w_b)
         for i in range(number):
-            smaller, step, calm, least = m[10, i], m[12, i] / m[11, i], m[15, i], crest * crest * m[16, i]
+            smaller, step, least = m[10, i], m[12, i] / m[11, i], crest * crest * m[16, i]
+            calm = min(m[15, i], waves) + max(m[15, i] - waves, 0.0) * min(wave_pixels / smaller, 1.0)
             jumped = step * step / (max(jump * jump * calm, least) + 8.0 * spread / smaller)
             together, _, _, _ = solve(
                 m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
@@ -285,8 +288,9 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     rules : Rules
         A pair agrees if Δ is at most σ² (floor² · waviness² · n + spread), and the jump at most about
         jump · waviness · σ; n is the smaller region's pixels, the waviness is its own, and σ² the smaller of the two
-        variances. Where crest times the larger region's waviness is more, it takes the place of floor · waviness and
-        jump · waviness.
+        variances. Of a squared waviness what is above ``region_waves`` counts up to ``wave_pixels``: times that / n in
+        larger regions. Where crest times the larger region's waviness is more, it takes the place of floor · waviness
+        and jump · waviness.
     tolerance : float
         Factor on ``region_floor``, ``region_jump`` and ``region_crest``.
     parent : (N,) int64, written

@@ -28,6 +28,8 @@ class Rules(NamedTuple):
     region_jump: float = 6.0
     region_crest: float = 3.0
     region_spread: float = 30.0
+    region_waves: float = 2.0  # squared waviness that counts in regions of any size
+    wave_pixels: float = 1024.0  # and pixels of the smaller region up to which all of it counts
     reach: float = 8.0  # deviations within which a region contends for a pixel
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left alone
