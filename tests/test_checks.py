@@ -186,6 +186,8 @@ def test_a_baseline_in_millimetres():
 def test_an_error_that_is_larger_than_any_float():
     unlimited = rp.fit_tiles(DEPTH, CAMERA, max_error=10**400)
     assert np.array_equal(unlimited.status, rp.fit_tiles(DEPTH, CAMERA).status)
+    with pytest.raises(ValueError, match="positive length"):
+        rp.fit_tiles(DEPTH, CAMERA, max_error=-(10**400))
 
 
 def test_p_values_of_the_largest_noise():

@@ -42,9 +42,13 @@ def test_equals_oracle(data):
     np.testing.assert_array_equal(fits.labels, labels)
 
 
+CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 2.0),), floor=0.5, floor_length=30.0)
+
+
+@pytest.mark.parametrize("noise", [rp.noise.kinect_v1(), CORRELATED], ids=["independent", "correlated"])
 @pytest.mark.parametrize("method", METHODS)
-def test_rectangles_are_windows(method, rng):
-    camera = replace(rp.presets.kinect_v1(), noise=rp.noise.kinect_v1())
+def test_rectangles_are_windows(method, noise, rng):
+    camera = replace(rp.presets.kinect_v1(), noise=noise)
     depth = make_depth(camera, rng)
     windows = [[10, 20, 100, 60], [200, 0, 280, 300], [50, 400, 1, 40]]
     labels = np.zeros(camera.shape, int)

@@ -58,6 +58,10 @@ def test_hoover_chooses_the_better_of_two_readings() -> None:
     assert counts(row((1, 8), (2, 2)), truth, 0.8) == (0, 1, 0, 0, 0)
     # The second part spills out of the truth, and leaves the single match the better reading.
     assert counts(row((1, 9), (2, 1), (2, 5)), row((1, 10), (0, 5)), 0.8) == (1, 0, 0, 0, 1)
+    # 60 of 100 pixels in one part (mean share 0.8), 70 with one that spills out by 8 (mean share 0.799).
+    spilt, whole = row((1, 60), (0, 30), (2, 18)), row((1, 100), (0, 8))
+    assert counts(spilt, whole, 0.55) == (1, 0, 0, 0, 1)
+    assert counts(whole, spilt, 0.55) == (1, 0, 0, 1, 0)
 
 
 def test_hoover_parts_must_make_up_the_whole() -> None:

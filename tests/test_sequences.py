@@ -316,7 +316,10 @@ def test_arkitscenes_has_a_camera_for_each_frame(tmp_path, frames):
     assert sequence.entries[0].camera is sequence.entries[1].camera
     assert "2 cameras" in repr(sequence)
     assert sequence.cameras == (CAMERA, cameras[2])
-    write_arkitscenes(tmp_path / "b", frames, shift=0.02)
+    # Frames are 16 ms apart: up to half of that it is of the same one.
+    write_arkitscenes(tmp_path / "near", frames, shift=0.008)
+    assert rp.open_sequence(tmp_path / "near").cameras == sequence.cameras
+    write_arkitscenes(tmp_path / "b", frames, shift=0.009)
     with pytest.raises(ValueError, match="expected a calibration of its moment"):
         rp.open_sequence(tmp_path / "b")
     same(rp.open_sequence(tmp_path / "b", CAMERA, "arkitscenes"), frames, CAMERA, times=[99.95, 100.05, 100.15])

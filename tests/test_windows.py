@@ -118,6 +118,9 @@ def test_no_windows_no_planes():
         ([[0, 0, 5, 5], [44, 0, 5, 5]], ValueError, r"got \[44, 0, 5, 5\] .* as window 1"),
         ([[-1, 0, 5, 5]], ValueError, r"inside the frame of \(height, width\) = \(48, 64\), got"),
         ([[0, 0, 0, 5]], ValueError, "inside the frame"),
+        ([[0, 60, 5, 5]], ValueError, "inside the frame"),
+        ([[0, -1, 5, 5]], ValueError, "inside the frame"),
+        ([[0, 0, 5, 0]], ValueError, "inside the frame"),
         # Whose sums no int64 holds.
         ([[2**40, 0, 2**63 - 2**40, 4]], ValueError, r"got .* as window 0"),
         ([[0, 2**63 - 1, 4, 2**63 - 1]], ValueError, r"got .* as window 0"),
