@@ -311,6 +311,20 @@ def test_one_depth_for_all_that_is_beyond_the_range_is_no_measure_of_noise():
         np.testing.assert_allclose(model.sigma([0.3, 0.4, 0.6]), 2e-3, rtol=0.1)
 
 
+def test_what_coarse_rounding_adds_is_told_apart(rng):
+    """2 cm are more than the noise; the evidence shows residuals without them."""
+    camera = replace(CAMERA, depth_scale=50.0)
+    seen = []
+    for view in VIEWS:
+        q = 1.0 / rendering(*view).depth
+        seen.append(np.rint(50.0 / (q + 1.4e-3 * rng.standard_normal(q.shape))).astype(np.uint16))
+    model = rp.estimate_noise(seen, camera)
+    assert model.step == 0.02
+    q = np.array([0.35, 0.5, 0.7])
+    np.testing.assert_allclose(model.sigma(q), np.hypot(1.4e-3, 0.02 * q * q / np.sqrt(12.0)), rtol=0.1)
+    np.testing.assert_allclose(model.evidence.residuals, model.evidence.expected, rtol=0.03)
+
+
 def test_all_tiles_at_one_depth(rng):
     """Bins by depth may have the very same one."""
     pattern = 20000 + rng.integers(-50, 51, (12, 12))

@@ -44,6 +44,7 @@ def test_missing_is_nan_and_coefficient_scales(camera):
     assert np.isnan(sigma[3, 4]).all()
     assert np.isfinite(np.delete(sigma.reshape(-1, 3), 3 * 640 + 4, axis=0)).all()
     np.testing.assert_allclose(sigma[0, 0], 2.0 * rp.measurement_noise(depth, camera)[0, 0])
+    assert (rp.measurement_noise(depth, camera, 0.0)[0, 0] == 0.0).all()
 
 
 def test_the_noise_of_the_camera_is_taken_unless_another_is_given(camera):

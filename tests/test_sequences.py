@@ -95,6 +95,12 @@ def test_tum_frames_come_with_camera_and_times(tmp_path, frames, number):
     assert repr(replace(sequence[0], timestamp=math.nan)) == f"<Frame: {names[0]}, 640 x 480 pixels>"
 
 
+@pytest.mark.parametrize(("name", "number"), [("fr1_xyz", 1), ("rgbd_fr3_office", 3), ("fr1_made_of_freiburg2", 2)])
+def test_the_calibration_of_tum_is_known_by_the_last_number_in_its_name(tmp_path, frames, name, number):
+    write_tum(tmp_path / name, frames)
+    assert rp.open_sequence(tmp_path / name).camera == getattr(presets, f"tum_freiburg{number}")()
+
+
 def test_tum_by_a_link(tmp_path, frames, link):
     """The calibration is known by the name of a link, or by that of the folder that it leads to."""
     for folder, name in (("volume", "freiburg2_desk"), ("freiburg2_xyz", "frames")):
