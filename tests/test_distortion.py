@@ -121,11 +121,20 @@ def test_unfolded_looks_at_the_way_not_only_at_the_end():
     a, b, c, d = distortion_jacobian(x, np.zeros(3), lens)
     assert (a * d - b * c > 0).tolist()[2]
     assert unfolded(x, np.zeros(3), lens).tolist() == [True, False, False]
-    # Beyond the pole of 1 / (1 - 4 r²), at r = 0.5, whichever way one goes.
-    lens = (0, 0, 0, 0, 0, -4.0, 0, 0)
+
+
+@pytest.mark.parametrize("powers", [(-4.0, 0, 0), (0, -16.0, 0), (0, 0, -64.0)])
+def test_beyond_a_pole_is_beyond_a_fold_whichever_way_one_goes(powers):
+    """That of 1 / (1 - 4 r²), of 1 / (1 - 16 r⁴), or of 1 / (1 - 64 r⁶), all at r = 0.5.
+
+    Also where the numerator has the same zero, as it nearly has with many calibrations.
+    """
+    k1, k2, k3 = powers
     for turn in np.linspace(0.0, 2.0 * np.pi, 16):
         r = np.array([0.45, 0.6])
-        assert unfolded(r * np.cos(turn), r * np.sin(turn), lens).tolist() == [True, False]
+        for numerator in ((0, 0, 0, 0, 0), (k1, k2, 0, 0, k3)):
+            found = unfolded(r * np.cos(turn), r * np.sin(turn), (*numerator, *powers))
+            assert found.tolist() == [True, False]
 
 
 def test_nothing_in_nothing_out():
