@@ -165,7 +165,7 @@ def angle_between(
         both = first_covariance + second_covariance
         both = np.where(np.isfinite(both), both, 0.0)
         largest = np.broadcast_to(np.linalg.eigvalsh(both)[..., -1], variance.shape)
-        variance = np.where(apart | np.isnan(sine), variance, largest)
+        variance = np.where(apart | np.isnan(variance), variance, largest)
     return np.degrees(angle), np.degrees(np.sqrt(np.maximum(variance, 0.0)))
 
 

@@ -702,8 +702,9 @@ def test_propagation_against_draws(two_planes, rng):
     normals = normals + np.cross(pose[:, :3], normals)
     offsets = draws[:, 3] - np.sum(normals * (motion[:3, 3] + pose[:, 3:]), axis=1)
     np.testing.assert_allclose(np.cov(np.column_stack([normals, offsets]).T), moved_covariance, rtol=0.03, atol=1e-7)
-    with pytest.raises(ValueError, match="rigid motion"):
-        rp.uncertainty.transform_planes(plane, covariance, 2.0 * motion)
+    for no_motion in (2.0 * motion, np.diag([1.0, 1.0, -1.0, 1.0])):
+        with pytest.raises(ValueError, match="rigid motion"):
+            rp.uncertainty.transform_planes(plane, covariance, no_motion)
 
 
 def test_nothing_depends_on_the_frame_of_axes(rng):
@@ -855,6 +856,22 @@ def test_a_covariance_of_no_plane_is_refused(seed, sign):
     errors[:, :3] -= (errors[:, :3] @ normal)[:, None] * normal
     with pytest.raises(ValueError, match="covariances of rank 3"):
         rp.uncertainty.fuse_planes([[*normal, 2.0]] * 2, [sign * errors.T @ errors] * 2)
+
+
+def test_what_is_missing_has_no_angle_and_no_part_in_what_is_fused():
+    """A plane, or its covariance alone, as from elsewhere."""
+    normal = np.array([0.0, 0.6, -0.8])
+    across = np.eye(3) - np.outer(normal, normal)
+    plane, covariance = np.append(normal, 2.0), np.zeros((4, 4))
+    covariance[:3, :3], covariance[3, 3] = 1e-4 * across, 1e-4
+    none, unknown = np.full(4, np.nan), np.full((4, 4), np.nan)
+    for missing in ((none, covariance), (plane, unknown)):
+        assert np.isnan(rp.uncertainty.angle_between(*missing, plane, covariance)[1])
+        both = (np.stack(pair) for pair in zip(missing, (plane, covariance), strict=True))
+        fused, of_fused = rp.uncertainty.fuse_planes(*both)
+        np.testing.assert_allclose(fused, plane, atol=1e-12)
+        np.testing.assert_allclose(of_fused, covariance, atol=1e-12)
+        assert np.isnan(np.vstack(rp.uncertainty.fuse_planes(*(part[None] for part in missing)))).all()
 
 
 def test_what_cannot_be_fused_is_refused():
