@@ -153,6 +153,8 @@ def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
     found.labels[40:43, 40:45] = 0  # 15
     (own,) = plane_polygons(found, min_part=16.0)
     assert len(own.image.geoms[0].interiors) == 1
+    (own,) = plane_polygons(found, min_part=1e5)  # more than all its pixels: the largest part stays
+    assert len(own.image.geoms) == 1
 
 
 @pytest.mark.parametrize("holes", [0.05, 0.25, 0.4])

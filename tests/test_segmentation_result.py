@@ -1,5 +1,7 @@
 """What a segmentation shows, saves and turns into."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -88,3 +90,6 @@ def test_labels_for_others(found):
     assert opencv.dtype == np.uint8
     assert ((opencv == 255) == (found.labels == 0)).all()
     assert (opencv[found.labels > 0] == found.labels[found.labels > 0] - 1).all()
+    replace(found, planes=np.ones((255, 4))).labels_for_opencv()
+    with pytest.raises(ValueError, match="at most 255 planes"):
+        replace(found, planes=np.ones((256, 4))).labels_for_opencv()  # the last one's would be 255, too

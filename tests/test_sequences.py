@@ -465,15 +465,18 @@ def test_rosbag_frames_come_with_camera_info_and_stamps(tmp_path, frames, name):
             "/camera/depth/camera_info": [(times[0], info)],
             "/other/depth/image_rect": list(zip(times, metres, strict=True)),
             "/other/depth/camera_info": [(times[0], info)],
+            "/direct/depth/image_raw": list(zip(times, depth, strict=True)),
+            "/direct/depth/camera_info": [(times[0], info)],
             "/camera/infra/image_raw": list(zip(times, infrared, strict=True)),
         },
     )
-    with pytest.raises(ValueError, match="depth is in /camera/depth/image_raw, /other/depth/image_rect"):
+    with pytest.raises(ValueError, match="depth is in /camera/depth/image_raw, /direct/depth/image_raw, /other"):
         rp.open_sequence(path)
     with pytest.raises(ValueError, match="got the topic '/x'; depth is in /camera"):
         sequences.rosbag(path, topic="/x")
     seconds = [100.5, 101.5, 6.0]
-    same(sequences.rosbag(path, topic="/camera/depth/image_raw"), frames, RAW, times=seconds)
+    for topic in ("/camera/depth/image_raw", "/direct/depth/image_raw"):
+        same(sequences.rosbag(path, topic=topic), frames, RAW, times=seconds)
     same(
         sequences.rosbag(path, topic="/other/depth/image_rect"),
         (frames / 1000).astype(np.float32), RECTIFIED, times=seconds,
@@ -591,6 +594,7 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
     depth, info = messages(store, frames)
     colour, _ = messages(store, frames, "bgr8")
     depth[1].data = depth[1].data[:20]
+    depth[2].step = 14  # of which a row has 16
     write_bag(path, {"/depth": [(i + 1, message) for i, message in enumerate(depth)]})
     with pytest.raises(ValueError, match="expected a CameraInfo beside /depth, or a camera; there is none"):
         rp.open_sequence(path)
@@ -598,6 +602,8 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
     assert np.array_equal(sequence[0].depth, frames[0])
     with pytest.raises(ValueError, match=r"a\.bag: /depth: truncated image: 20 bytes for 6 rows of 16 bytes"):
         sequence[1]
+    with pytest.raises(ValueError, match=r"truncated image: 96 bytes for 6 rows of 14 bytes, 8 pixels"):
+        sequence[2]
     write_bag(tmp_path / "b.bag", {"/colour": [(1, colour[0])], "/camera_info": [(1, info)]})
     with pytest.raises(ValueError, match=r"depth is in none; there is .*/colour \(sensor_msgs/msg/Image\)"):
         rp.open_sequence(tmp_path / "b.bag")

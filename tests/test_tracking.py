@@ -133,6 +133,33 @@ def test_a_small_turn_of_a_plane_seen_slantwise_keeps_its_id() -> None:
     assert ids == [[1, 2], [1, 2]]
 
 
+def test_a_plane_that_is_mostly_covered_keeps_its_id() -> None:
+    covered = wall_and_board(True)
+    covered[20:80, 50:100] = 1.0  # leaves a fifth of the board
+    first, second = segment_sequence([wall_and_board(True), covered], CAMERA)
+    assert second.labels[50, 44] == first.labels[50, 44]
+    assert sorted(second.ids.tolist()) == [1, 2, 3]
+
+
+@pytest.mark.parametrize(("degrees", "ids"), [(15.0, [1]), (30.0, [2])])
+def test_a_plane_that_turns_far_about_its_middle_is_another(degrees: float, ids: list[int]) -> None:
+    """Its distance from the camera is within a seventh of what it was, and what the middle sees is the same."""
+    turned = np.array([np.sin(np.radians(degrees)), 0.0, -np.cos(np.radians(degrees))])
+    frames = [scenes.plane(n, -2.0 * n[2]).render(CAMERA).depth for n in (np.array([0.0, 0.0, -1.0]), turned)]
+    _, second = segment_sequence(frames, CAMERA)
+    assert second.ids.tolist() == ids
+
+
+def test_a_floor_keeps_its_id_when_the_camera_pitches() -> None:
+    """It is as far from the camera as before, but not where it was seen: there by a third."""
+    normals = [np.array([0.0, -np.cos(tilt), -np.sin(tilt)]) for tilt in np.radians([20.0, 28.0])]
+    ids = [
+        tracked.ids.tolist()
+        for tracked in segment_sequence([scenes.plane(n, 1.0).render(CAMERA).depth for n in normals], CAMERA)
+    ]
+    assert ids == [[1], [1]]
+
+
 def test_missing_frames_do_not_lose_the_ids() -> None:
     frames = [wall_and_board(True), np.zeros(CAMERA.shape), np.zeros(CAMERA.shape), wall_and_board(True)]
     kept = [tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA, memory=3)]
