@@ -425,6 +425,16 @@ def test_another_recording_of_the_same_names_is_another_table(tmp_path, monkeypa
         rp.fit_sequence(rp.open_sequence("moved"), "out")
 
 
+def test_the_same_places_are_the_same_whether_or_not_they_are_one_object(tmp_path):
+    """As in a process that lists the frames one by one, and in one that was handed the list."""
+    shared, own = ("".join(("a", "b")) for _ in range(2))  # made, since literals would be one
+    assert shared is not own
+    for i, pair in enumerate(([shared, shared], [shared, own])):
+        entries = [FrameEntry(str(j), np.nan, CAMERA, (place, j)) for j, place in enumerate(pair)]
+        sequence = FrameSequence(entries, one_frame)
+        assert rp.fit_sequence(sequence, tmp_path / "table").resumed == 2 * i
+
+
 def test_locations_of_any_kind_tell_recordings_apart(tmp_path, link):
     """The file may be in a tuple, or the function's own; a location may be the frame itself."""
     frames = np.full((2, 60, 80), 1000, np.uint16)

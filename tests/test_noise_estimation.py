@@ -10,7 +10,7 @@ from scipy import ndimage
 import rgbd_planes as rp
 from rgbd_planes.noise.flatness import flatness
 from rgbd_planes.noise.large_planes import large_planes
-from rgbd_planes.noise.samples import WINDOW, Samples
+from rgbd_planes.noise.samples import WINDOW, Samples, unevenness
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
@@ -309,6 +309,23 @@ def test_one_depth_for_all_that_is_beyond_the_range_is_no_measure_of_noise():
     for reach in (3.0, 3.4):
         model = rp.estimate_noise([np.where(depth > reach, 10.0, depth) for depth in frames], camera)
         np.testing.assert_allclose(model.sigma([0.3, 0.4, 0.6]), 2e-3, rtol=0.1)
+
+
+def test_unevenness_is_that_of_the_parts_of_flat_windows(rng):
+    """Parts without any residual, as of a depth that is rounded, say nothing."""
+    camera = replace(CAMERA, depth_scale=None)
+    depth = 2.0 + 0.01 * rng.standard_normal(camera.shape)
+    depth[:24, :8] = 2.0
+    windows, parts = (rp.TileFitter(camera, size).fit_batch(depth[None]) for size in (24, 8))
+    flat = rng.random(windows.shape) < 0.5
+    flat[0, 0, 0] = True
+    ratios = []
+    for _, row, column in np.argwhere(flat):
+        residuals = parts.rmse[0, 3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
+        if residuals.min() > 0.0:
+            ratios.append(np.median(residuals) / residuals.min())
+    assert len(ratios) == np.count_nonzero(flat) - 1
+    assert unevenness(windows, parts, flat) == pytest.approx(np.median(ratios))
 
 
 def test_what_coarse_rounding_adds_is_told_apart(rng):

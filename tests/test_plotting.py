@@ -278,6 +278,41 @@ def test_the_figure_of_noise_says_all_of_it_for_narrow_images(shape):
             assert box.x1 <= figure.bbox.width, text.get_text()
 
 
+def test_outlines_are_between_the_pixels_of_their_parts():
+    tiles, depth = fitted((16, 24))  # of which the last ones are cut off
+    down, across = ([line[0] for line in lines.get_segments()] for lines in tiles.plot(depth).axes[2].collections)
+    assert np.array_equal(np.array(down)[:, 0], [23.5, 47.5])
+    assert np.array_equal(np.array(across)[:, 1], [15.5, 31.5, 47.5])
+    windows = [[3, 5, 20, 30], [0, 0, 50, 68]]
+    (outlines,) = rp.fit_windows(depth, tiles.camera, windows).plot(depth).axes[2].collections
+    boxes = [path.get_extents().extents.tolist() for path in outlines.get_paths()]
+    assert boxes == [[4.5, 2.5, 34.5, 22.5], [-0.5, -0.5, 67.5, 49.5]]
+
+
+def test_the_share_of_missing_pixels_is_said():
+    tiles, depth = fitted()
+    depth = np.where(np.arange(depth.size).reshape(depth.shape) % 10 < 3, 0, 1500).astype(np.uint16)
+    labels = [inner.get_xlabel() for axes in tiles.plot(depth).axes for inner in axes.child_axes]
+    assert any("missing, 30.0 % of the pixels" in label for label in labels)
+
+
+def test_evidence_is_drawn_as_it_is():
+    camera = rp.Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
+    evidence = rp.estimate_noise(scenes.room().render(camera).measure(seed=2), camera).evidence
+    by_depth, by_size = evidence.plot().axes[:2]
+    tiles, model = by_depth.get_lines()
+    order = np.argsort(1.0 / evidence.inverse_depth)
+    for line, sigma in ((tiles, evidence.sigma), (model, evidence.sigma_fit)):
+        x, y = np.transpose(sorted(zip(*line.get_data(), strict=True)))
+        np.testing.assert_allclose(x, 1.0 / evidence.inverse_depth[order])
+        np.testing.assert_allclose(y, 1e3 * sigma[order])
+    seen, expected, independent = (line.get_data() for line in by_size.get_lines())
+    np.testing.assert_allclose(seen, (evidence.sizes, evidence.residuals))
+    np.testing.assert_allclose(expected, (evidence.sizes, evidence.expected))
+    at_12 = np.flatnonzero(evidence.sizes == 12)[0]
+    assert independent[1][at_12] == pytest.approx(evidence.residuals[at_12])
+
+
 def test_axes_in_the_place_of_a_figure():
     tiles, depth = fitted()
     axes = Figure().add_subplot()

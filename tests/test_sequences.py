@@ -19,6 +19,8 @@ from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
+from rgbd_planes.sequences.frames import numbered
+from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
 
@@ -302,6 +304,14 @@ def test_sens_that_is_damaged(tmp_path, frames):
     assert np.array_equal(sequence[2].depth, frames[2])
 
 
+def test_a_frame_that_unpacks_to_more_than_its_pixels_is_damaged(tmp_path):
+    content = zlib.compress(bytes(2 * 8 * 6 + 1))
+    (tmp_path / "a.sens").write_bytes(content)
+    location = SensLocation(tmp_path / "a.sens", 0, len(content), "zlib_ushort", (6, 8))
+    with pytest.raises(ValueError, match="expected 96 bytes of 8 x 6 pixels, got more"):
+        read_sens_frame(location)
+
+
 def write_arkitscenes(root, frames, shift=0.0):
     (root / "lowres_depth").mkdir(parents=True)
     (root / "lowres_wide_intrinsics").mkdir()
@@ -341,6 +351,12 @@ def test_arkitscenes_with_a_calibration_that_is_none(tmp_path, frames, size):
     file.rename(file.with_name("41048190_nan.pincam"))
     with pytest.raises(ValueError, match=r"nan\.pincam: expected a name such as 41048190_3414\.453\.pincam"):
         rp.open_sequence(tmp_path)
+
+
+def test_names_of_one_number_have_one_order_whatever_the_disk_says(tmp_path):
+    paths = [tmp_path / name for name in ("007.png", "07.png", "7.png", "8.png", "10.png")]
+    for given in (paths, paths[::-1]):
+        assert numbered(given) == paths
 
 
 def test_names_and_marks_of_other_systems(tmp_path, frames):
