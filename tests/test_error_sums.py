@@ -75,7 +75,14 @@ def sandwich(camera, chosen, alpha):
 
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit", "standard_pca"])
 @pytest.mark.parametrize(
-    "noise", [*NOISES.values(), replace(rp.noise.kinect_v1(), falloff=4.0), rp.noise.NoiseModel((1e-4,))], ids=str
+    "noise",
+    [
+        *NOISES.values(),
+        replace(rp.noise.kinect_v1(), falloff=4.0),
+        rp.noise.NoiseModel((1e-4,)),
+        rp.noise.NoiseModel((0.0,), step=0.002),  # rounding alone
+    ],
+    ids=str,
 )
 @pytest.mark.parametrize("lateral", [0.0, 0.5])
 def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
