@@ -168,6 +168,21 @@ def test_covariance_by_a_model_is_that_of_its_labels(noise, rng):
             assert np.abs(ratio - 1.0).max() < 0.1
 
 
+@pytest.mark.parametrize("strip", [np.s_[200:280], np.s_[:, 280:360]], ids=["lying", "upright"])
+def test_covariance_of_a_strip_is_no_less_than_what_a_model_of_correlated_errors_makes(strip, rng):
+    """As `fit_labels` has it: along the strip and across it errors that reach far make different slopes uncertain."""
+    noise = NoiseModel((1e-3,), floor=3.0, floor_length=80.0)
+    camera = Camera(640, 480, 525.0, 400.0, 319.5, 239.5, noise=noise)
+    depth = np.zeros(camera.shape)
+    depth[strip] = (1.0 / (0.5 + 0.05 * camera.tan_x + 1e-3 * rng.standard_normal(camera.shape)))[strip]
+    found = segment(depth, camera)
+    inside = np.where(minimum_filter((found.labels == 1).astype(int), 3, mode="nearest"), 1, 0)
+    fits = fit_labels(depth, camera, inside)
+    wanted = fits.alpha_covariance[0]
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    np.testing.assert_allclose(found.alpha_covariance[0] / scale, wanted / scale, atol=0.05)
+
+
 def test_covariance_by_an_exact_model_is_exact(rng):
     # The mean of 240 chi-squares over their three degrees of freedom: 1, with a standard deviation of 0.05.
     noise, errors = NoiseModel((1.4e-3,)), []
