@@ -488,6 +488,40 @@ def test_another_camera_is_another_table(recording, tmp_path):
             rp.fit_sequence(with_cameras(*cameras), out)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"segments": True},
+        {"tile": (16, 17)},
+        {"method": "standard_pca"},
+        {"max_missing": 0.4},
+        {"max_error": 0.02},
+        {"significance": 0.02},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_any_other_setting_is_another_table(recording, tmp_path, other):
+    sequence = rp.open_sequence(recording)[:2].with_noise(rp.noise.kinect_v1())
+    rp.fit_sequence(sequence, tmp_path / "out")
+    with pytest.raises(ValueError, match=r"\(settings differ\)"):
+        rp.fit_sequence(sequence, tmp_path / "out", FitSettings(**other))
+
+
+def test_segments_of_another_least_size_are_another_table(recording, tmp_path):
+    sequence = rp.open_sequence(recording)[:1]
+    rp.fit_sequence(sequence, tmp_path / "out", FitSettings(segments=True))
+    with pytest.raises(ValueError, match=r"\(settings differ\)"):
+        rp.fit_sequence(sequence, tmp_path / "out", FitSettings(segments=True, min_size=200))
+
+
+@pytest.mark.parametrize("other", [{"name": "b"}, {"timestamp": 2.0}], ids=lambda other: next(iter(other)))
+def test_frames_of_other_names_or_times_are_another_table(tmp_path, other):
+    entry = FrameEntry("a", 1.0, CAMERA, 0)
+    rp.fit_sequence(FrameSequence([entry], one_frame), tmp_path / "out")
+    with pytest.raises(ValueError, match=r"\(sequence differ\)"):
+        rp.fit_sequence(FrameSequence([replace(entry, **other)], one_frame), tmp_path / "out")
+
+
 def test_a_noise_that_is_a_function_is_not_resumed(recording, tmp_path):
     sequence = rp.open_sequence(recording)[:2].with_noise(rp.noise.function(lambda q: 1e-3 + 0.0 * q))
     assert rp.fit_sequence(sequence, tmp_path / "out").rows == 40
