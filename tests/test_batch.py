@@ -522,6 +522,13 @@ def test_frames_of_other_names_or_times_are_another_table(tmp_path, other):
         rp.fit_sequence(FrameSequence([replace(entry, **other)], one_frame), tmp_path / "out")
 
 
+def test_a_noise_in_other_units_draws_a_warning(recording, tmp_path):
+    sequence = rp.open_sequence(recording)[:2].with_noise(rp.noise.NoiseModel((1.0,)))
+    with pytest.warns(UserWarning, match="most likely it is not in 1/m. With it no tile is ROUGH") as warned:
+        rp.fit_sequence(sequence, tmp_path / "out")
+    assert len(warned) == 1
+
+
 def test_a_noise_that_is_a_function_is_not_resumed(recording, tmp_path):
     sequence = rp.open_sequence(recording)[:2].with_noise(rp.noise.function(lambda q: 1e-3 + 0.0 * q))
     assert rp.fit_sequence(sequence, tmp_path / "out").rows == 40
@@ -549,6 +556,8 @@ def test_arguments_that_cannot_be_used_are_refused(recording, tmp_path):
         FitSettings(max_error="1 cm")
     with pytest.raises(ValueError, match="num_threads must be at least 1"):
         rp.fit_sequence(sequence, out, num_threads=0)
+    with pytest.raises(TypeError, match="expected a FrameSequence, which open_sequence makes, got list"):
+        rp.fit_sequence([sequence[0].depth], out)
     with pytest.raises(ValueError, match="expected a sequence with frames"):
         rp.fit_sequence(sequence[:0], out)
     assert not out.exists()

@@ -193,7 +193,6 @@ def fit_sequence(
                 continue
             report.add(done)
             report.resumed += task[2] - task[1]
-        report.seconds.clear()
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
         said = set()
