@@ -50,6 +50,17 @@ def test_a_recording_of_an_azure_kinect(tmp_path, frames):
     assert camera.depth_scale == 1000.0
 
 
+@pytest.mark.parametrize(
+    ("size", "side", "left", "top"),
+    [((320, 288), 512, 96, 90), ((640, 576), 1024, 192, 180), ((512, 512), 512, 0, 0), ((1024, 1024), 1024, 0, 0)],
+)
+def test_each_mode_is_a_part_of_the_sensor_at_its_resolution(tmp_path, size, side, left, top):
+    camera = _depth_camera(calibration(), size, tmp_path)
+    assert (camera.width, camera.height) == size
+    assert (camera.fx, camera.fy) == pytest.approx((side * 0.4928, side * 0.4929))
+    assert (camera.cx, camera.cy) == pytest.approx((side * 0.51 - left - 0.5, side * 0.52 - top - 0.5))
+
+
 def test_the_camera_is_that_of_the_sdk():
     folder = real_data.FOLDER / "azure_kinect_nfov"
     if not folder.is_dir():

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import zlib
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
+from rgbd_planes.sequences.bag import _OpenBag
 from rgbd_planes.sequences.frames import numbered
 from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
@@ -500,6 +503,20 @@ def test_rosbag_frames_come_with_camera_info_and_stamps(tmp_path, frames, name):
     if name != "ros1.bag":  # the file inside the folder, too
         inside = next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
         same(sequences.rosbag(inside, CAMERA, "/camera/depth/image_raw"), frames, CAMERA, times=seconds)
+
+
+@pytest.mark.parametrize(
+    ("is2", "content"),
+    [
+        (False, struct.pack("<III", 7, 100, 500_000_000)),
+        (True, b"\x00\x01\x00\x00" + struct.pack("<II", 100, 500_000_000)),
+        (True, b"\x00\x00\x00\x00" + struct.pack(">II", 100, 500_000_000)),
+    ],
+    ids=["ROS 1", "little-endian", "big-endian"],
+)
+def test_the_stamp_of_a_message_is_in_its_own_byte_order(is2, content):
+    bag = SimpleNamespace(path=Path("a.bag"), _reader=SimpleNamespace(is2=is2))
+    assert _OpenBag._stamp(bag, content) == 100.5
 
 
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2", "mcap"])
