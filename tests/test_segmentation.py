@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
-from rgbd_planes import Camera, estimate_noise, scenes, segment
+from rgbd_planes import Camera, estimate_noise, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.quantiles import quantile
 from rgbd_planes.kernels.segments.blocks import BLOCK, block_moments
@@ -391,6 +391,40 @@ def test_what_is_seen_beside_a_thin_thing_is_farther_by_more_than_the_noise(devi
     q[:, 160] = 0.5 - deviations * 1e-3
     labels = segment(1.0 / q, CAMERA, noise=1e-3).labels
     assert len({labels[120, 50], labels[120, 250]}) == parts
+
+
+@pytest.mark.parametrize("deviations", [-4.0, 4.0])
+@pytest.mark.parametrize(
+    ("rows", "columns", "goes"),
+    [
+        (slice(100, 108), slice(196, 200), True),
+        (slice(100, 108), slice(96, 100), False),  # amid the wall: the sensor's error, for all that it shows
+        (slice(100, 103), slice(196, 200), False),  # of twelve pixels
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_face_too_small_for_a_plane_is_not_the_large_one_beside_it(deviations, rows, columns, goes, turned):
+    camera = replace(CAMERA, width=240, height=320, cx=119.5, cy=159.5) if turned else CAMERA
+    rng = np.random.default_rng(3)
+    q = np.where(np.arange(320) < 200, 0.5, 0.7) + 1e-3 * rng.standard_normal((240, 320))
+    face = np.s_[rows, columns]
+    q[face] = 0.5 + 1e-3 * deviations + 1e-4 * rng.standard_normal(q[face].shape)
+    if turned:
+        q, face = q.T, face[::-1]
+    found = segment(1.0 / q, camera, noise=1e-3)
+    here = np.zeros(q.shape, bool)
+    here[face] = True
+    wall, other = found.labels[0, 0], found.labels[-1, -1]
+    expected = np.where(here & goes, 0, np.where(q < 0.6, wall, other))
+    assert np.count_nonzero(found.labels != expected) <= 2  # noise of the wall that touches the face and looks like it
+    assert len(found) == 2
+    np.testing.assert_array_equal(found.sizes, np.bincount(found.labels.ravel())[1:])
+    assert set(found.reason[here].tolist()) == {Reason.UNCLAIMED if goes else Reason.PLANE}
+    np.testing.assert_allclose(found.alpha, fit_labels(1.0 / q, camera, found.labels).alpha, rtol=0.0, atol=1e-4)
+    if goes:  # nor does a plane shrink below what is asked for
+        least = int(found.sizes[wall - 1]) + 16
+        kept = segment(1.0 / q, camera, noise=1e-3, min_size=least)
+        assert kept.sizes.max() == least
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -207,7 +207,12 @@ def settle_strays(
                     for y in range(-1, 2):
                         for x in range(-1, 2):
                             same += labels[np.uint64(here + y * width + x)] == a  # unsigned indices: see `kernels`
-                if same <= COMPANY and sizes[a] > least and is_lone(labels, inverse_depth, here, a):
+                if (
+                    same <= COMPANY
+                    and labels[here] == a
+                    and sizes[a] > least
+                    and is_lone(labels, inverse_depth, here, a)
+                ):
                     loose[loose_count] = here
                     loose_count += 1
                     sizes[a] -= 1

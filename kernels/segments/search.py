@@ -9,6 +9,7 @@ from .labels import leave_out, write_labels
 from .noise_estimation import nearest_surface
 from .parts import find_parts
 from .regions import find_regions
+from .rims import let_go
 from .runs import PIECES
 
 
@@ -73,4 +74,8 @@ def find_planes(
     )  # fmt: skip
     planes = leave_out(planes, min_size, reasons.small, runs, number, why, found.moments, found.deviation)
     loose_count = write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason)
+    let_go(
+        inverse_depth, rays, rules.off, min_size, reasons.unclaimed, shares, runs, found.moments[:planes],
+        found.deviation[:planes], loose[loose_count:], label, reason,
+    )  # fmt: skip
     return needed, planes, loose_count
