@@ -66,7 +66,7 @@ SETTINGS = (
     *(Rules(narrow=value) for value in (3.2, 3.8, 6.0)),
     *(Rules(steep_block=value) for value in (0.4, 0.8)),
     *(Rules(rough_block=value) for value in (2.5, 3.5)),
-    *(Rules(off=value) for value in (2.0, 2.5, 3.0, np.inf)),
+    *(Rules(off=value) for value in (1.7, 2.2, 2.6, np.inf)),
 )
 
 

@@ -427,6 +427,14 @@ def test_a_face_too_small_for_a_plane_is_not_the_large_one_beside_it(deviations,
         assert kept.sizes.max() == least
 
 
+@pytest.mark.parametrize("pixels", [2.5, 3.0])
+def test_waves_do_not_bite_into_the_rims_of_planes(pixels):
+    q = np.where(np.abs(CAMERA.tan_x) + 0.0 * CAMERA.tan_y < 0.4, 0.5, 0.9) + 3e-3 * smooth_noise(3, pixels)
+    found = segment(1.0 / q, CAMERA)
+    assert len(found) == 3
+    assert np.all(found.labels > 0)
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_a_strip_that_agrees_with_two_planes_does_not_make_them_one(mirrored):
     # Two walls meet behind a strip that hides the corner, with gaps beside it: within the 4e-4 of 1/Z that exact frames

@@ -39,7 +39,7 @@ class Rules(NamedTuple):
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
     narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
     bent: float = 1.0  # variances per pixel that a region's own bend must make to be more than the sensor's
-    off: float = 2.25  # deviations that a group of pixels at the rim of a plane lies off it, to be none of its own
+    off: float = 1.9  # deviations, times the waviness, that pixels at a plane's rim lie off it together to be no part
     trips: int = 3  # from planes to pixels and back
 
     def tolerating(self, share: float) -> "Rules":

@@ -9,6 +9,7 @@ import numpy as np
 from .._jit import kernel
 from .blocks import BLOCK
 from .moments import add, ray_of
+from .noise import waviness
 from .pixels import place
 from .planes import fit_planes
 from .runs import WHOLE, first_of
@@ -79,7 +80,9 @@ def gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, 
 
 
 @kernel()
-def let_go(inverse_depth, rays, off, least, unclaimed, shares, runs, moments, deviation, group, label, reason):
+def let_go(
+    inverse_depth, rays, growth, off, least, unclaimed, shares, runs, moments, deviation, group, label, reason
+):  # fmt: skip
     """Take the label from groups of pixels at the rims of planes that lie off them.
 
     They touch what is not the plane's: so one of their pixels at least is in a share.
@@ -88,8 +91,10 @@ def let_go(inverse_depth, rays, off, least, unclaimed, shares, runs, moments, de
     ----------
     inverse_depth : (H, W) float32
     rays : Rays
+    growth : (S,) float64
+        See `noise.waviness`: by that a sensor's own errors may bend the rim of a plane.
     off : float
-        Deviations.
+        Deviations, times the plane's waviness.
     least : int
         Pixels that a plane keeps at least.
     unclaimed : uint8
@@ -114,7 +119,7 @@ def let_go(inverse_depth, rays, off, least, unclaimed, shares, runs, moments, de
             k, s = run_label[i] - 1, run_share[i]
             if s == WHOLE or k < 0 or SHARE * moments[k, 0] < LEAST:
                 continue
-            far = off * deviation[k]
+            far = off * waviness(moments[k, 0], growth) * deviation[k]
             total = sums[s, 3] - (alpha[k, 0] * sums[s, 1] + alpha[k, 1] * sums[s, 2] + alpha[k, 2] * sums[s, 0])
             if abs(total) <= far * sums[s, 0]:
                 continue

@@ -75,7 +75,7 @@ def find_planes(
     planes = leave_out(planes, min_size, reasons.small, runs, number, why, found.moments, found.deviation)
     loose_count = write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason)
     let_go(
-        inverse_depth, rays, rules.off, min_size, reasons.unclaimed, shares, runs, found.moments[:planes],
-        found.deviation[:planes], loose[loose_count:], label, reason,
+        inverse_depth, rays, noise.growth, rules.off, min_size, reasons.unclaimed, shares, runs,
+        found.moments[:planes], found.deviation[:planes], loose[loose_count:], label, reason,
     )  # fmt: skip
     return needed, planes, loose_count
