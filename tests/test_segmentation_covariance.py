@@ -273,13 +273,12 @@ def test_one_square_of_outliers_says_little_of_where_a_plane_is_noisier(rng):
     np.testing.assert_allclose(np.diag(found.alpha_covariance[0]), np.diag(of_independent_pixels(1e-3)), rtol=0.3)
 
 
-def test_rays_are_weighed_up_to_the_edges(rng):
-    # Whole squares do not reach an oblique edge: by theirs alone, this triangle's mean ray would be off by 0.013.
+def mean_weights(on, sigma, rng):
+    """(5,): what `weigh_rays` makes of a plane with these pixels and this noise, the mean of eight frames."""
     u, v = np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y)
-    label = (np.abs(u) < 0.6 * (v + 0.45)).astype(np.int32)
-    on, work, all_weighted = label == 1, Workspace(CAMERA), np.empty((8, 1, 5))
+    work, all_weighted = Workspace(CAMERA), np.empty((8, 1, 5))
     for weighted in all_weighted:
-        q = 0.5 + 0.05 * u + 1e-3 * rng.standard_normal(CAMERA.shape)
+        q = 0.5 + 0.05 * u + sigma * rng.standard_normal(CAMERA.shape)
         frame = as_depth_frame(1.0 / q, CAMERA)
         read_frame(
             frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
@@ -288,9 +287,32 @@ def test_rays_are_weighed_up_to_the_edges(rng):
         rows = np.stack([np.ones(on.sum()), u[on], v[on], q[on]])
         moments = (rows @ rows.T)[np.triu_indices(4)]
         alpha, rss, *_ = np.linalg.lstsq(rows[[1, 2, 0]].T, q[on])
-        weigh_rays(label, work.pyramid, moments[None], alpha[None], rss, weighted)
+        weigh_rays(on.astype(np.int32), work.pyramid, moments[None], alpha[None], rss, weighted)
+    return all_weighted.mean(axis=(0, 1))
+
+
+def test_rays_are_weighed_up_to_the_edges(rng):
+    # Whole squares do not reach an oblique edge: by theirs alone, this triangle's mean ray would be off by 0.013.
+    u, v = np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y)
+    on = np.abs(u) < 0.6 * (v + 0.45)
     wanted = [of[on].mean() for of in (u, v, u * u, u * v, v * v)]  # the noise is the same everywhere
-    np.testing.assert_allclose(all_weighted.mean(axis=(0, 1)), wanted, atol=2e-3)
+    np.testing.assert_allclose(mean_weights(on, 1e-3, rng), wanted, atol=2e-3)
+
+
+def test_rims_that_are_rougher_than_the_squares_count_more(rng):
+    # By weights that only tell the squares from each other, the variance of the slope across this strip would be 0.70
+    # of what it is; by equal ones 0.64.
+    row, column = np.indices(CAMERA.shape)
+    away = np.abs(row - 120.0 - 0.35 * (column - 160.0))
+    on, sigma = away < 12.0, np.where(away > 8.0, 2e-3, 1e-3)
+    u, v = np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y)
+    rays = np.stack([u[on], v[on], np.ones(on.sum())])
+    inverse = np.linalg.inv(rays @ rays.T)
+    wanted = inverse @ (rays * sigma[on] ** 2) @ rays.T @ inverse / np.mean(sigma[on] ** 2)
+    x, y, xx, xy, yy = mean_weights(on, sigma, rng)
+    made = on.sum() * inverse @ [[xx, xy, x], [xy, yy, y], [x, y, 1.0]] @ inverse
+    ratio = np.linalg.eigvals(np.linalg.solve(wanted, made)).real
+    assert 0.82 < ratio.min() < ratio.max() < 1.1
 
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-5])

@@ -43,8 +43,11 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     moments, alpha, rss : (N, 10), (N, 3), (N,) float64
         Of the planes.
     weighted : (N, 5) float64, written
-        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy), by squares of SQUARE_SIDE pixels: as far from the means
-        of all pixels as those that the squares have are from the squares' own, since these do not reach the edges.
+        Means of u, v, u², uv and v², (u, v) = (tanθx, tanθy): that of all pixels, plus Σ more·(sum over the square -
+        n times the mean of all pixels) / Σ n·(variance of the square), over squares of SQUARE_SIDE pixels. ``more`` is
+        the square's variance above the plane's. Squares stand for all pixels, although they do not reach the edges.
+        If the rims are rougher than they, ``more`` is negative, and the means move to the rims; with differences
+        from the squares' own mean they would not.
         Where there are fewer than FEWEST_SQUARES, or less than LEAST_WEIGHT would be left, all pixels count equally.
     """
     height, width = label.shape
