@@ -1,5 +1,7 @@
 """Least squares where some pixels are noisier than others: the sandwich covariance (White 1980)."""
 
+import math
+
 from ._jit import kernel
 
 
@@ -30,10 +32,17 @@ def sandwich(n, u, v, uu, uv, vv, weighted):
     scale = 1.0 / (uu * vv - uv * uv)
     g_uu, g_uv, g_vv = vv * scale, -uv * scale, uu * scale
     b_u, b_v = w_u - u, w_v - v
-    b_uu = n * (w_uu - u * (w_u + b_u))
-    b_uv = n * (w_uv - u * w_v - v * b_u)
-    b_vv = n * (w_vv - v * (w_v + b_v))
-    h_uu, h_uv = g_uu * b_uu + g_uv * b_uv, g_uu * b_uv + g_uv * b_vv
-    h_vu, h_vv = g_uv * b_uu + g_vv * b_uv, g_uv * b_uv + g_vv * b_vv
-    slopes = h_uu * g_uu + h_uv * g_uv, h_uu * g_uv + h_uv * g_vv, h_vu * g_uv + h_vv * g_vv
-    return (g_uu, g_uv, g_vv), slopes, (g_uu * b_u + g_uv * b_v, g_uv * b_u + g_vv * b_v)
+    m_u, m_v = g_uu * b_u + g_uv * b_v, g_uv * b_u + g_vv * b_v
+    # B without what its means explain is LLᵀ. Of pixels nearly in a line A⁻¹ magnifies rounding errors: A⁻¹L times its
+    # own transpose has no negative direction, whatever they are.
+    l_uu = math.sqrt(n * max(w_uu - w_u * w_u, 0.0))
+    l_uv = n * (w_uv - w_u * w_v) / max(l_uu, 1e-150)
+    l_vv = math.sqrt(max(n * (w_vv - w_v * w_v) - l_uv * l_uv, 0.0))
+    a_u, a_v = g_uu * l_uu + g_uv * l_uv, g_uv * l_vv
+    b_u, b_v = g_uv * l_uu + g_vv * l_uv, g_vv * l_vv
+    slopes = (
+        a_u * a_u + a_v * a_v + n * m_u * m_u,
+        a_u * b_u + a_v * b_v + n * m_u * m_v,
+        b_u * b_u + b_v * b_v + n * m_v * m_v,
+    )
+    return (g_uu, g_uv, g_vv), slopes, (m_u, m_v)

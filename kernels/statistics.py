@@ -36,10 +36,13 @@ LIMITS = 11
 # tanθy, to be multiplied by the squared slopes of q, and those of rounding in depth and in disparity. One over the
 # degrees of freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the
 # variance of q by the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for
-# all q. Within a tile it is taken as a power of q, of at most STEEPEST: where the table is steeper, it jumps.
+# all q. Within a tile it is taken as a power of q, of at most STEEPEST: where the table is steeper, it jumps. The mean
+# of the power is its series to second order, which where depths differ a hundredfold may be below 0: at most
+# LARGEST_LOSS is taken off.
 LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, SCALE = 0, 1, 2, 3, 4, 5
 VARIANCES = np.uintp(6)
 STEEPEST = 8.0
+LARGEST_LOSS = 0.5
 ONE = np.uintp(1)
 # Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
 # differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
@@ -229,7 +232,8 @@ def pixel_variance(noise, count, room):
             # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
             spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
             w = room[W_0, i] + mean_w
-            room[SHARED, i] = variance * (1.0 + 0.5 * power * (power - 1.0) / (w * w) * spread)
+            more = 0.5 * power * (power - 1.0) / (w * w) * spread
+            room[SHARED, i] = variance * (1.0 + max(more, -LARGEST_LOSS))
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
     if depth > 0.0:
         for i in range(TILES_AT_ONCE):
@@ -443,6 +447,8 @@ def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room):
     xx = square * (aa - 2.0 * h_x * x)
     yy = square * (bb - 2.0 * h_y * y)
     zz = square * (cc - 2.0 * h_z * z)
+    # What rounding leaves of a variance that is 0.
+    xx, yy, zz = max(xx, 0.0) + nothing, max(yy, 0.0) + nothing, max(zz, 0.0) + nothing
     room[PLANE, i] = xx
     room[PLANE + 1, i] = square * (ab - x * h_y - h_x * y)
     room[PLANE + 2, i] = square * (ac - x * h_z - h_x * z)
@@ -452,9 +458,10 @@ def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room):
     room[PLANE + 6, i] = cube * (s_y - s * y)
     room[PLANE + 7, i] = zz
     room[PLANE + 8, i] = cube * (s_z - s * z)
-    room[PLANE + 9, i] = square * square * s
-    room[ANGLE, i] = math.sqrt(max(xx + yy + zz, 0.0)) * (180.0 / math.pi) + nothing
-    room[OFFSET, i] = square * math.sqrt(max(s, 0.0)) + nothing
+    of_offset = square * square * (max(s, 0.0) + nothing)
+    room[PLANE + 9, i] = of_offset
+    room[ANGLE, i] = math.sqrt(xx + yy + zz) * (180.0 / math.pi)
+    room[OFFSET, i] = math.sqrt(of_offset)
 
 
 @kernel()
