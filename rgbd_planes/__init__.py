@@ -21,11 +21,14 @@ _NAMES = {
     "Camera": "camera",
     "FitSettings": "batch.parts",
     "LabelPlanes": "labels",
+    "MergedPlanes": "merging",
+    "PlanePolygon": "polygons",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
     "TileFitter": "tiles",
     "TilePlanes": "tile_planes",
     "TileStatus": "plane_fits",
+    "TrackedSegmentation": "segmentation.tracking",
     "WindowPlanes": "windows",
     "curvature": "surfaces",
     "estimate_noise": "noise.estimation",
@@ -74,15 +77,18 @@ if TYPE_CHECKING:
     from rgbd_planes.camera import Camera as Camera
     from rgbd_planes.labels import LabelPlanes as LabelPlanes
     from rgbd_planes.labels import fit_labels as fit_labels
+    from rgbd_planes.merging import MergedPlanes as MergedPlanes
     from rgbd_planes.merging import merge as merge
     from rgbd_planes.noise.estimation import estimate_noise as estimate_noise
     from rgbd_planes.noise.points import measurement_noise as measurement_noise
     from rgbd_planes.plane_fits import TileStatus as TileStatus
+    from rgbd_planes.polygons import PlanePolygon as PlanePolygon
     from rgbd_planes.polygons import plane_polygons as plane_polygons
     from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation.result import Reason as Reason
     from rgbd_planes.segmentation.result import Segmentation as Segmentation
     from rgbd_planes.segmentation.segment import segment as segment
+    from rgbd_planes.segmentation.tracking import TrackedSegmentation as TrackedSegmentation
     from rgbd_planes.segmentation.tracking import segment_sequence as segment_sequence
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.surfaces import curvature as curvature

@@ -34,7 +34,7 @@ from rgbd_planes.wording import counted
 class LabelPlanes(KeepsPixels, PlacedFits):
     """The planes of labels 1 to K of a frame, arrays of shape S = (K,).
 
-    p-values, covariances and `plot` are as in `TilePlanes`.
+    p-values, covariances, `plot` and `to_table` are as in `TilePlanes`.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ from rgbd_planes.plane_fits import PlaneFits, allocate
 class MergedPlanes(KeepsPixels, PlaneFits):
     """The planes of N unions of tiles, arrays of shape S = (N,): row i belongs to label i + 1.
 
-    p-values and covariances are as in `TilePlanes`.
+    p-values, covariances and `to_table` are as in `TilePlanes`.
 
     Attributes
     ----------

@@ -174,6 +174,25 @@ class PlaneFits:
         """True where there is a plane: status OK or ROUGH."""
         return np.isin(self.status, (TileStatus.OK, TileStatus.ROUGH))
 
+    def to_table(self) -> dict[str, npt.NDArray[Any]]:
+        """Return one row per plane as a dict of equally long columns, which `pandas.DataFrame` takes.
+
+        Columns: of a tile its row and column, for a batch after its frame, and top, left, height and width in pixels;
+        of a window the last four; of others the label. Then status (its name), valid_count; nx, ny, nz, d; rmse,
+        rmse_metric. If the camera has a noise model: p_value; angle_std in degrees, offset_std in metres.
+        """
+        names = np.array([status.name for status in TileStatus])
+        planes = self.planes.reshape(-1, 4)
+        columns = {"status": names[self.status.ravel()], "valid_count": self.valid_count.ravel()}
+        columns |= {name: planes[:, i] for i, name in enumerate(("nx", "ny", "nz", "d"))}
+        uncertain = () if self.camera.noise is None else ("p_value", "angle_std", "offset_std")
+        columns |= {name: getattr(self, name).ravel() for name in ("rmse", "rmse_metric", *uncertain)}
+        return self._places() | columns
+
+    def _places(self) -> dict[str, npt.NDArray[Any]]:
+        """The columns of a table that say which part of the frame a row is."""
+        return {"label": np.arange(1, len(self.status) + 1)}
+
     def _summary(self) -> str:
         """Counts of each status that occurs, and the median residual."""
         counts = [

@@ -115,31 +115,16 @@ class TilePlanes(Savable, PlacedFits):
         height, width = self.tile
         return f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
 
-    def to_table(self) -> dict[str, npt.NDArray[Any]]:
-        """Return one row per tile as a dict of equally long columns, which `pandas.DataFrame` takes.
-
-        Columns: frame (for a batch), row, column of the tile; top, left, height, width in pixels; status (its name),
-        valid_count; nx, ny, nz, d; rmse, rmse_metric.
-        """
+    def _places(self) -> dict[str, npt.NDArray[Any]]:
         *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
-        names = np.array([status.name for status in TileStatus])
-        planes = self.planes.reshape(-1, 4)
-        table = {"frame": frame[0]} if frame else {}
-        return table | {
+        places = {"frame": frame[0]} if frame else {}
+        return places | {
             "row": row,
             "column": column,
             "top": row * self.tile[0],
             "left": column * self.tile[1],
             "height": self.tile_heights[row],
             "width": self.tile_widths[column],
-            "status": names[self.status.ravel()],
-            "valid_count": self.valid_count.ravel(),
-            "nx": planes[:, 0],
-            "ny": planes[:, 1],
-            "nz": planes[:, 2],
-            "d": planes[:, 3],
-            "rmse": self.rmse.ravel(),
-            "rmse_metric": self.rmse_metric.ravel(),
         }
 
     def _content(self) -> tuple[dict[str, Any], Arrays]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,7 @@ from rgbd_planes.wording import counted
 class WindowPlanes(PlacedFits):
     """The planes of K windows of a frame, arrays of shape S = (K,).
 
-    p-values, covariances and `plot` are as in `TilePlanes`.
+    p-values, covariances, `plot` and `to_table` are as in `TilePlanes`.
 
     Attributes
     ----------
@@ -42,6 +43,9 @@ class WindowPlanes(PlacedFits):
             top, left, height, width = self.windows[i]
             cells[top : top + height, left : left + width] = i
         return cells[rows[:, None], columns]
+
+    def _places(self) -> dict[str, npt.NDArray[Any]]:
+        return dict(zip(("top", "left", "height", "width"), self.windows.T, strict=True))
 
     @property
     def _sizes(self) -> npt.NDArray[np.int64]:

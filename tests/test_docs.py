@@ -243,6 +243,7 @@ def test_every_public_name_is_in_the_reference():
     functions = {f"sequences.{name}" for name in rp.sequences.FORMATS}
     shown = entries | {".".join(entry.split(".")[::2]) for entry in entries if entry.startswith("sequences.")}
     assert set(rp.__all__) - {"__version__", "sequences"} | functions <= shown
+    assert {entry for entry in entries if "." not in entry} <= set(rp.__all__)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)

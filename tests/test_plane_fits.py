@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,6 +116,36 @@ def test_table_has_one_row_a_tile(tiles):
     np.testing.assert_array_equal(table["d"], tiles.planes[..., 3].ravel())
     assert table["status"][i] == rp.TileStatus(tiles.status[row, column]).name
     np.testing.assert_array_equal(tiles.tile_heights, [11, 11, 11, 11, 4])
+
+
+def test_tables_of_other_parts_say_which(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    tiles = rp.fit_tiles(depth, camera, 16)
+    windows = rp.fit_windows(depth, camera, [(1, 2, 20, 30), (5, 6, 7, 8)])
+    labels = rp.fit_labels(depth, camera, np.indices(depth.shape)[1] // 30)
+    union = rp.merge(tiles, np.indices(tiles.shape)[1])
+    assert list(windows.to_table())[:5] == ["top", "left", "height", "width", "status"]
+    np.testing.assert_array_equal(
+        [windows.to_table()[name][1] for name in ("top", "left", "height", "width")], [5, 6, 7, 8]
+    )
+    for fits in (labels, union):
+        table = fits.to_table()
+        assert list(table)[:2] == ["label", "status"]
+        np.testing.assert_array_equal(table["label"], np.arange(len(fits.status)) + 1)
+        np.testing.assert_array_equal(np.stack([table[name] for name in ("nx", "ny", "nz", "d")], axis=1), fits.planes)
+
+
+def test_tables_have_uncertainties_if_the_noise_is_known(rng):
+    camera = make_camera()
+    frames = [make_depth(camera, rng) for _ in range(2)]
+    uncertain = ["p_value", "angle_std", "offset_std"]
+    assert not set(uncertain) & set(rp.fit_tiles(frames[0], camera).to_table())
+    stack = rp.TileFitter(replace(camera, noise=rp.noise.kinect_v1()), 16).fit_batch(frames)
+    table = stack.to_table()
+    assert list(table)[-3:] == uncertain
+    for name in uncertain:
+        np.testing.assert_array_equal(table[name], getattr(stack, name).ravel())
 
 
 def test_batch_is_indexed_by_frame(rng):
