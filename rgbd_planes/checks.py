@@ -102,6 +102,14 @@ def real_array(name: str, values: Any) -> NDArray[np.float64]:
         raise TypeError(f"expected {name} as numbers, got {array.flat[0]!r}") from None
 
 
+def each_of(frames: Any) -> Iterator[Any]:
+    """Return the iterator of something that gives frames one after the other."""
+    try:
+        return iter(frames)
+    except TypeError:
+        raise TypeError(f"expected frames, as an iterable, got {type(frames).__name__}") from None
+
+
 def check_labels(labels: NDArray[Any], most: int) -> None:
     """Raise ValueError unless labels are 0 to ``most``: a result has a row for each, up to the largest."""
     if labels.size and (labels.min() < 0 or labels.max() > most):

@@ -10,7 +10,7 @@ import functools
 import math
 import os
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -177,7 +177,9 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
         reason = f"the array is the depth of a {type(array.flat[0]).__name__}"
         raise TypeError(f"expected a depth frame as an array, got {type(depth).__name__}: {reason}")
     if array.ndim == 0 and array.dtype.kind not in "iuf":  # a message, say, or the bytes of an image
-        raise TypeError(f"expected a depth frame as an array, got {type(depth).__name__}")
+        several = ": TileFitter.fit_stream and segment_sequence take several frames"
+        reason = several if isinstance(depth, Iterator) else ""
+        raise TypeError(f"expected a depth frame as an array, got {type(depth).__name__}{reason}")
     if array.ndim == 3 and array.shape[2] == 3 and array.dtype.kind == "f":
         reason = ": is it a colour image, or points, whose depth is [..., 2]?"
     elif array.ndim == 3 and array.shape[2] in (3, 4):

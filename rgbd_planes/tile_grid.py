@@ -1,6 +1,8 @@
 """The grid of tiles of a frame, and what the camera alone determines of them."""
 
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,14 +12,21 @@ from rgbd_planes.camera import Camera
 
 def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int, int]:
     """Return a tile's (height, width), for a frame of (height, width)."""
-    sides = (tile, tile) if isinstance(tile, (int, np.integer)) else tuple(np.atleast_1d(tile))
+    height, width = tile_sides(tile)
+    if height > frame[0] or width > frame[1]:
+        raise ValueError(f"tile must fit into the frame of (height, width) = {frame}, got {tile!r}")
+    return height, width
+
+
+def tile_sides(tile: int | tuple[int, int]) -> tuple[int, int]:
+    """Return a tile's (height, width), for frames of any size."""
+    given: Any = tile.tolist() if isinstance(tile, np.ndarray) else tile
+    sides = tuple(given) if isinstance(given, Sequence) else (given, given)
     if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
         raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
     height, width = int(sides[0]), int(sides[1])
     if height < 2 or width < 2:
         raise ValueError(f"tile must be at least 2 x 2 pixels, got {tile!r}")
-    if height > frame[0] or width > frame[1]:
-        raise ValueError(f"tile must fit into the frame of (height, width) = {frame}, got {tile!r}")
     return height, width
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share, each_of
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
@@ -217,11 +217,11 @@ class TileFitter:
         """
         ahead = 1 if self._num_threads is None else self._num_threads
         if ahead == 1:
-            for frame in frames:
+            for frame in each_of(frames):
                 yield self.fit(frame)
             return
         waiting: deque[Callable[[], TilePlanes]] = deque()
-        source = iter(frames)
+        source = each_of(frames)
         wrong: Exception | None = None
         while True:
             try:

@@ -143,6 +143,8 @@ def fit_windows(
 def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
     """Return the windows as a contiguous (K, 4) int64 array of its own."""
     array = plain_array("windows", windows)
+    if array.ndim == 0:
+        raise TypeError(f"expected windows as an array of shape (K, 4), got {type(windows).__name__}")
     if array.size == 0:
         array = np.empty((0, 4), np.int64)
     if array.ndim != 2 or array.shape[1] != 4:

@@ -9,20 +9,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import collected_warnings, number
+from rgbd_planes.checks import check_choice, check_error, check_share, collected_warnings, number
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
+from rgbd_planes.fitting import METHODS
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
-from rgbd_planes.tile_grid import check_tile, grid_shape
+from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.wording import one_line
@@ -40,6 +41,11 @@ class FitSettings:
         For tiles, as `rgbd_planes.fit_tiles` takes them.
     min_size : int
         For segments, as `rgbd_planes.segment` takes it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        One of them can be used with no camera.
     """
 
     segments: bool = False
@@ -52,12 +58,15 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
-        tile = np.asarray(self.tile).tolist()
-        plain = {
+        sides = tile_sides(self.tile)
+        plain: dict[str, Any] = {
             "segments": bool(self.segments),
-            "tile": tuple(tile) if isinstance(tile, list) else tile,
+            "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
         }
+        check_choice("method", self.method, METHODS)
+        check_share("max_missing", self.max_missing)
+        check_error(self.max_error)
         for name in ("max_missing", "max_error", "significance"):
             value = getattr(self, name)
             optional = value is None and name != "max_missing"
@@ -83,7 +92,7 @@ class FitSettings:
         if of_others:
             raise ValueError(f"{fitted} take no options of {others}, got {', '.join(of_others)}")
         if not self.segments:
-            _fitter.__wrapped__(camera, self)  # invalid settings may not be hashable
+            _fitter.__wrapped__(camera, self)  # what is no camera may not be hashable
 
     def rows_of_frame(self, camera: Camera) -> int:
         """Number of tiles of a frame; 1 for segments, of which there are few."""

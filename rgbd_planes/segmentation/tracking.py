@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_whole
+from rgbd_planes.checks import check_whole, each_of
 from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment
@@ -107,7 +107,7 @@ def segment_sequence(
     """
     check_settings(camera, noise, min_size)
     tracker = Tracker(check_whole("memory", memory, 0, "whole number of frames"))
-    return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in frames)
+    return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in each_of(frames))
 
 
 class Tracker:
