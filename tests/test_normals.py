@@ -1,5 +1,6 @@
 """Normals and surface variation against the plain fit of every pixel's window."""
 
+import importlib
 import itertools
 import threading
 
@@ -432,6 +433,16 @@ def test_command_says_what_is_wrong(folder, capsys, options, message):
     assert message in captured.err
     assert captured.err.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == ["camera.json", "depth.png"]
+
+
+@pytest.mark.parametrize("options", [[], ["--avoid-edges"]])
+def test_figure_says_that_edges_look_flat_unless_they_are_avoided(folder, monkeypatch, options):
+    figures = []
+    command = importlib.import_module("rgbd_planes.commands.normals")
+    monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
+    assert cli.main(["normals", "depth.png", "--camera", "camera.json", "--figure", "normals.png", *options]) == 0
+    texts = [axes.get_xlabel() for below in figures[0].axes for axes in below.child_axes]
+    assert ["edges look flat" in text for text in texts if "variance" in text] == [not options]
 
 
 def test_figure_of_a_frame_with_nothing_in_it():

@@ -63,7 +63,8 @@ def normals(parser: argparse.ArgumentParser) -> Run:
             from rgbd_planes.plotting.surfaces import plot_surfaces
 
             curvature = rp.curvature(depth, camera, arguments.window, **options)
-            write_figure(plot_surfaces(depth, camera, found, curvature), arguments.figure)
+            figure = plot_surfaces(depth, camera, found, curvature, avoid_edges=arguments.avoid_edges)
+            write_figure(figure, arguments.figure)
             print(f"Wrote {arguments.figure}")
         return status
 

@@ -19,7 +19,12 @@ _FLAT = 1e-6
 
 
 def plot_surfaces(
-    depth: npt.ArrayLike, camera: Camera, normals: npt.NDArray[np.float32], curvature: npt.NDArray[np.float32]
+    depth: npt.ArrayLike,
+    camera: Camera,
+    normals: npt.NDArray[np.float32],
+    curvature: npt.NDArray[np.float32],
+    *,
+    avoid_edges: bool = False,
 ) -> Figure:
     """Draw a frame's depth, its normals as colours and its surface variation.
 
@@ -31,6 +36,8 @@ def plot_surfaces(
         From `rgbd_planes.normals`.
     curvature : (H, W) float32
         From `rgbd_planes.curvature`; drawn on a logarithmic scale.
+    avoid_edges : bool
+        Whether both were computed so.
 
     Returns
     -------
@@ -48,8 +55,9 @@ def plot_surfaces(
     norm = LogNorm(low, high, clip=True)
     image = panels[2].imshow(curvature, cmap=magma, norm=norm, interpolation="nearest")
     panels[2].set_title("Curvature (surface variation)")
-    # A plane across an edge runs along the rays, on which the points spread far.
-    label = "share of the points' variance across the plane (depth edges look flat, too)"
+    label = "share of the points' variance across the plane"
+    if not avoid_edges:  # a plane across an edge runs along the rays, on which the points spread far
+        label += " (depth edges look flat, too)"
     bar = draw_scale(legends[2], image, label)
     # Few enough to be legible, whatever the range: matplotlib's own overlap, or are missing.
     ticks = _round_numbers(low, high)
