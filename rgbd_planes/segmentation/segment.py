@@ -89,7 +89,7 @@ def segment(
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
-    with announced(("segment", frame.raw.dtype), "half a minute or more"):
+    with announced(("segment", frame.raw.dtype), "about a minute"):
         return segment_frame(frame, camera, given, min_size, Rules())
 
 
