@@ -85,6 +85,9 @@ def check_what_follows(planes, covariance, total, seed):
         moved, of_moved = uncertainty.transform_planes(planes, covariance, motion, pose)
         length = planes[:, 3] + np.linalg.norm(motion[:3, 3])
         check_planes(of_moved, length, total + (0.0 if pose is None else np.trace(pose)))
+    for plane, of_plane, trace in zip(planes[:4], covariance[:4], total[:4], strict=True):
+        fused, of_fused = uncertainty.fuse_planes([plane, plane], [of_plane, 3.0 * of_plane])
+        check_planes(of_fused[None], fused[3:], trace)
     on_them = -planes[:, 3:] * planes[:, :3]
     distance, of_distance = uncertainty.point_distance(on_them, planes, covariance, 1e-4 * np.eye(3))
     angle, of_angle = uncertainty.angle_between(planes, covariance, moved, of_moved)
