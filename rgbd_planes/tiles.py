@@ -216,12 +216,12 @@ class TileFitter:
             As `fit_tiles`, for each frame.
         """
         ahead = 1 if self._num_threads is None else self._num_threads
+        source = each_of(frames)
         if ahead == 1:
-            for frame in each_of(frames):
+            for frame in source:
                 yield self.fit(frame)
             return
         waiting: deque[Callable[[], TilePlanes]] = deque()
-        source = each_of(frames)
         wrong: Exception | None = None
         while True:
             try:

@@ -231,9 +231,7 @@ def is_thin(gaps, opened, closed):
 
 
 @kernel(inline=True)
-def join_across(
-    runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent, together
-):  # fmt: skip
+def join_across(runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first plane that each is united with.
 
     What they have been united with must be one plane, too: a strip along an edge may agree with both sides of it.
@@ -244,15 +242,14 @@ def join_across(
         Row i of ``moments`` (N, 10), ``alpha`` (N, 3) and ``deviation`` (N,) is label i + 1.
     inverse_depth : (H, W) float32
     rays : Rays
+    moments : (N, 10) float64, changed
+        Those of each first plane become those of all that are united with it.
     box, floor, spread, pairs, count : see `find_coplanar`
-    together : (N, 10) float64, written
-        Moments of what each first plane is united with.
     """
-    together[:] = moments
     for k in range(count):
         a, b = pairs[k]
         first, other = root_of(parent, a), root_of(parent, b)
-        if first == other or not are_coplanar(together, deviation, first, other, floor, spread):
+        if first == other or not are_coplanar(moments, deviation, first, other, floor, spread):
             continue
         reach = BEYOND * deviation[a]  # 1/m: what is farther than the plane by this is seen through the gap
         thin = False
@@ -277,7 +274,7 @@ def join_across(
             unite(parent, a, b)
             first, other = min(first, other), max(first, other)
             for j in range(10):
-                together[first, j] += together[other, j]
+                moments[first, j] += moments[other, j]
     for a in range(len(parent)):
         parent[a] = parent[parent[a]]
 
@@ -287,8 +284,7 @@ def join_planes(parent, number, moments, deviation):
     """Make one plane of those that have the same parent; returns how many planes are left.
 
     ``parent`` (N,) int64 comes from `join_across` and is overwritten; ``number`` (P,) int32, a part's plane from 1 on
-    or 0, becomes that of the joined planes; ``moments`` (N, 10) and ``deviation`` (N,) hold those of the joined planes
-    in their first rows.
+    or 0, becomes that of the joined planes, and so do the first rows of ``moments`` (N, 10) and ``deviation`` (N,).
     """
     count = 0
     for a in range(len(parent)):
@@ -299,8 +295,6 @@ def join_planes(parent, number, moments, deviation):
             count += 1
         else:
             parent[a] = parent[parent[a]]
-            for k in range(10):
-                moments[parent[a], k] += moments[a, k]
     for i in range(len(number)):
         if number[i] > 0:
             number[i] = parent[number[i] - 1] + 1
@@ -336,10 +330,7 @@ def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, 
     if count == 0:
         return planes
     parent = np.arange(planes)
-    together = np.empty((planes, 10))
-    join_across(
-        runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent, together
-    )  # fmt: skip
+    join_across(runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent)
     left = join_planes(parent, number, moments, deviation)
     if left < planes:
         label_runs(runs, number)

@@ -209,7 +209,7 @@ def settle_strays(
                             same += labels[np.uint64(here + y * width + x)] == a  # unsigned indices: see `kernels`
                 if (
                     same <= COMPANY
-                    and labels[here] == a
+                    and labels[here] == a  # and not let go: see `rims`
                     and sizes[a] > least
                     and is_lone(labels, inverse_depth, here, a)
                 ):

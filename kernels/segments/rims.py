@@ -113,17 +113,19 @@ def let_go(
     sums = shares.sums
     alpha, rss, gone = np.empty((len(moments), 3)), np.empty(len(moments)), np.zeros((len(moments), 10))
     fit_planes(moments, alpha, rss)
+    limit = np.empty(len(moments))
+    for k in range(len(moments)):
+        limit[k] = off * waviness(moments[k, 0], growth) * deviation[k]
     count = 0
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
             k, s = run_label[i] - 1, run_share[i]
             if s == WHOLE or k < 0 or SHARE * moments[k, 0] < LEAST:
                 continue
-            far = off * waviness(moments[k, 0], growth) * deviation[k]
             total = sums[s, 3] - (alpha[k, 0] * sums[s, 1] + alpha[k, 1] * sums[s, 2] + alpha[k, 2] * sums[s, 0])
-            if abs(total) <= far * sums[s, 0]:
+            if abs(total) <= limit[k] * sums[s, 0]:
                 continue
-            far = far if total > 0.0 else -far
+            far = limit[k] if total > 0.0 else -limit[k]
             most = np.int64(min(SHARE * moments[k, 0], MOST))
             pixels = run_pixels[i]
             while pixels != 0:

@@ -58,19 +58,16 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
-        sides = tile_sides(self.tile)
+        sides, level = tile_sides(self.tile), self.significance
         plain: dict[str, Any] = {
             "segments": bool(self.segments),
             "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
+            "max_missing": check_share("max_missing", self.max_missing),
+            "max_error": None if self.max_error is None else check_error(self.max_error),
+            "significance": None if level is None else number("significance", level, finite=False),
         }
         check_choice("method", self.method, METHODS)
-        check_share("max_missing", self.max_missing)
-        check_error(self.max_error)
-        for name in ("max_missing", "max_error", "significance"):
-            value = getattr(self, name)
-            optional = value is None and name != "max_missing"
-            plain[name] = None if optional else number(name, value, finite=False)
         for name, value in plain.items():
             object.__setattr__(self, name, value)
 
