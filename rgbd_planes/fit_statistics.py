@@ -164,14 +164,20 @@ def _made_limits(level: float) -> Floats:
     return np.asarray(made.convert(kind=Polynomial).coef)
 
 
-def check_significance(significance: float | None, camera: Camera) -> float | None:
-    """Return a share below 1, for a camera with a noise model, as a float, or None."""
+def check_level(significance: float | None) -> float | None:
+    """Return a share below 1 as a float, or None."""
     if significance is None:
         return None
     level = number("significance", significance, finite=False)
     if not 0.0 <= level < 1.0:
         raise ValueError(f"significance must be at least 0 and below 1, got {significance!r}")
-    if camera.noise is None:
+    return level
+
+
+def check_significance(significance: float | None, camera: Camera) -> float | None:
+    """The same, for a camera, which needs a noise model unless it is None."""
+    level = check_level(significance)
+    if level is not None and camera.noise is None:
         raise ValueError(
             "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
             "or rp.estimate_noise(frames, camera)"

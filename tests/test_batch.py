@@ -543,6 +543,7 @@ def test_a_noise_in_other_units_draws_a_warning(recording, tmp_path):
         ({"max_missing": 2.0}, ValueError, "max_missing must be between 0 and 1"),
         ({"max_error": -1.0}, ValueError, "max_error must be a positive length"),
         ({"max_error": "1 cm"}, TypeError, "expected max_error as a number, got '1 cm'"),
+        ({"significance": 2.0}, ValueError, "significance must be at least 0 and below 1, got 2.0"),
     ],
 )
 def test_settings_for_no_camera_are_refused_when_they_are_made(options, error, message):
@@ -561,8 +562,6 @@ def test_arguments_that_cannot_be_used_are_refused(recording, tmp_path):
     sequence, out = rp.open_sequence(recording), tmp_path / "out"
     with pytest.raises(ValueError, match="tile must fit into the frame"):
         rp.fit_sequence(sequence, out, FitSettings(tile=10_000))
-    with pytest.raises(ValueError, match="significance must be at least 0 and below 1"):
-        rp.fit_sequence(sequence, out, FitSettings(significance=2.0))
     with pytest.raises(ValueError, match="num_threads must be at least 1"):
         rp.fit_sequence(sequence, out, num_threads=0)
     with pytest.raises(TypeError, match="expected a FrameSequence, which open_sequence makes, got list"):

@@ -15,10 +15,11 @@ import numpy as np
 
 from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_choice, check_error, check_share, collected_warnings, number
+from rgbd_planes.checks import check_choice, check_error, check_share, collected_warnings
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
+from rgbd_planes.fit_statistics import check_level
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
@@ -58,14 +59,14 @@ class FitSettings:
 
     def __post_init__(self) -> None:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
-        sides, level = tile_sides(self.tile), self.significance
+        sides = tile_sides(self.tile)
         plain: dict[str, Any] = {
             "segments": bool(self.segments),
             "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
             "max_missing": check_share("max_missing", self.max_missing),
             "max_error": None if self.max_error is None else check_error(self.max_error),
-            "significance": None if level is None else number("significance", level, finite=False),
+            "significance": check_level(self.significance),
         }
         check_choice("method", self.method, METHODS)
         for name, value in plain.items():
