@@ -11,25 +11,32 @@ import statistics
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from rgbd_planes.images import write_png
 
+Depth = NDArray[Any]  # as sensors give it: uint16, in millimetres
+Floats = NDArray[np.floating]
+Labels = NDArray[np.integer]
 
-def matrix(camera):
+
+def matrix(camera: rp.Camera) -> Floats:
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
 
 
 # Task 1: the plane of every 16 x 16 tile, with its residual; (30, 40, 4).
-def tiles_ours(depth, camera):
+def tiles_ours(depth: Depth, camera: rp.Camera) -> tuple[Floats, Floats]:
     tiles = rp.fit_tiles(depth, camera, tile=16)
     return tiles.planes, tiles.rmse_metric
 
 
-def tiles_opencv(depth, camera):
+def tiles_opencv(depth: Depth, camera: rp.Camera) -> tuple[Floats, Floats]:
     points = cv2.depthTo3d(depth, matrix(camera))[..., :3]
     tiles = points.reshape(30, 16, 40, 16, 3).swapaxes(1, 2).reshape(30, 40, 256, 3)
     planes, rmse = np.full((30, 40, 4), np.nan), np.full((30, 40), np.nan)
@@ -44,7 +51,7 @@ def tiles_opencv(depth, camera):
     return planes, rmse
 
 
-def tiles_open3d(depth, camera):
+def tiles_open3d(depth: Depth, camera: rp.Camera) -> tuple[Floats, Floats]:
     intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
     image = open3d.geometry.Image(depth)
     cloud = open3d.geometry.PointCloud.create_from_depth_image(image, intrinsic, project_valid_depth_only=False)
@@ -65,12 +72,12 @@ def tiles_open3d(depth, camera):
 
 
 # Task 2: the planes of the frame and the pixels of each; labels (480, 640), 0 for none.
-def segments_ours(depth, camera):
+def segments_ours(depth: Depth, camera: rp.Camera) -> Labels:
     segments = rp.segment(depth, camera)
     return segments.labels
 
 
-def segments_opencv(depth, camera):
+def segments_opencv(depth: Depth, camera: rp.Camera) -> Labels:
     points = cv2.depthTo3d(depth, matrix(camera))
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
     normals = cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 5, 50.0, method).apply(points)
@@ -78,7 +85,7 @@ def segments_opencv(depth, camera):
     return np.where(labels == 255, 0, labels + 1)
 
 
-def segments_open3d(depth, camera):
+def segments_open3d(depth: Depth, camera: rp.Camera) -> Labels:
     intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
     cloud = open3d.geometry.PointCloud.create_from_depth_image(open3d.geometry.Image(depth), intrinsic)
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(30))
@@ -92,17 +99,17 @@ def segments_open3d(depth, camera):
 
 
 # Task 3: a normal for every pixel, towards the camera; (480, 640, 3).
-def normals_ours(depth, camera):
+def normals_ours(depth: Depth, camera: rp.Camera) -> Floats:
     return rp.normals(depth, camera, window=7)
 
 
-def normals_opencv(depth, camera):
+def normals_opencv(depth: Depth, camera: rp.Camera) -> Any:
     points = cv2.depthTo3d(depth, matrix(camera))
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
     return cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 7, 50.0, method).apply(points)[..., :3]
 
 
-def normals_open3d(depth, camera):
+def normals_open3d(depth: Depth, camera: rp.Camera) -> Floats:
     intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
     image = open3d.geometry.Image(depth)
     cloud = open3d.geometry.PointCloud.create_from_depth_image(image, intrinsic)
@@ -114,17 +121,17 @@ def normals_open3d(depth, camera):
 
 
 # Task 4: the standard deviation of each tile's distance in metres; (30, 40). The others have none: no function.
-def deviations_ours(depth, camera):
+def deviations_ours(depth: Depth, camera: rp.Camera) -> Floats:
     camera = rp.Camera(**{**camera.to_dict(), "noise": rp.noise.kinect_v1()})
     return np.sqrt(rp.fit_tiles(depth, camera, tile=16).plane_covariance[..., 3, 3])
 
 
 # Task 5: a folder in the form of the TUM benchmark, to a table of the planes of all tiles, on disk.
-def table_ours(folder, camera):
+def table_ours(folder: Path, camera: rp.Camera) -> None:
     rp.fit_sequence(rp.open_sequence(folder, camera, "tum"), folder / "planes.parquet")
 
 
-def table_opencv(folder, camera):
+def table_opencv(folder: Path, camera: rp.Camera) -> None:
     import pandas
 
     rows = []
@@ -144,15 +151,15 @@ def table_opencv(folder, camera):
 class PclTask:
     """A task of pcl_tasks.cpp. Its time is the program's own, without what it takes to hand data over."""
 
-    def __init__(self, program, task):
+    def __init__(self, program: Path, task: str) -> None:
         self._program, self._task = program, task
         self.seconds = 0.0
 
-    def __call__(self, depth, camera):
+    def __call__(self, depth: Depth, camera: rp.Camera) -> Any:
         with tempfile.TemporaryDirectory() as name:
             frame, result = Path(name) / "frame", Path(name) / "result"
             depth.tofile(frame)
-            command = [self._program, frame, *(str(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))]
+            command = [str(v) for v in (self._program, frame, camera.fx, camera.fy, camera.cx, camera.cy)]
             # Twice: the first warms the memory up, as a call does for the one after it in the other libraries.
             asked = f"{self._task} {result}\n" * 2
             ran = subprocess.run(command, input=asked, capture_output=True, text=True, check=True)
@@ -163,24 +170,26 @@ class PclTask:
             return (values.reshape(30, 40, 4), None) if self._task == "tiles" else values.reshape(480, 640, 3)
 
     @property
-    def lines(self):
+    def lines(self) -> int:
         """Lines of the function's body, and of those of its own file that it calls; braces do not count."""
         return sum(self._lines(name) for name in self._needed(self._task) | {"cloud_of"})
 
-    def _needed(self, name):
+    def _needed(self, name: str) -> set[str]:
         return {name} | ({"normals"} if "normals(cloud" in self._body(name) else set())
 
-    def _body(self, name):
-        return re.search(rf"^[\w:<>]+ {name}\(.*?^{{\n(.*?)^}}", PCL.read_text(), re.MULTILINE | re.DOTALL)[1]
+    def _body(self, name: str) -> str:
+        found = re.search(rf"^[\w:<>]+ {name}\(.*?^{{\n(.*?)^}}", PCL.read_text(), re.MULTILINE | re.DOTALL)
+        assert found, f"{PCL.name} has no {name}"
+        return found[1]
 
-    def _lines(self, name):
+    def _lines(self, name: str) -> int:
         return sum(line.strip() not in ("", "{", "}") for line in self._body(name).splitlines())
 
 
 PCL = Path(__file__).with_name("pcl_tasks.cpp")
 
 
-def build_pcl(folder):
+def build_pcl(folder: Path) -> Path | None:
     """The program of PCL's tasks, where there are a compiler and the library (Debian: libpcl-dev), or None."""
     libraries = ["pcl_segmentation", "pcl_features", "pcl_search", "pcl_kdtree", "pcl_common"]
     program = folder / "pcl_tasks"
@@ -195,20 +204,20 @@ def build_pcl(folder):
     return program
 
 
-def lines(function):
+def lines(function: Callable[..., Any]) -> int:
     """Lines of a function's body, and of `tiles_opencv` where it calls that."""
     text = inspect.getsource(function)
     own = [line for line in text.splitlines()[1:] if line.strip()]
     return len(own) + (lines(tiles_opencv) if "tiles_opencv(" in "".join(own) else 0)
 
 
-def angles(planes, labels, rendering):
+def angles(planes: Floats, labels: Labels, rendering: rp.scenes.Rendering) -> str:
     seen = (labels > 0) & np.isfinite(planes[..., 0])
     cosine = np.abs((planes[seen][..., :3] * rendering.planes[labels[seen] - 1][..., :3]).sum(axis=-1))
     return f"{np.median(np.degrees(np.arccos(np.clip(cosine, 0, 1)))):.1f}°"
 
 
-def found(labels, rendering):
+def found(labels: Labels, rendering: rp.scenes.Rendering) -> str:
     """Planes of more than 1000 pixels, and how many of them have one label that shares 80 % with them."""
     sizes = np.bincount(rendering.labels.ravel())
     wanted = [i for i in range(1, len(sizes)) if sizes[i] > 1000]
@@ -222,11 +231,11 @@ def found(labels, rendering):
     return f"{good} of {len(wanted)} planes"
 
 
-def available(which):
+def available(which: str) -> bool:
     return which == "ours" or globals().get({"opencv": "cv2"}.get(which, which)) is not None
 
 
-def versions(program):
+def versions(program: Path | None) -> dict[str, str]:
     found = {"OpenCV": cv2 and cv2.__version__, "Open3D": open3d and open3d.__version__}
     if program is not None:
         asked = ["pkg-config", "--modversion", "pcl_segmentation"]
@@ -234,7 +243,7 @@ def versions(program):
     return {name: version for name, version in found.items() if version}
 
 
-def measure():
+def measure() -> dict[str, Any]:
     """Return a row for each task and library."""
     camera = rp.presets.kinect_v1()
     rendering = rp.scenes.room().render(camera)
@@ -243,7 +252,7 @@ def measure():
     tile_labels = rendering.tile_labels((16, 16))
     distance = rendering.planes[np.maximum(tile_labels, 1) - 1][..., 3]
 
-    def honest(sigma):
+    def honest(sigma: Floats) -> str:
         off = (rp.fit_tiles(depth, camera, 16).planes[..., 3] - distance)[tile_labels > 0]
         share = np.nanmean(np.abs(off) < 1.96 * sigma[tile_labels > 0]) if np.isfinite(off).any() else 0.0
         return f"{share:.0%} of distances within 1.96 standard deviations"
@@ -256,7 +265,7 @@ def measure():
             write_png(folder / "depth" / f"{i}.png", rendering.measure(holes=0.05, seed=i))
         (folder / "depth.txt").write_text("".join(f"{i}.5 depth/{i}.png\n" for i in range(10)))
         program = build_pcl(Path(name))
-        tasks = {
+        tasks: dict[str, tuple[Depth | Path, Callable[[Any], str]]] = {
             "tiles": (depth, lambda made: angles(made[0], tile_labels, rendering)),
             "segments": (depth, lambda made: found(made, rendering)),
             "normals": (depth, lambda made: angles(made, rendering.labels, rendering)),
@@ -268,15 +277,16 @@ def measure():
             runs = {w: f for w, f in functions.items() if f is not None and available(w)}
             if program is not None and task in ("tiles", "segments", "normals"):
                 runs["pcl"] = PclTask(program, task)
-            results, times = {w: f(argument, camera) for w, f in runs.items()}, {w: [] for w in runs}
+            results = {w: f(argument, camera) for w, f in runs.items()}
+            times: dict[str, list[float]] = {w: [] for w in runs}
             for _ in range(5):
                 for w, f in runs.items():
-                    for left in Path(argument).glob("planes.parquet/*") if task == "table" else ():
+                    for left in folder.glob("planes.parquet/*"):
                         left.unlink()
                     start = time.perf_counter()
                     f(argument, camera)
                     took = time.perf_counter() - start
-                    times[w].append(f.seconds if w == "pcl" else took)
+                    times[w].append(f.seconds if isinstance(f, PclTask) else took)
             for w, f in runs.items():
                 ratio = statistics.median(t / o for t, o in zip(times[w], times["ours"], strict=True))
                 pictured = task in ("tiles", "segments", "normals")
@@ -284,7 +294,7 @@ def measure():
                     {
                         "task": task,
                         "with": w,
-                        "lines": f.lines if w == "pcl" else lines(f),
+                        "lines": f.lines if isinstance(f, PclTask) else lines(f),
                         "milliseconds": 1e3 * statistics.median(times[w]),
                         "ratio": ratio,
                         "result": judge(results[w]),
@@ -315,7 +325,7 @@ WITH = {
 }
 
 
-def table(result):
+def table(result: dict[str, Any]) -> str:
     """The result as Markdown."""
     shown = ["| task | with | lines | time, ours = 1 | result | without holes |", "|---|---|---:|---:|---|---|"]
     for row in result["rows"]:
@@ -328,12 +338,12 @@ def table(result):
     return "\n".join(shown)
 
 
-def _times(ratio):
+def _times(ratio: float) -> str:
     """Two digits, or all before the point."""
     return f"{ratio:.2g}" if ratio < 99.5 else f"{ratio:.0f}"
 
 
-def short_table(result):
+def short_table(result: dict[str, Any]) -> str:
     """The tasks that have a picture, a column for each library, as the README has them."""
     versions = {"ours": "**rgbd_planes**"} | {
         name.lower(): f"{name} {version}" for name, version in result["versions"].items()
