@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from bench.floor import floor
@@ -45,28 +46,26 @@ def floor_of(frame: Case, tile: int, sharing: bool) -> Callable[[], Any]:
     return lambda: floor(frame.depth, tan_x, tan_y, tile, sharing, sums, tiles)
 
 
-def numpy_fit(frame: Case, tile: int, form: str) -> Callable[[], Any]:
+def numpy_fit(image: NDArray[Any], camera: rp.Camera, tile: int, form: str) -> Callable[[], Any]:
     """Vectorised NumPy, large arrays allocated beforehand: einsum for the moments, one batched solve.
 
-    Of the whole tiles of ``frame``, which has a depth image of integers and a camera. ``form`` is "pca" (orthogonal
-    regression in X, Y, Z), "z" (Z = aX + bY + c) or "1/z" (1/Z on the ray). Returns planes (R * C, 4), n towards the
-    camera.
+    Of the whole tiles of a depth image of integers. ``form`` is "pca" (orthogonal regression in X, Y, Z), "z"
+    (Z = aX + bY + c) or "1/z" (1/Z on the ray). Returns planes (R * C, 4), n towards the camera.
     """
-    rows, columns = (length // tile for length in frame.depth.shape)
-    size, unit = tile * tile, 1.0 / frame.camera.depth_scale
+    assert camera.depth_scale is not None
+    rows, columns = (length // tile for length in image.shape)
+    size, unit = tile * tile, 1.0 / camera.depth_scale
 
-    def by_tile(image: Any) -> Any:
-        whole = image[: rows * tile, : columns * tile]
+    def by_tile(values: NDArray[Any]) -> NDArray[Any]:
+        whole = values[: rows * tile, : columns * tile]
         return whole.reshape(rows, tile, columns, tile).swapaxes(1, 2)
 
-    tan_x, tan_y = (
-        np.ascontiguousarray(by_tile(t)).reshape(-1, size) for t in (frame.camera.tan_x, frame.camera.tan_y)
-    )
+    tan_x, tan_y = (np.ascontiguousarray(by_tile(t)).reshape(-1, size) for t in (camera.tan_x, camera.tan_y))
     depth = np.empty((rows, columns, tile, tile))
     z = depth.reshape(-1, size)
     valid = np.empty(z.shape)
     points = np.empty((3, *z.shape))
-    ordered = by_tile(frame.depth)
+    ordered = by_tile(image)
 
     second = np.empty((rows * columns, 3, 3))
 

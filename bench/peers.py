@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def systems(frame: Case, tile: int) -> tuple[dict[str, Callable[[], Any]], dict[
         angles[method] = median_angle(functions[method]().planes, frame, tile)
     functions["fit_tiles, no fitter kept"] = lambda: rp.fit_tiles(frame.depth, frame.camera, tile, num_threads=1)
     for name, form in FORMS.items():
-        functions[name] = numpy_fit(frame, tile, form)
+        functions[name] = numpy_fit(frame.depth, frame.camera, tile, form)
         angles[name] = median_angle(functions[name](), frame, tile)
     return functions | opencv(frame, tile), angles
 
@@ -136,13 +137,17 @@ def with_all_threads(frame: Case, tile: int, repeats: int) -> list[dict[str, Any
     both: dict[str, list[Callable[[], Any]]] = {}
     for method in ("range_explicit", "standard_pca"):
         both[method] = [fit(frame, tile, method, n) for n in (1, THREADS)]
-    both["normals 7"] = [lambda n=n: rp.normals(frame.depth, frame.camera, 7, num_threads=n) for n in (1, THREADS)]
+    both["normals 7"] = [partial(rp.normals, frame.depth, frame.camera, 7, num_threads=n) for n in (1, THREADS)]
     if of_normals.OPENCV:
         import cv2
 
+        def of_opencv(count: int, function: Callable[[], Any]) -> None:
+            cv2.setNumThreads(count)
+            function()
+
         names = opencv(frame, tile) | {"OpenCV FALS": of_normals.prepare("OpenCV FALS", of_normals.case(0.05))}
         for name, function in names.items():
-            both[name] = [lambda n=n, function=function: (cv2.setNumThreads(n), function()) for n in (1, THREADS)]
+            both[name] = [partial(of_opencv, n, function) for n in (1, THREADS)]
     times = take_turns({f"{name} {i}": f for name, pair in both.items() for i, f in enumerate(pair)}, repeats)
     if of_normals.OPENCV:
         cv2.setNumThreads(1)
@@ -192,7 +197,7 @@ def scaling(quick: bool) -> dict[str, list[tuple[Any, float]]]:
     for threads in range(1, THREADS + 1):
         fitter = rp.TileFitter(case().camera, 20, num_threads=threads)
         out = fitter.fit_batch(many)
-        batches[f"fit_batch {threads}"] = lambda fitter=fitter, out=out: fitter.fit_batch(many, out=out)
+        batches[f"fit_batch {threads}"] = partial(fitter.fit_batch, many, out=out)
         batches[f"floor {threads}"] = floor_of_batch(many, threads)
     by_threads = take_turns(batches, repeats)
 

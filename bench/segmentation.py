@@ -21,6 +21,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -33,10 +34,11 @@ from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.kernels.segments.records import Rules
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import segment as segmentation
 from rgbd_planes.segmentation.noise import Given
-from rgbd_planes.segmentation.segment import Rules, segment, segment_frame
+from rgbd_planes.segmentation.segment import segment, segment_frame
 from tests.real_data import FOLDER as DATA
 
 LABELLED = {
@@ -267,7 +269,7 @@ def cross_validate(frames: Sequence[Frame]) -> list[Scores]:
         inside = np.arange(len(frames)) % FOLDS == fold
         best = SETTINGS[int(np.argmax(worth[~inside].sum(axis=0)))]
         print(f"  fold {fold + 1}: {_difference(best)}")
-        chosen_rows += [_by_rules(frames[i], best) for i in np.flatnonzero(inside)]
+        chosen_rows += [_by_rules(frame, best) for frame in itertools.compress(frames, inside)]
     return chosen_rows
 
 
@@ -302,8 +304,10 @@ def timing(frames: Sequence[Frame], vga: Frame, rounds: int = 40) -> dict[str, A
 
     Milliseconds at best, and ratios; also the ratio to the fit of a frame of 640 x 480, of which that bench is.
     """
-    runs: dict[Any, Callable[[], Any]] = {"own": numpy_fit(frames[0], 20, "pca"), "vga": numpy_fit(vga, 20, "pca")}
-    runs |= {i: lambda frame=frame: segment(frame.depth, frame.camera) for i, frame in enumerate(frames)}
+    runs: dict[str | int, Callable[[], object]] = {
+        name: numpy_fit(frame.depth, frame.camera, 20, "pca") for name, frame in (("own", frames[0]), ("vga", vga))
+    }
+    runs |= {i: partial(segment, frame.depth, frame.camera) for i, frame in enumerate(frames)}
     times = in_turns(runs, rounds)
     fastest = float(np.mean([times[i].fastest for i in range(len(frames))]))
     return {

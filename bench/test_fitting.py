@@ -33,8 +33,9 @@ def test_fit(benchmark: Any, method: str, tile: int) -> None:
 @pytest.mark.parametrize("form", ["pca", "z", "1/z"])
 def test_numpy(benchmark: Any, form: str, tile: int) -> None:
     benchmark.group = f"640 x 480, tiles of {tile}"
-    run = numpy_fit(case(), tile, form)
-    benchmark.extra_info["median_deg"] = median_angle(run(), case(), tile)
+    frame = case()
+    run = numpy_fit(frame.depth, frame.camera, tile, form)
+    benchmark.extra_info["median_deg"] = median_angle(run(), frame, tile)
     benchmark(run)
 
 
