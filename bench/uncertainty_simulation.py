@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +81,10 @@ def simulate(runs: int) -> list[Cell]:
     return cells
 
 
-def _cell(key: tuple[Any, ...], fits: dict[str, Floats], alpha: Floats, bound: Floats, count: int) -> Cell:
+def _cell(
+    key: tuple[str, int, float, int, float], fits: dict[str, Floats], alpha: Floats, bound: Floats, count: int
+) -> Cell:
+    """The cell whose method, incidence, depth, tile and holes are ``key``."""
     truth = monte_carlo.plane_of(alpha)
     normal, d = truth[:3], truth[3]
     fitted = np.isfinite(fits["planes"][:, 0])
@@ -179,12 +181,12 @@ def simulation_report(cells: list[Cell]) -> list[str]:
     explicit = [c for c in cells if c.method == "range_explicit"]
     for low, high in ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 1e9)):
         of = [c for c in explicit if low <= c.predicted_degrees < high]
-        groups = [
+        ratios = [
             [c.angle_plain for c in of],
             [c.offset_plain for c in of if c.incidence >= 30],
             [c.offset_plain for c in of if c.incidence < 30],
         ]
-        ranges = [f"{min(g):.3f}–{max(g):.3f}" if g else "–" for g in groups]
+        ranges = [f"{min(r):.3f}–{max(r):.3f}" if r else "–" for r in ratios]
         name = f"{low:g}–{high:g}°" if high < 1e9 else f"above {low:g}°"
         lines.append(f"| {name} | {len(of)} | {' | '.join(ranges)} |")
     return [*lines, ""]

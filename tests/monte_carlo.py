@@ -1,17 +1,29 @@
 """Many noisy measurements of one tile's plane, with the noise that a model says."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 import rgbd_planes as rp
 
+Floats = NDArray[np.float64]
 
-def tile_camera(tile, noise, *, left=0.0, top=0.0, focal=525.0):
+
+def tile_camera(
+    tile: int | tuple[int, int],
+    noise: rp.noise.NoiseModel | None,
+    *,
+    left: float = 0.0,
+    top: float = 0.0,
+    focal: float = 525.0,
+) -> rp.Camera:
     """A camera that sees one tile, its first pixel at column ``left``, row ``top`` of 640x480 ones."""
     height, width = np.broadcast_to(tile, 2).tolist()
     return rp.Camera(width, height, focal, focal, 319.5 - left, 239.5 - top, noise=noise)
 
 
-def repeat(camera, times):
+def repeat(camera: rp.Camera, times: int) -> rp.Camera:
     """A camera that sees what ``camera`` sees ``times`` x ``times`` times side by side.
 
     No lens does that: it lets one frame hold many measurements of the same pixels.
@@ -24,45 +36,54 @@ def repeat(camera, times):
     return many
 
 
-def plane_through_middle(camera, depth, incidence, direction=0.6):
+def plane_through_middle(camera: rp.Camera, depth: float, incidence: float, direction: float = 0.6) -> Floats:
     """α of the plane that the ray through the middle of the image meets at this depth and angle (degrees)."""
     ray = np.array([camera.tan_x.mean(), camera.tan_y.mean(), 1.0])
     unit = ray / np.linalg.norm(ray)
     across = np.cross(unit, [np.cos(direction), np.sin(direction), 0.1])
     across /= np.linalg.norm(across)
     normal = -np.cos(np.radians(incidence)) * unit + np.sin(np.radians(incidence)) * across
-    return normal / (normal @ ray * depth)
+    return np.asarray(normal / (normal @ ray * depth))
 
 
-def plane_of(alpha):
+def plane_of(alpha: Floats) -> Floats:
     """(nx, ny, nz, d) of α."""
-    d = 1.0 / np.linalg.norm(alpha)
+    d = 1.0 / float(np.linalg.norm(alpha))
     return np.append(-d * alpha, d)
 
 
-def measure(camera, alpha, runs, rng, *, holes=0.0, error=None):
+def measure(
+    camera: rp.Camera,
+    alpha: Floats,
+    runs: int,
+    rng: np.random.Generator,
+    *,
+    holes: float = 0.0,
+    error: Floats | None = None,
+) -> Floats:
     """(runs, H, W) depth in metres, NaN where missing.
 
     Errors are independent and normal with the standard deviation of ``camera.noise``, or as ``error`` gives.
     """
     q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
     if error is None:
+        assert camera.noise is not None
         error = rng.standard_normal((runs, *q.shape)) * camera.noise.sigma(q)
-    depth = 1.0 / (q + error)
+    depth: Floats = 1.0 / (q + error)
     if holes:
         # The same holes in every run: then one covariance holds for all.
         depth[:, rng.random(q.shape) < holes] = np.nan
     return depth
 
 
-def fit(camera, frames, method="range_explicit"):
+def fit(camera: rp.Camera, frames: NDArray[Any], method: str = "range_explicit") -> rp.TilePlanes:
     """The planes of all runs: arrays of shape (runs, ...)."""
     fitter = rp.TileFitter(camera, camera.shape, method, max_missing=1.0, significance=0.0, num_threads=1)
     return fitter.fit_batch(frames)
 
 
-def normalised_error(stack, alpha):
+def normalised_error(stack: rp.TilePlanes, alpha: Floats) -> Floats:
     """δᵀΣ⁻¹δ of every run's α: chi-square with 3 degrees of freedom, if the covariance is right."""
     error = stack.alpha.reshape(-1, 3) - alpha
     covariance = stack.alpha_covariance.reshape(-1, 3, 3)
-    return np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    return np.asarray(np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
