@@ -10,6 +10,7 @@ import statistics
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -51,7 +52,7 @@ def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
         for i, frame in enumerate(_stored):
             write_png(folder / f"{i}.png", frame)
 
-        def sequence(count: int, where: Any, read: Any) -> FrameSequence:
+        def sequence(count: int, where: Callable[[int], Any], read: Callable[[Any], NDArray[Any]]) -> FrameSequence:
             return FrameSequence((FrameEntry(str(i), float(i), camera, where(i % KINDS)) for i in range(count)), read)
 
         in_memory = sequence(frames, lambda i: i, _from_memory)
@@ -72,7 +73,7 @@ def measure(frames: int = 2048, rounds: int = 40) -> dict[str, Any]:
         fit_sequence("memory", in_memory)
         contents = [file.read_bytes() for file in sorted((folder / "memory").glob("part-*"))]
         earlier = fitter.fit_batch(part)
-        turns = {
+        turns: dict[str, tuple[Callable[[], None], int]] = {
             "fit_batch": (fit_batch, frames),
             "out": (lambda: fit_batch(earlier), frames),
             "memory": (lambda: fit_sequence("memory", in_memory), frames),

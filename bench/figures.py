@@ -32,8 +32,8 @@ def _axes(title: str, x: str, y: str, columns: int = 1) -> tuple[Figure, list[Ax
 
 def _line(panel: Axes, x: list[float], y: Any, method: str, label: str, **style: Any) -> None:
     space, form = method.split("_")[:2]
-    style = {"color": COLOURS[space], "linestyle": STYLES[form], "marker": "o", "markersize": 3.5} | style
-    panel.plot(x, y, label=label, **style)
+    usual: dict[str, Any] = {"color": COLOURS[space], "linestyle": STYLES[form], "marker": "o", "markersize": 3.5}
+    panel.plot(x, y, label=label, **usual | style)
 
 
 def _name(method: str) -> str:

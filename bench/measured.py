@@ -8,6 +8,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from bench import (
     batch_throughput,
@@ -35,14 +36,14 @@ SECTIONS = {
 }
 
 
-def page_of(text: str, results: dict[str, object]) -> str:
+def page_of(text: str, results: dict[str, Any]) -> str:
     """The page with the tables of these results between its markers."""
     for name, section in SECTIONS.items():
         text = with_table(text, section.table(results[name]), name)
     return text
 
 
-def readme_of(text: str, results: dict[str, object]) -> str:
+def readme_of(text: str, results: dict[str, Any]) -> str:
     """The README with the table of these results between its markers."""
     return with_table(text, user_tasks.short_table(results["tasks"]), "tasks")
 

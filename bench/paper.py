@@ -5,6 +5,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def _operations() -> Result:
     for name, pair in counts.items():
         standard, in_range = pair["standard"], pair["range"]
         # The naive cost is NM² times the arguments: there are no tables to add to.
-        cost = (lambda c: c.arguments) if name == "naive" else (lambda c: c.paper_convention)
+        cost = attrgetter("arguments" if name == "naive" else "paper_convention")
         result[name] = {
             "paper": paper[name],
             "counted": cost(standard) / cost(in_range),

@@ -28,7 +28,8 @@ def code_of(name: str) -> str:
     """The code that draws a picture."""
     page, block, _ = PICTURES[name]
     text = (ROOT / page).read_text(encoding="utf-8")
-    return re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[block]
+    blocks: list[str] = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return blocks[block]
 
 
 def draw(name: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.fitting import case, fit, floor_of, take_turns
 from bench.paper import processor
@@ -23,7 +24,7 @@ FLOOR, EXPLICIT = "floor, a division a pixel", "range_explicit, tiles of {}"
 
 
 @kernel(reduction=True)
-def divide(values):
+def divide(values: NDArray[np.float64]) -> float:
     """Sum of reciprocals."""
     total = 0.0
     for i in range(len(values)):
@@ -32,7 +33,7 @@ def divide(values):
 
 
 @kernel(reduction=True)
-def multiply_and_add(values, factor):
+def multiply_and_add(values: NDArray[np.float64], factor: float) -> float:
     """`STEPS` multiplications and additions of every value."""
     total = 0.0
     for i in range(len(values)):
@@ -44,7 +45,7 @@ def multiply_and_add(values, factor):
 
 
 @kernel(reduction=True)
-def read(values):
+def read(values: NDArray[np.uint64]) -> np.uint64:
     """Sum of whole numbers."""
     total = np.uint64(0)
     for i in range(len(values)):

@@ -1,6 +1,7 @@
 """The paper's "Integral Image Implementation": building the tables, planes from them, and both together."""
 
 import time
+from typing import Any
 
 import pytest
 
@@ -11,13 +12,13 @@ pytestmark = pytest.mark.benchmark(timer=time.thread_time, max_time=0.3, min_rou
 
 @pytest.mark.parametrize("method", TABLES)
 @pytest.mark.benchmark(group="build the summed-area tables of a frame")
-def test_tables(benchmark, method):
+def test_tables(benchmark: Any, method: str) -> None:
     benchmark(Fit(method, windows(1)).build)
 
 
 @pytest.mark.parametrize("method", TABLES)
 @pytest.mark.benchmark(group="1000 planes of 50x50 pixels from built tables")
-def test_planes(benchmark, method):
+def test_planes(benchmark: Any, method: str) -> None:
     fit = Fit(method, windows(1000))
     fit.build()
     benchmark(fit.planes)
@@ -25,6 +26,6 @@ def test_planes(benchmark, method):
 
 @pytest.mark.parametrize("side", [10, 100, 400])
 @pytest.mark.parametrize("method", TABLES)
-def test_integral_times_vs_points(benchmark, method, side):
+def test_integral_times_vs_points(benchmark: Any, method: str, side: int) -> None:
     benchmark.group = f"tables and one plane of {side * side} points"
     benchmark(Fit(method, windows(1, side)).frame)

@@ -66,7 +66,7 @@ def real_sets() -> list[RealSet]:
             # Squares of 192 pixels of the one frame, as on a chessboard.
             row, column = np.indices(camera.shape) // 192
             halves = [[np.where((row + column) % 2 == i, frames[0], 0).astype(frames[0].dtype)] for i in (0, 1)]
-            of = [[None], [None]]
+            of: list[list[NDArray[Any] | None]] = [[None], [None]]
         else:
             halves, of = [frames[::2], frames[1::2]], [labels[::2], labels[1::2]]
         for i in (0, 1):
