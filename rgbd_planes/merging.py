@@ -32,6 +32,11 @@ class MergedPlanes(KeepsPixels, PlaneFits):
 
     labels: npt.NDArray[np.int32]
     _pixels: Pixels
+    _of_frame: float
+
+    @property
+    def _total(self) -> float:
+        return self._of_frame
 
 
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
@@ -78,11 +83,12 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
 
     arrays = allocate((), (count,))
-    arrays["_reference"][:] = _means(moments, reference, flat, count)
+    if reference.any():  # otherwise about the origin, as its parts: by that it is known what may be rounding
+        arrays["_reference"][:] = _means(moments, reference, flat, count)
     merging.merge_by_label(
         moments[:, None], reference[:, None], flat, arrays["_moments"][:, None], arrays["_reference"][:, None]
     )
-    solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count)
+    solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count, fits._total)
     footprint = _sums(fits._footprint, flat, count).astype(np.int64)
     error_sums = sums_of_fits(fits)
     if error_sums is not None:
@@ -95,6 +101,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         method=fits.method,
         labels=flat.reshape(fits.shape),
         _pixels=Pixels(footprint, fits.camera.noise, error_sums),
+        _of_frame=fits._total,
         **arrays,
     )
 

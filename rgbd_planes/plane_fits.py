@@ -170,6 +170,11 @@ class PlaneFits:
         return None
 
     @property
+    def _total(self) -> float:
+        """For moments that are differences of sums over a frame, `window_moments.Source.total`; 0 for others."""
+        return 0.0
+
+    @property
     def fitted(self) -> npt.NDArray[np.bool_]:
         """True where there is a plane: status OK or ROUGH."""
         return np.isin(self.status, (TileStatus.OK, TileStatus.ROUGH))

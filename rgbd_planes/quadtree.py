@@ -173,6 +173,7 @@ class QuadtreeFitter:
         return QuadtreePlanes(
             camera=self.camera,
             method=self.method,
+            _of_frame=total,
             **{
                 name: np.concatenate([part[name] for part in leaves], axis=1 if name.startswith("_") else 0)
                 for name in leaves[0]

@@ -62,6 +62,14 @@ class TilePlanes(Savable, PlacedFits):
         return tile_footprints(self.camera.shape, self.tile)
 
     @property
+    def _total(self) -> float:
+        # About the origin, moments may be such differences: those of all tiles then add up to the sums over the frame.
+        if self._reference.any():
+            return 0.0
+        rows = [4, 7] if self.method.startswith("range") else [4, 7, 9]
+        return float(self._moments[rows].sum())
+
+    @property
     def _growth(self) -> npt.NDArray[np.float64]:
         return growth_of_tiles(self.camera, self.tile)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,11 @@ class WindowPlanes(PlacedFits):
     """
 
     windows: npt.NDArray[np.int64]
+    _of_frame: float = field(default=0.0, kw_only=True)
+
+    @property
+    def _total(self) -> float:
+        return self._of_frame
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """(H', W') int64: the window at these rows and columns of pixels, the smallest of several; -1 none."""
@@ -137,7 +142,7 @@ def fit_windows(
             assess(start, stop)
 
         run_in_ranges(fit_some, len(rectangles), threads)
-    return WindowPlanes(camera=camera, method=method, windows=rectangles, **arrays)
+    return WindowPlanes(camera=camera, method=method, windows=rectangles, _of_frame=source.total, **arrays)
 
 
 def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:

@@ -63,6 +63,41 @@ def test_one_line_of_pixels_is_no_plane(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_merging_lines_of_pixels_makes_no_plane(method):
+    """What is rounding in the sums of a window is rounding in those of a union, also where that is merged again."""
+    camera = rp.presets.primesense()
+    depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
+    rng = np.random.default_rng(0)
+    corner = rng.integers(0, (470, 600), (500, 2))
+    lines = np.column_stack([corner, np.tile([1, 20], (500, 1))])
+    beside, below = np.add(lines, (0, 20, 0, 0)), np.add(lines, (3, 0, 0, 0))
+    for implementation in ("integral", "naive"):
+        fits = rp.fit_windows(
+            depth, camera, np.concatenate([lines, beside, below]), method, implementation=implementation,
+            max_missing=1.0,
+        )  # fmt: skip
+        number, none = np.arange(1, 501), np.zeros(500, int)
+        for labels in ([number, none, none], [number, number, none]):
+            union = rp.merge(fits, np.concatenate(labels))
+            assert set(union.status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
+            assert set(rp.merge(union, number).status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
+        two = rp.merge(fits, np.concatenate([number, none, number]))
+        around = rp.fit_windows(depth, camera, np.add(lines, (0, 0, 3, 0)), method, max_missing=1.0)
+        assert two.fitted[around.fitted].mean() > 0.98  # but two rows do
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_merging_ragged_tiles_of_one_column_makes_no_plane(method):
+    camera = replace(rp.presets.primesense(), width=577)
+    depth = rp.scenes.room().render(camera).measure(seed=1)
+    for implementation in ("direct", "integral", "naive"):
+        tiles = rp.fit_tiles(depth, camera, 16, method, implementation=implementation, max_missing=1.0)
+        last = np.zeros(tiles.shape, int)
+        last[:, -1] = np.arange(1, 31)
+        assert set(rp.merge(tiles, last).status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
+
+
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("far", [1e8, 1e10, 3e38])
 def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
