@@ -112,9 +112,10 @@ class PlaneFits:
     def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
-        For ``range_explicit`` it is exact where σq is constant over the tile, or the window; for labels and unions
-        wherever the noise is independent from pixel to pixel. For the other methods it is, to first order, that of
-        ``range_explicit`` on the same pixels: the bound that they reach at best.
+        For ``range_explicit`` it is exact where σq is constant over the tile, or the window; for labels wherever the
+        noise is independent from pixel to pixel, and for unions where σq is also constant over each of their parts. For
+        the other methods it is, to first order in the spread of depths, that of ``range_explicit`` on the same pixels:
+        the bound that they reach at best.
         """
         return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
