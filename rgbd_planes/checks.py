@@ -102,6 +102,25 @@ def real_array(name: str, values: Any) -> NDArray[np.float64]:
         raise TypeError(f"expected {name} as numbers, got {array.flat[0]!r}") from None
 
 
+def check_motion(name: str, motion: NDArray[np.float64]) -> None:
+    """Raise ValueError unless (..., 4, 4) matrices are rigid motions."""
+    rotation = motion[..., :3, :3]
+    square = rotation @ np.swapaxes(rotation, -1, -2)
+    off = np.abs(square - np.eye(3)).max(initial=0.0)
+    nearly = (  # or more than that
+        off < _NEARLY_A_ROTATION
+        and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
+        and bool((np.linalg.det(rotation) > 0.0).all())
+    )
+    if nearly and np.allclose(square, np.eye(3), atol=1e-6):
+        return
+    # A pose of a few digits looks like a rigid motion, but normals would lose their length.
+    reason = f": R·Rᵀ is off by {off:.1g}; scipy.spatial.transform.Rotation.from_matrix(R).as_matrix() makes it exact"
+    raise ValueError(
+        f"expected {name} as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}{reason if nearly else ''}"
+    )
+
+
 def each_of(frames: Any) -> Iterator[Any]:
     """Return the iterator of something that gives frames one after the other."""
     try:
@@ -118,6 +137,8 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
             "np.unique(labels, return_inverse=True) numbers others"
         )
 
+
+_NEARLY_A_ROTATION = 0.01  # how far R·Rᵀ is off, at most, where R is a rotation that was rounded
 
 # Share of 1/Z that no sensor's noise reaches, between what is nearest in a frame and twice as far away.
 TOO_LARGE = 0.2

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import real_array
+from rgbd_planes.checks import check_motion, real_array
 from rgbd_planes.kernels import statistics
 
 Floats = npt.NDArray[np.float64]
@@ -203,12 +203,7 @@ def transform_planes(
     covariance = _array("plane_covariance", plane_covariance, (4, 4))
     motion = _array("transform", transform, (4, 4))
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
-    if not (
-        np.allclose(rotation @ np.swapaxes(rotation, -1, -2), np.eye(3), atol=1e-6)
-        and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
-        and (np.linalg.det(rotation) > 0.0).all()
-    ):
-        raise ValueError(f"expected transform as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}")
+    check_motion("transform", motion)
     pose = None if transform_covariance is None else _array("transform_covariance", transform_covariance, (6, 6))
     _leading(
         planes=plane.shape[:-1],

@@ -702,9 +702,23 @@ def test_propagation_against_draws(two_planes, rng):
     normals = normals + np.cross(pose[:, :3], normals)
     offsets = draws[:, 3] - np.sum(normals * (motion[:3, 3] + pose[:, 3:]), axis=1)
     np.testing.assert_allclose(np.cov(np.column_stack([normals, offsets]).T), moved_covariance, rtol=0.03, atol=1e-7)
-    for no_motion in (2.0 * motion, np.diag([1.0, 1.0, -1.0, 1.0])):
-        with pytest.raises(ValueError, match="rigid motion"):
+    for no_motion in (2.0 * motion, np.diag([1.0, 1.0, -1.0, 1.0]), np.nan * motion):
+        with pytest.raises(ValueError, match=r"rigid motion .*\]$"):
             rp.uncertainty.transform_planes(plane, covariance, no_motion)
+
+
+def test_a_pose_of_four_digits_is_told_from_no_pose():
+    """As poses of data sets are: with R as it stands the normals would lose their length."""
+    rotation = Rotation.from_rotvec([0.3, -0.2, 0.1])
+    motion = np.eye(4)
+    motion[:3, :3] = rotation.as_matrix().round(4)
+    plane, covariance = np.array([0.0, 0.6, -0.8, 2.0]), np.zeros((4, 4))
+    with pytest.raises(ValueError, match=r"off by 0.0001; scipy.* makes it exact"):
+        rp.uncertainty.transform_planes(plane, covariance, motion)
+    motion[:3, :3] = Rotation.from_matrix(motion[:3, :3]).as_matrix()  # as it says
+    moved, _ = rp.uncertainty.transform_planes(plane, covariance, motion)
+    assert np.linalg.norm(moved[:3]) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(moved[:3], rotation.apply(plane[:3]), atol=2e-4)
 
 
 def test_nothing_depends_on_the_frame_of_axes(rng):
