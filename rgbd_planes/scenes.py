@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_share, check_whole, number, real_array
+from rgbd_planes.checks import check_camera, check_motion, check_share, check_whole, number, real_array
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 
@@ -57,13 +57,41 @@ class Scene:
     Attributes
     ----------
     surfaces : tuple of Surface
-        In scene coordinates, metres.
+        From `polygon` and `box`, in scene coordinates, metres; any iterable of them becomes a tuple.
     camera_to_scene : (4, 4) float64
-        Rigid motion that takes camera coordinates (x right, y down, z forward) to scene coordinates.
+        Rigid motion that takes camera coordinates (x right, y down, z forward) to scene coordinates, as from `look_at`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        One of the surfaces is none, or the matrix is no rigid motion.
+
+    Examples
+    --------
+    A pallet on a floor, seen from 1.4 m above:
+
+    >>> floor = scenes.polygon("floor", [(-3, 0, 0), (3, 0, 0), (3, 0, 4), (-3, 0, 4)])
+    >>> pallet = scenes.box("pallet", foot=(0.0, 0.0, 2.0), size=(0.8, 0.144, 0.6), turn=20.0)
+    >>> scene = scenes.Scene((floor, *pallet), scenes.look_at(eye=(0.3, -1.4, 0.2), target=(0.0, 0.0, 2.0)))
     """
 
     surfaces: tuple[Surface, ...]
     camera_to_scene: Floats
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.surfaces, Iterable):
+            raise TypeError(f"expected surfaces as an iterable, got {type(self.surfaces).__name__}")
+        surfaces = tuple(self.surfaces)
+        for surface in surfaces:
+            if not isinstance(surface, Surface):
+                several = ": a box is several surfaces, (floor, *box)" if isinstance(surface, Sequence) else ""
+                raise TypeError(f"expected each of surfaces as a Surface, got {type(surface).__name__}{several}")
+        motion = real_array("camera_to_scene", self.camera_to_scene)
+        if motion.shape != (4, 4):
+            raise ValueError(f"expected camera_to_scene of shape (4, 4), got {motion.shape}")
+        check_motion("camera_to_scene", motion)
+        object.__setattr__(self, "surfaces", surfaces)
+        object.__setattr__(self, "camera_to_scene", motion)
 
     def render(self, camera: Camera) -> Rendering:
         """Meet the ray through each pixel centre with the surfaces and keep the nearest.

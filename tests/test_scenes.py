@@ -9,6 +9,8 @@ import rgbd_planes as rp
 from rgbd_planes import scenes
 from rgbd_planes.camera import Camera
 
+SHEET = scenes.polygon("sheet", [(-1, -1, 3), (0, -1, 3), (0, 1, 3), (-1, 1, 3)])
+
 
 def small_camera(**options):
     intrinsics = {"width": 64, "height": 48, "fx": 52.5, "fy": 52.5, "cx": 31.5, "cy": 23.5, "depth_scale": 1000.0}
@@ -106,8 +108,7 @@ def test_no_two_surfaces_of_the_room_are_seen_in_one_plane():
 
 
 def test_rays_that_meet_nothing_have_no_depth_and_label_0():
-    scene = scenes.Scene((scenes.polygon("sheet", [(-1, -1, 3), (0, -1, 3), (0, 1, 3), (-1, 1, 3)]),), np.eye(4))
-    rendering = scene.render(small_camera())
+    rendering = scenes.Scene((SHEET,), np.eye(4)).render(small_camera())
     assert np.array_equal(rendering.labels == 1, np.isfinite(rendering.depth))
     assert (rendering.labels[:, 32:] == 0).all()
     assert (rendering.labels[20:30, 25:32] == 1).all()
@@ -294,3 +295,26 @@ def test_impossible_views_and_planes():
 def test_places_and_sizes_that_are_none(make, kind, message):
     with pytest.raises(kind, match=message):
         make()
+
+
+def test_a_scene_of_a_list_and_a_pose_of_lists():
+    room = scenes.room()
+    given = scenes.Scene(list(room.surfaces), room.camera_to_scene.tolist())
+    assert given.surfaces == room.surfaces
+    assert np.array_equal(given.render(small_camera()).depth, room.render(small_camera()).depth)
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "pose", "kind", "message"),
+    [
+        ((SHEET, scenes.box("box", (0, 0, 2), (1, 1, 1))), np.eye(4), TypeError, r"got tuple: .* \(floor, \*box\)"),
+        ([SHEET, None], np.eye(4), TypeError, "each of surfaces as a Surface, got NoneType"),
+        (SHEET, np.eye(4), TypeError, "surfaces as an iterable, got Surface"),
+        ([SHEET], np.eye(4)[:3], ValueError, r"camera_to_scene of shape \(4, 4\), got \(3, 4\)"),
+        ([SHEET], "pose", TypeError, "camera_to_scene as numbers"),
+        ([SHEET], 1000.0 * np.eye(4), ValueError, "camera_to_scene as a rigid motion"),
+    ],
+)
+def test_what_is_no_scene_is_refused_when_it_is_made(surfaces, pose, kind, message):
+    with pytest.raises(kind, match=message):
+        scenes.Scene(surfaces, pose)
