@@ -22,7 +22,8 @@ PATIENCE = 20_000
 ROOM = 70_000
 """Slots of eight bytes in a frame: more than half of a chunk of 1 MB, the rest of which is for the frames above it."""
 
-_is_compiling = False
+is_compiling = False
+"""Whether a kernel is being compiled, not only loaded from the disk."""
 
 if hasattr(os, "register_at_fork"):
     # A fork waits for a thread that compiles: its child, without that thread, would wait for Numba's lock for ever.
@@ -49,17 +50,17 @@ def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(compiler)
     def compile_alone(*args: Any) -> Any:
-        global _is_compiling
-        if _is_compiling:
+        global is_compiling
+        if is_compiling:
             return compiler(*args)
         before, *others = gc.get_threshold()
-        _is_compiling = True
+        is_compiling = True
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
             return _with_room(compiler, *args)
         finally:
-            _is_compiling = False
+            is_compiling = False
             now, *others = gc.get_threshold()
             if now == PATIENCE:  # nobody has set it meanwhile
                 gc.set_threshold(before, *others)

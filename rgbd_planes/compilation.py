@@ -5,7 +5,7 @@ import threading
 from collections.abc import Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 
-from rgbd_planes.kernels import _jit
+from rgbd_planes.kernels import _compiling, _jit
 
 SECONDS_BEFORE_NOTICE = 1.0
 
@@ -18,23 +18,29 @@ _NOTHING = nullcontext()
 def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextManager[None]:
     """Log one line if the first call for ``key`` takes long; later calls cost nothing.
 
-    Once in a process for all calls of the same ``takes``. A kernel that Numba's cache on disk holds loads before the
-    line would be logged.
+    Once in a process for all calls of the same ``takes``, and only while kernels are compiled: those that Numba's cache
+    on disk holds are loaded, which takes more than a second, too, where processes start together.
     """
     return _NOTHING if key in _compiled or takes in _announced else _first_call(key, takes)
 
 
 @contextmanager
 def _first_call(key: Hashable, takes: str) -> Iterator[None]:
-    timer = threading.Timer(SECONDS_BEFORE_NOTICE, _announce, [takes])
-    timer.daemon = True
+    done = threading.Event()
     with suppress(RuntimeError):  # no more threads, by a limit or as Python ends: then nothing is logged
-        timer.start()
+        threading.Thread(target=_watch, args=(done, takes), daemon=True).start()
     try:
         yield
         _compiled.add(key)
     finally:
-        timer.cancel()
+        done.set()
+
+
+def _watch(done: threading.Event, takes: str) -> None:
+    while not done.wait(SECONDS_BEFORE_NOTICE):
+        if _compiling.is_compiling:
+            _announce(takes)
+            return
 
 
 def _announce(takes: str) -> None:

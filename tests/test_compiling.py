@@ -76,7 +76,7 @@ def test_garbage_waits_while_kernels_compile(given, during, witness):
     assert seen == [during]
     assert witness.thresholds == [given, during]  # the outer one's begins before all is arranged for it
     assert gc.get_threshold() == as_given
-    assert not _compiling._is_compiling
+    assert not _compiling.is_compiling
 
 
 def test_what_somebody_sets_meanwhile_stays(witness):
@@ -89,7 +89,7 @@ def test_all_is_as_before_if_compiling_fails(witness):
     with pytest.raises(ZeroDivisionError):
         _compiling.without_haste(lambda: 1 / 0)()
     assert gc.get_threshold()[0] == 700
-    assert not _compiling._is_compiling
+    assert not _compiling.is_compiling
 
 
 def test_no_call_takes_memory_from_the_system():

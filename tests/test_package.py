@@ -14,6 +14,7 @@ from test_tiles import make_camera, make_depth
 import rgbd_planes as rp
 import rgbd_planes.kernels
 from rgbd_planes import compilation
+from rgbd_planes.kernels import _compiling
 
 
 def run(code, **environment):
@@ -117,6 +118,9 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
     monkeypatch.setattr(compilation, "_announced", {})
     monkeypatch.setattr(compilation, "_compiled", set())
+    with compilation.announced("loaded"):  # however long it takes
+        time.sleep(0.1)
+    monkeypatch.setattr(_compiling, "is_compiling", True)
     with compilation.announced("quick"):
         pass
     assert caplog.messages == []
@@ -137,11 +141,24 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     assert caplog.messages[2].startswith("compiling kernels: about a minute")
 
 
+def test_a_notice_waits_until_something_is_compiled(caplog, monkeypatch):
+    """Of several kernels the first ones may come from the disk."""
+    monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compilation, "_announced", {})
+    monkeypatch.setattr(compilation, "_compiled", set())
+    with compilation.announced("one is not there"):
+        time.sleep(0.1)
+        assert caplog.messages == []
+        monkeypatch.setattr(_compiling, "is_compiling", True)
+        time.sleep(0.2)
+    assert len(caplog.messages) == 1
+
+
 def test_a_notice_that_gets_no_thread_is_not_given(monkeypatch):
     def limited(self):
         raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(threading.Timer, "start", limited)
+    monkeypatch.setattr(threading.Thread, "start", limited)
     monkeypatch.setattr(compilation, "_announced", {})
     monkeypatch.setattr(compilation, "_compiled", set())
     camera = make_camera()
