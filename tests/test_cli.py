@@ -148,6 +148,29 @@ def test_noise_writes_the_camera_with_what_estimate_noise_finds(tmp_path, monkey
     assert rp.Camera.load("of_two.json").noise == rp.estimate_noise(frames[::2], camera)
 
 
+def test_noise_skips_what_cannot_be_read(tmp_path, monkeypatch, capsys):
+    """As a batch does, for which it is made."""
+    monkeypatch.chdir(tmp_path)
+    camera = rp.Camera(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5, depth_scale=1000.0)
+    os.mkdir("frames")
+    camera.save("frames/camera.json")
+    frames = [scenes.room().render(camera).measure(holes=0.05, seed=seed) for seed in range(3)]
+    for i, frame in enumerate(frames):
+        images.write_png(f"frames/{i}.png", frame)
+    damaged = tmp_path / "frames" / "1.png"
+    damaged.write_bytes(damaged.read_bytes()[:1000])
+    assert cli.main(["noise", "frames", "--out", "with_noise.json"]) == 1
+    out, err = capsys.readouterr()
+    assert "2 of 3 frames" in out
+    assert err.startswith("rgbd-planes noise: skipped ")
+    assert "1.png: damaged" in err
+    assert err.count("\n") == 1
+    assert rp.Camera.load("with_noise.json").noise == rp.estimate_noise(frames[::2], camera)
+    for i in range(3):
+        (tmp_path / "frames" / f"{i}.png").write_bytes(b"")
+    assert "2.png: not a PNG image, or damaged" in fails(capsys, "noise", "frames")
+
+
 def test_noise_says_what_is_wrong(folder, capsys):
     assert "depth images need --camera" in fails(capsys, "noise", "depth.png")
     assert "there is no such file" in fails(capsys, "noise", "nowhere")

@@ -1,6 +1,7 @@
 """``rgbd-planes noise``."""
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,9 +15,11 @@ from rgbd_planes.commands.arguments import (
     read_sequence,
     write_figure,
 )
+from rgbd_planes.wording import one_line
 
 if TYPE_CHECKING:
     from rgbd_planes.sequences import FrameSequence
+    from rgbd_planes.sequences.frames import Frame
 
 
 def noise(parser: argparse.ArgumentParser) -> Run:
@@ -25,6 +28,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes noise frames --camera camera.json --out with_noise.json
 
     The frames should show walls, floors or tables at the depths that matter.
+    One that cannot be read is reported and skipped, and makes the exit status 1.
     """
     parser.add_argument(
         "frames",
@@ -41,7 +45,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         "--figure", type=Path, metavar="PNG/PDF/SVG", help="draw how the noise fits, and the sensor's bias"
     )
 
-    def run(arguments: argparse.Namespace) -> None:
+    def run(arguments: argparse.Namespace) -> int:
         import numpy as np
 
         from rgbd_planes import estimate_noise
@@ -53,7 +57,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         check_outputs(arguments, read, out=(".json",), figure=FIGURES)
         sequence = _sequence(arguments)
         spread = np.linspace(0, len(sequence) - 1, min(arguments.count, len(sequence))).astype(int)
-        frames = [sequence[index] for index in spread]
+        frames = _readable(sequence, spread.tolist())
         camera, *others = {frame.camera for frame in frames}
         if others:
             raise CommandError(
@@ -73,8 +77,24 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         if arguments.figure is not None:
             write_figure(evidence.plot(), arguments.figure)
             print(f"Wrote {arguments.figure}")
+        return 1 if len(frames) < len(spread) else 0
 
     return run
+
+
+def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
+    """The chosen frames, without those that cannot be read, which are reported if there are others."""
+    frames, reasons = [], []
+    for index in chosen:
+        try:
+            frames.append(sequence[index])
+        except (OSError, ValueError) as error:
+            if not frames and index == chosen[-1]:
+                raise
+            reasons.append(one_line(error))
+    for reason in reasons:
+        print(f"rgbd-planes noise: skipped {reason}", file=sys.stderr)
+    return frames
 
 
 def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
