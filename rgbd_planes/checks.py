@@ -102,12 +102,21 @@ def real_array(name: str, values: Any) -> NDArray[np.float64]:
         raise TypeError(f"expected {name} as numbers, got {array.flat[0]!r}") from None
 
 
+def shaped_array(name: str, values: Any, entries: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return numbers as an array of floats whose last axes are as long as ``entries``."""
+    array = real_array(name, values)
+    if array.shape[-len(entries) :] != entries:
+        expected = ", ".join(("...", *map(str, entries)))
+        raise ValueError(f"expected {name} of shape ({expected}), got {array.shape}")
+    return array
+
+
 def check_motion(name: str, motion: NDArray[np.float64]) -> None:
     """Raise ValueError unless (..., 4, 4) matrices are rigid motions."""
     rotation = motion[..., :3, :3]
     square = rotation @ np.swapaxes(rotation, -1, -2)
     off = np.abs(square - np.eye(3)).max(initial=0.0)
-    nearly = (  # or more than that
+    nearly = (
         off < _NEARLY_A_ROTATION
         and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
         and bool((np.linalg.det(rotation) > 0.0).all())

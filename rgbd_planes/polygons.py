@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import number
+from rgbd_planes.checks import number, shaped_array
 from rgbd_planes.extras import needs
 from rgbd_planes.segmentation.result import Reason, Segmentation
 from rgbd_planes.wording import counted
@@ -91,16 +91,21 @@ class PlanePolygon:
         return shapely.Polygon(ends @ np.stack([along[k], across[k]]))
 
     def to_space(self, coordinates: ArrayLike) -> Floats:
-        """(K, 3) float64: points of the plane in the camera's frame, from its own (K, 2) coordinates."""
-        return np.asarray(self.origin + np.asarray(coordinates, dtype=np.float64) @ self.axes)
+        """(..., 3) float64: points of the plane in the camera's frame, from its own (..., 2) coordinates."""
+        return np.asarray(self.origin + shaped_array("coordinates", coordinates, (2,)) @ self.axes)
 
     def to_plane(self, points: ArrayLike) -> Floats:
         """(..., 2) float64: the feet of points, (..., 3) in the camera's frame, in the plane's own coordinates."""
-        return np.asarray((np.asarray(points, dtype=np.float64) - self.origin) @ self.axes.T)
+        return np.asarray((shaped_array("points", points, (3,)) - self.origin) @ self.axes.T)
 
     def corners(self, geometry: Polygon | None = None) -> Floats:
         """(K, 3) float64: corners in the camera's frame of a polygon in the plane, by default `rectangle`."""
+        import shapely
+
         chosen = self.rectangle if geometry is None else geometry
+        if not isinstance(chosen, shapely.Polygon):
+            several = ": rings() has those of the whole outline" if isinstance(chosen, shapely.MultiPolygon) else ""
+            raise TypeError(f"expected geometry as a shapely Polygon, got {type(chosen).__name__}{several}")
         return self.to_space(np.asarray(chosen.exterior.coords)[:-1])
 
     def rings(self) -> list[list[Floats]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import check_motion, real_array
+from rgbd_planes.checks import check_motion, shaped_array
 from rgbd_planes.kernels import statistics
 
 Floats = npt.NDArray[np.float64]
@@ -53,9 +53,9 @@ def same_plane(
     >>> p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
     """
     entries = 4 if np.shape(alpha)[-1:] == (4,) else 3
-    first, second = _array("alpha", alpha, (entries,)), _array("other_alpha", other_alpha, (entries,))
-    first_covariance = _array("covariance", covariance, (entries, entries))
-    second_covariance = _array("other_covariance", other_covariance, (entries, entries))
+    first, second = shaped_array("alpha", alpha, (entries,)), shaped_array("other_alpha", other_alpha, (entries,))
+    first_covariance = shaped_array("covariance", covariance, (entries, entries))
+    second_covariance = shaped_array("other_covariance", other_covariance, (entries, entries))
     shape = _leading(
         alpha=first.shape[:-1],
         covariance=first_covariance.shape[:-2],
@@ -110,9 +110,9 @@ def point_distance(
     distance, std : (...) float64
         Metres.
     """
-    point, plane = _array("points", points, (3,)), _array("planes", planes, (4,))
-    covariance = _array("plane_covariance", plane_covariance, (4, 4))
-    spread = None if point_covariance is None else _array("point_covariance", point_covariance, (3, 3))
+    point, plane = shaped_array("points", points, (3,)), shaped_array("planes", planes, (4,))
+    covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
+    spread = None if point_covariance is None else shaped_array("point_covariance", point_covariance, (3, 3))
     _leading(
         points=point.shape[:-1],
         planes=plane.shape[:-1],
@@ -144,9 +144,12 @@ def angle_between(
         an error, never negative; the standard deviation is then that of a component along the line between
         the normals, or along the most uncertain direction where they coincide.
     """
-    first, second = (_array("planes", planes, (4,))[..., :3], _array("other_planes", other_planes, (4,))[..., :3])
-    first_covariance = _array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
-    second_covariance = _array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
+    first, second = (
+        shaped_array("planes", planes, (4,))[..., :3],
+        shaped_array("other_planes", other_planes, (4,))[..., :3],
+    )
+    first_covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
+    second_covariance = shaped_array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
     _leading(
         planes=first.shape[:-1],
         plane_covariance=first_covariance.shape[:-2],
@@ -199,12 +202,12 @@ def transform_planes(
     ValueError
         The transform is not a rigid motion.
     """
-    plane = _array("planes", planes, (4,))
-    covariance = _array("plane_covariance", plane_covariance, (4, 4))
-    motion = _array("transform", transform, (4, 4))
+    plane = shaped_array("planes", planes, (4,))
+    covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
+    motion = shaped_array("transform", transform, (4, 4))
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
     check_motion("transform", motion)
-    pose = None if transform_covariance is None else _array("transform_covariance", transform_covariance, (6, 6))
+    pose = None if transform_covariance is None else shaped_array("transform_covariance", transform_covariance, (6, 6))
     _leading(
         planes=plane.shape[:-1],
         plane_covariance=covariance.shape[:-2],
@@ -259,7 +262,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     Inverse covariances add: for tiles' planes with independent noise this is, to first order, the plane of all their
     pixels. `same_plane` tells whether they are one plane; if not, the result means nothing.
     """
-    plane, covariance = _array("planes", planes, (4,)), _array("plane_covariance", plane_covariance, (4, 4))
+    plane, covariance = shaped_array("planes", planes, (4,)), shaped_array("plane_covariance", plane_covariance, (4, 4))
     shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])
     if not shape or shape[-1] == 0:
         raise ValueError(f"expected planes of shape (..., K, 4), K at least 1, got {plane.shape}")
@@ -345,14 +348,6 @@ def _about(point: Floats) -> Floats:
     matrix[...] = np.eye(4)
     matrix[..., 3, :3] = point
     return matrix
-
-
-def _array(name: str, values: npt.ArrayLike, entries: tuple[int, ...]) -> Floats:
-    array = real_array(name, values)
-    if array.shape[-len(entries) :] != entries:
-        expected = ", ".join(("...", *map(str, entries)))
-        raise ValueError(f"expected {name} of shape ({expected}), got {array.shape}")
-    return array
 
 
 def _leading(**shapes: tuple[int, ...]) -> tuple[int, ...]:

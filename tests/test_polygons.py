@@ -262,6 +262,15 @@ def test_bad_arguments_are_refused() -> None:
         plane_polygons(found, tolerance=-1.0)
     with pytest.raises(ValueError, match="min_part must not be negative"):
         plane_polygons(found, min_part=float("nan"))
+    (outline,) = plane_polygons(found)
+    with pytest.raises(ValueError, match=r"expected points of shape \(\.\.\., 3\), got \(1, 2\)"):
+        outline.to_plane([[200.0, 300.0]])  # of a pixel
+    with pytest.raises(TypeError, match="masked"):
+        outline.to_plane(np.ma.masked_invalid([[0.0, 0.0, np.nan]]))
+    with pytest.raises(ValueError, match=r"expected coordinates of shape \(\.\.\., 2\), got \(3,\)"):
+        outline.to_space([0.0, 0.0, 1.0])
+    with pytest.raises(TypeError, match=r"a shapely Polygon, got MultiPolygon: rings\(\) has those"):
+        outline.corners(outline.metric)  # type: ignore[arg-type]
 
 
 def test_no_plane_no_polygon() -> None:
