@@ -111,23 +111,23 @@ def shaped_array(name: str, values: Any, entries: tuple[int, ...]) -> NDArray[np
     return array
 
 
-def check_motion(name: str, motion: NDArray[np.float64]) -> None:
-    """Raise ValueError unless (..., 4, 4) matrices are rigid motions."""
+def as_motion(name: str, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (..., 4, 4) rigid motions; those of a few digits with the nearest rotation: normals keep their length."""
     rotation = motion[..., :3, :3]
-    square = rotation @ np.swapaxes(rotation, -1, -2)
-    off = np.abs(square - np.eye(3)).max(initial=0.0)
-    nearly = (
-        off < _NEARLY_A_ROTATION
+    off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(initial=0.0)
+    if not (
+        off < _ROUNDED
         and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
         and bool((np.linalg.det(rotation) > 0.0).all())
-    )
-    if nearly and np.allclose(square, np.eye(3), atol=1e-6):
-        return
-    # A pose of a few digits looks like a rigid motion, but normals would lose their length.
-    reason = f": R·Rᵀ is off by {off:.1g}; scipy.spatial.transform.Rotation.from_matrix(R).as_matrix() makes it exact"
-    raise ValueError(
-        f"expected {name} as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}{reason if nearly else ''}"
-    )
+    ):
+        nearly = f": R·Rᵀ is off by {off:.1g}" if _ROUNDED <= off < 0.1 else ""
+        raise ValueError(f"expected {name} as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}{nearly}")
+    if off < 1e-12:
+        return motion
+    left, _, right = np.linalg.svd(rotation)
+    exact = motion.copy()
+    exact[..., :3, :3] = left @ right
+    return exact
 
 
 def each_of(frames: Any) -> Iterator[Any]:
@@ -147,7 +147,7 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
         )
 
 
-_NEARLY_A_ROTATION = 0.01  # how far R·Rᵀ is off, at most, where R is a rotation that was rounded
+_ROUNDED = 2e-3  # how far R·Rᵀ is off, at most, where the entries of R have three digits or more
 
 # Share of 1/Z that no sensor's noise reaches, between what is nearest in a frame and twice as far away.
 TOO_LARGE = 0.2

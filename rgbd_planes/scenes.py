@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_motion, check_share, check_whole, number, real_array
+from rgbd_planes.checks import as_motion, check_camera, check_share, check_whole, number, real_array
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 
@@ -89,9 +89,8 @@ class Scene:
         motion = real_array("camera_to_scene", self.camera_to_scene)
         if motion.shape != (4, 4):
             raise ValueError(f"expected camera_to_scene of shape (4, 4), got {motion.shape}")
-        check_motion("camera_to_scene", motion)
         object.__setattr__(self, "surfaces", surfaces)
-        object.__setattr__(self, "camera_to_scene", motion)
+        object.__setattr__(self, "camera_to_scene", as_motion("camera_to_scene", motion))
 
     def render(self, camera: Camera) -> Rendering:
         """Meet the ray through each pixel centre with the surfaces and keep the nearest.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import check_motion, shaped_array
+from rgbd_planes.checks import as_motion, shaped_array
 from rgbd_planes.kernels import statistics
 
 Floats = npt.NDArray[np.float64]
@@ -185,7 +185,8 @@ def transform_planes(
     planes : (..., 4) array_like
     plane_covariance : (..., 4, 4) array_like
     transform : (..., 4, 4) array_like
-        Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it.
+        Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it. Of an R that has
+        three digits or more, as in files, the nearest rotation is taken.
     transform_covariance : (..., 6, 6) array_like, optional
         Of (ω, τ), radians and metres, where the true motion is exp([ω]×)·R and t + τ: rotation vector and
         translation in the new frame's axes. Planes moved by one motion have its errors in common: compare them, by
@@ -205,8 +206,8 @@ def transform_planes(
     plane = shaped_array("planes", planes, (4,))
     covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
     motion = shaped_array("transform", transform, (4, 4))
+    motion = as_motion("transform", motion)
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
-    check_motion("transform", motion)
     pose = None if transform_covariance is None else shaped_array("transform_covariance", transform_covariance, (6, 6))
     _leading(
         planes=plane.shape[:-1],
