@@ -1069,7 +1069,7 @@ def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparit
     if given.sigma is not None:
         table = np.maximum(given.sigma(inverse_depth), flattest)
         known = np.concatenate([[step], table]) if given.at_large else known
-    typical, lateral, by_32, together = estimate_frame_noise(pyramid, known, growth, reach_table(), given.at_large)
+    typical, lateral, by_32, together = estimate_frame_noise(pyramid, known, growth, reach_table())
     if table is None:
         table = np.maximum(np.minimum(typical**0.5, 0.03 * np.maximum(inverse_depth, step)), rounding)
     elif given.at_large:

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.reach import SIZES, may_be_chance, mixture
+from rgbd_planes.kernels.segments.reach import SIZES, as_planes_show, may_be_chance, mixture
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
@@ -208,6 +208,32 @@ def test_a_model_that_the_frame_contradicts_is_not_believed(pixels):
     assert 0.35 < np.mean(errors) < 1.7
 
 
+def stairs():
+    """Five steps, as seen from above."""
+    faces = [scenes.polygon("floor", [(-2.0, 0.0, 0.3), (2.0, 0.0, 0.3), (2.0, 0.0, 1.5), (-2.0, 0.0, 1.5)])]
+    for k in range(5):
+        side, low, high, z, far = 0.6, -0.17 * k, -0.17 * (k + 1), 1.5 + 0.28 * k, 1.78 + 0.28 * k
+        faces += [
+            scenes.polygon("riser", [(-side, low, z), (side, low, z), (side, high, z), (-side, high, z)]),
+            scenes.polygon("tread", [(-side, high, z), (side, high, z), (side, high, far), (-side, high, far)]),
+        ]
+    return scenes.Scene(faces, scenes.look_at((0.25, -1.5, 0.1), (0.0, -0.4, 2.0)))
+
+
+@pytest.mark.parametrize(("pixels", "least", "most"), [(0.0, 1.0, 1.2), (0.8, 2.5, 4.5)])
+def test_creases_are_no_errors_that_neighbours_share(pixels, least, most):
+    # Half of the flat squares of 32 pixels have a crease in them. If these counted, one of the first three frames would
+    # have standard deviations 1.6 times as large although its errors are independent.
+    noise = NoiseModel((1.4e-3,))
+    q = 1.0 / stairs().render(VGA).depth
+    for seed in range(3):
+        error = gaussian_filter(np.random.default_rng(seed).standard_normal(VGA.shape), pixels)
+        depth = 1.0 / (q + 1.4e-3 * error / error.std())
+        found = segment(depth, VGA, noise=noise)
+        of_independent = fit_labels(depth, replace(VGA, noise=noise), found.labels).offset_std
+        assert least < np.median(found.offset_std / of_independent) < most
+
+
 def test_a_little_that_squares_show_may_be_chance():
     counts = np.array([100, 100, 20])
     assert may_be_chance(np.array([0.9, 1.0, 0.8]), counts)  # not even that
@@ -216,6 +242,24 @@ def test_a_little_that_squares_show_may_be_chance():
     assert may_be_chance(np.array([1.2, 1.2, 1.2]), counts // 10)
     assert not may_be_chance(np.array([0.0, 1.3, 0.0]), np.array([0, 120, 0]))
     assert may_be_chance(np.zeros(3), np.zeros(3, int))  # no squares, no doubt
+
+
+def test_squares_that_are_not_in_one_plane_show_no_shared_errors():
+    noise = gaussian_filter(np.random.default_rng(22).standard_normal(CAMERA.shape), 1.0)
+    work, frame = Workspace(CAMERA), as_depth_frame(1.0 / (0.5 + 1e-2 * noise), CAMERA)
+    read_frame(
+        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, rays_of(CAMERA),
+        work.inverse_depth, work.pyramid,
+    )  # fmt: skip
+    one = np.ones(CAMERA.shape, np.int32)
+    stripes = one + (np.arange(CAMERA.width, dtype=np.int32) // 4) % 2
+    for label, expected in ((one, 3.0), (0 * one, 1.0), (stripes, 1.0)):
+        assert as_planes_show(3.0, True, work.pyramid, label, work.inverse_depth) == expected
+        assert as_planes_show(3.0, False, work.pyramid, label, work.inverse_depth) == 3.0  # nothing says otherwise
+    one[np.random.default_rng(23).random(CAMERA.shape) < 0.3] = 0
+    assert as_planes_show(3.0, True, work.pyramid, one, work.inverse_depth) == 1.0
+    work.inverse_depth[one == 0] = 0.0  # missing pixels are no edge
+    assert as_planes_show(3.0, True, work.pyramid, one, work.inverse_depth) == 3.0
 
 
 def test_plane_covariance_is_that_of_alpha_carried_over(room):

@@ -85,7 +85,7 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     if is_sensors:
         copy(given, sigma[1:])
         known = len(sigma)
-    typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:known], growth, reach, is_sensors)
+    typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:known], growth, reach)
     deviation, expected = math.sqrt(typical), 0.0
     shown = deviation
     if is_sensors:  # what squares show is a multiple of it

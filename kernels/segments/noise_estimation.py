@@ -185,7 +185,7 @@ def lateral_of(mean_square, slope_square, typical):
 
 
 @kernel()
-def estimate_noise(pyramid, sigma, growth, reach, is_modelled):
+def estimate_noise(pyramid, sigma, growth, reach):
     """Estimate the noise of a frame from the residuals of its own squares of 8 to 64 pixels.
 
     Where a frame has too few squares to tell, blocks of 4 pixels tell how large the noise is, which is taken to be
@@ -199,8 +199,6 @@ def estimate_noise(pyramid, sigma, growth, reach, is_modelled):
     growth : (3,) float64, written
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
     reach : see `reach.mixture`
-    is_modelled : bool
-        See `reach.go_together`.
 
     Returns
     -------
@@ -247,5 +245,5 @@ def estimate_noise(pyramid, sigma, growth, reach, is_modelled):
                 most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
                 grown = min(grown, math.sqrt(1.0 + most * (growth[1] ** 2 - 1.0)))
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
-    by_32, together = go_together(pyramid, sigma, typical, growth, reach, is_modelled)
+    by_32, together = go_together(pyramid, sigma, typical, growth, reach)
     return typical, lateral, by_32, together

@@ -33,17 +33,36 @@ OF_CHANCE = (0.0, 6.63, 9.21, 11.34)
 
 
 @kernel()
-def shown(pyramid, level, sigma, most, step):
+def is_in_one(label, inverse_depth, top, left, side):
+    """Whether a square lies in one plane: of 5 x 5 of its pixels, all that are measured have the same label."""
+    one, step = 0, side // 4
+    for y in range(top, top + side + 1, step):
+        of_row, measured = label[min(y, top + side - 1)], inverse_depth[min(y, top + side - 1)]
+        for column in range(left, left + side + 1, step):
+            x = min(column, left + side - 1)
+            if measured[x] > 0.0:
+                one = of_row[x] if one == 0 else one
+                if one == 0 or of_row[x] != one:
+                    return False
+    return one > 0
+
+
+@kernel()
+def shown(pyramid, level, sigma, most, step, label, inverse_depth):
     """By what factor the means of squares' parts scatter more than those of independent pixels.
 
     Returns the median over the flat squares of a ``level``, whose residual is at most ``most`` variances, in every
-    ``step``-th row and column of them, and their number; 0 and 0 if they are too few.
+    ``step``-th row and column of them, and their number; 0 and 0 if they are too few. If there is a ``label``, (H, W)
+    int32 with any rows, only squares that lie in one plane count: see `is_in_one`.
     """
     moments, _, _, offsets, shapes = pyramid
     pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]
     fine, quarter = level - 2, level - 1  # levels of a square's parts and quarters
     rows, columns = shapes[quarter, 0] // 2, shapes[quarter, 1] // 2
-    least = FULL * (BLOCK << level) ** 2
+    side = BLOCK << level
+    if len(label) > 0:
+        rows, columns = min(rows, label.shape[0] // side), min(columns, label.shape[1] // side)
+    least = FULL * side**2
     ratio = np.empty((rows // step + 1) * (columns // step + 1))
     m = np.empty(10)
     count = 0
@@ -52,7 +71,7 @@ def shown(pyramid, level, sigma, most, step):
             i = offsets[quarter] + 2 * (row * shapes[quarter, 1] + column)
             below = i + shapes[quarter, 1]
             n = pixels[i] + pixels[i + 1] + pixels[below] + pixels[below + 1]
-            if n < least:
+            if n < least or (len(label) > 0 and not is_in_one(label, inverse_depth, row * side, column * side, side)):
                 continue
             for k in range(10):
                 m[k] = moments[k, i] + moments[k, i + 1] + moments[k, below] + moments[k, below + 1]
@@ -152,23 +171,38 @@ def may_be_chance(ratios, counts):
 
 
 @kernel()
-def go_together(pyramid, sigma, typical, growth, reach, is_modelled):
+def go_together(pyramid, sigma, typical, growth, reach):
     """How many pixels of a frame have one error between them, as squares of 32 pixels show it, and on the whole.
 
-    Both are 0 if unknown, and with a noise model, which ``is_modelled`` says, the second also if it may be chance that
-    squares show any. ``sigma``, ``typical`` and ``growth`` are those of `noise_estimation.estimate_noise`,
+    Both are 0 if unknown. ``sigma``, ``typical`` and ``growth`` are those of `noise_estimation.estimate_noise`,
     ``reach`` that of `mixture`.
     """
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
+    anywhere = np.empty((0, 0), np.int32), np.empty((0, 0), np.float32)
     for size in range(SIZES):  # where errors reach far, residuals are larger than within squares of 8
         level = SMALLEST + size
         grown = growth[min(level, len(growth)) - 1]
         flat = FLAT if size < SIZES - 1 else FLAT_LARGE
         step = 2 if size == 0 else 1  # a quarter of the smallest is enough, if there are larger ones
-        ratios[size], counts[size] = shown(pyramid, level, sigma, flat * typical * grown**2, step)
+        ratios[size], counts[size] = shown(pyramid, level, sigma, flat * typical * grown**2, step, *anywhere)
     if counts[1] > 0:
-        by_32 = beyond(ratios[1], SMALLEST + 1)
-        return by_32, 0.0 if is_modelled and may_be_chance(ratios, counts) else mixture(ratios, counts, reach)
-    ratios[0], counts[0] = shown(pyramid, SMALLEST, sigma, FLAT * typical * growth[1] ** 2, 1)
+        return beyond(ratios[1], SMALLEST + 1), mixture(ratios, counts, reach)
+    ratios[0], counts[0] = shown(pyramid, SMALLEST, sigma, FLAT * typical * growth[1] ** 2, 1, *anywhere)
     by_16 = beyond(ratios[0], SMALLEST) if counts[0] > 0 else 0.0
-    return by_16, 0.0 if is_modelled and may_be_chance(ratios[:1], counts[:1]) else by_16
+    return by_16, by_16
+
+
+@kernel()
+def as_planes_show(together, is_modelled, pyramid, label, inverse_depth):
+    """How many pixels go together: ``together``, but 1 if there is a noise model and squares in planes may show chance.
+
+    Where there are many edges, a little of another surface is in many flat squares, and looks like shared errors. With
+    ``label`` (H, W) int32, 0 for none, these are left out, and no residual is too large.
+    """
+    if not is_modelled or together <= 1.0:
+        return together
+    ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
+    for size in range(SIZES - 1, -1, -1):
+        step = 2 if size == 0 and counts[1] > 0 else 1  # as in `go_together`
+        ratios[size], counts[size] = shown(pyramid, SMALLEST + size, np.empty(0), np.inf, step, label, inverse_depth)
+    return 1.0 if may_be_chance(ratios, counts) else together

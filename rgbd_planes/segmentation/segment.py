@@ -16,6 +16,7 @@ from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.kernels.segments.inside import fit_inside
 from rgbd_planes.kernels.segments.labels import settle_strays
 from rgbd_planes.kernels.segments.planes import describe_planes
+from rgbd_planes.kernels.segments.reach import as_planes_show
 from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
 from rgbd_planes.segmentation.noise import Given, noise_of
@@ -154,9 +155,11 @@ def _segment(
     moments, deviation = work.found.moments[:found], work.found.deviation[:found]
     inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
     fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
+    together = as_planes_show(noise.together, given.at_large, work.pyramid, labels, work.inverse_depth)
+    noise = noise._replace(together=together)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     describe_planes(
-        inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, noise.together), step_of_raw,
+        inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, together), step_of_raw,
         frame.scale, frame.is_disparity, planes, covariance, rmse,
     )  # fmt: skip
     sizes = np.zeros(found + 1, np.int32)
