@@ -7,7 +7,7 @@ What calls what:
 - windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
-  `label_variances` and `sandwich` for parts of many depths
+  `variances`, `label_variances` and `sandwich` for parts of many depths
 - segments: `segments`, a folder of its own
 - used by many of them: `depth`, `copying`, `disjoint_sets`, `quantiles`
 - tables on disk: `rows`

@@ -7,18 +7,7 @@ import numpy as np
 from ._jit import kernel
 from .copying import copy
 from .depth import inverse_depth
-from .statistics import DEPTH_STEP, DISPARITY_STEP, SCALE, VARIANCES
-
-
-@kernel(inline=True)
-def variance_at(q, noise):
-    """Variance of the errors along the ray at an inverse depth; ``noise`` as in `statistics.assess`."""
-    table = noise[VARIANCES:]
-    if len(table) == 1:
-        return table[0]
-    position = max(q * noise[SCALE], 0.0)
-    k = int(min(position, len(table) - 2.0))
-    return table[k] + (position - k) * (table[k + 1] - table[k])
+from .variances import rounding_at, variance_at
 
 
 @kernel(inline=True)
@@ -33,9 +22,8 @@ def variances_of_run(
         q = a * us[column] + b * vs[column] + c if fitted else inverse_depth(value, scale, offset, is_disparity)
         there = (lowest <= value) & (value <= highest)
         variance = variance_at(q if there else 0.0, noise)
-        square = q * q
         along[column] = variance if there else 0.0
-        rounding[column] = noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP] if there else 0.0
+        rounding[column] = rounding_at(q, noise) if there else 0.0
     if len(growth) > 0:
         for column in range(start, stop):
             along[column] *= growth[column]
@@ -79,7 +67,7 @@ def label_variances(
         0 for none.
     alpha : (K, 3) float64
         Where it is NaN, each pixel's own depth is used.
-    noise : see `statistics.assess`
+    noise : see `variances.LATERAL_X`
     growth : (H, W) float64, or empty
         Factors on the variances of q along the ray that ``noise`` gives.
     sums : (K, 8) float64, written

@@ -14,6 +14,17 @@ from ._jit import kernel
 from .rounding import in_common, is_left
 from .sandwich import sandwich
 from .solve import ROUGH
+from .variances import (
+    DEPTH_STEP,
+    DISPARITY_STEP,
+    INVERSE_FREEDOM,
+    LATERAL_X,
+    LATERAL_Y,
+    ONE,
+    SCALE,
+    VARIANCES,
+    means_over,
+)
 
 # Tiles of a block, and the rows of its room: moments, reference points, planes and residuals; 1/n and the mean inverse
 # depth; variances; what follows from the number of pixels.
@@ -27,23 +38,19 @@ P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
 RATIO, ROOT = P, P + 1
 POSITION, FOUND = P, P + 1
 LIMIT = P + 2
-LATERAL, ROUNDING, UNEVENNESS = PLANE, PLANE + 3, PLANE + 4
-WEIGHTED = 47
-ROWS = 52
+LATERAL, SPREAD = PLANE, PLANE + 3
+ROUNDING, UNEVENNESS, WEIGHTED = 47, 48, 49
+ROWS = 54
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
-# What ``noise`` holds. For errors that are independent from pixel to pixel: variances across the ray in tanθx and
-# tanθy, to be multiplied by the squared slopes of q, and those of rounding in depth and in disparity. One over the
-# degrees of freedom of a variance that differs from place to place, 0 for one that does not. Then a scale and the
-# variance of q by the other errors, at q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for
-# all q. Within a tile it is taken as a power of q, of at most STEEPEST: where the table is steeper, it jumps. The mean
-# of the power is its series to second order, which where depths differ a hundredfold may be below 0: at most
-# LARGEST_LOSS is taken off.
-LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, SCALE = 0, 1, 2, 3, 4, 5
-VARIANCES = np.uintp(6)
+# Within a tile the variance of q along the ray is taken as a power of q, of at most STEEPEST: where the table is
+# steeper, it jumps. The mean of the power is its series to second order, which where depths differ a hundredfold may be
+# below 0: at most LARGEST_LOSS is taken off. Where the variance of this variance, relative to its squared mean, is more
+# than MOST_EVEN, or that of q so large that the series might be off by what a chi-square of the tile's pixels shows
+# (about 1/√n), means come from `variances.means_over` instead.
 STEEPEST = 8.0
 LARGEST_LOSS = 0.5
-ONE = np.uintp(1)
+MOST_EVEN = 0.02
 # Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
 # differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
 # of those in ``noise``. And for a part of many depths: variances of q along the ray and of rounding; how uneven their
@@ -82,10 +89,11 @@ def assess(
         on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x, on the covariance of
         the slopes, on the variance of the slope along y and on that of the mean inverse depth. Without rows, pixels are
         independent.
-    noise : (7 or more,) float64
-        See LATERAL_X.
-    growth : (R·C,) float64, or empty
-        Factors on the variances of q along the ray in ``noise``, at each tile's place in the image.
+    noise : (8 or more,) float64
+        See `variances.LATERAL_X`.
+    growth : (2, R·C) float64, or (2, 0)
+        Factors on the variances of q along the ray in ``noise``, at each tile's place in the image, and the variances
+        of their logarithms within the tiles.
     of_pixels : (OF_LENS or OF_DEPTHS, R·C) float64, or without rows
         See OF_LENS.
     limits : (LIMITS,) float64
@@ -110,7 +118,7 @@ def assess(
         if everything:
             load(all_moments, first, last, room, 0)
             load(all_reference, first, last, room, U_0)
-        else:
+        else:  # as much as even variances need
             load(all_moments[:1], first, last, room, 0)
             load(all_moments[3:4], first, last, room, 3)
             load(all_moments[9:], first, last, room, 9)
@@ -123,15 +131,25 @@ def assess(
             room[N_Z, i] = plane[4 * i + 2]
             room[D, i] = plane[4 * i + 3]
         mean_inverse_depth(in_range_space, room)
-        if of_pixels.shape[0] < OF_DEPTHS:
-            pixel_variance(noise, last - first, room)
-            if growth.shape[0] > 0:
-                for i in range(last - first):
-                    room[SHARED, i] *= growth[first + i]
-        else:
+        if everything:
+            ray_scatter(in_range_space, room)
+        uneven = of_pixels.shape[0] == OF_DEPTHS
+        if uneven:
             load(of_pixels[OF_LENS : OF_LENS + 1], first, last, room, SHARED)
-            load(of_pixels[OF_LENS + 1 : OF_LENS + 3], first, last, room, ROUNDING)
-            load(of_pixels[OF_LENS + 3 :], first, last, room, WEIGHTED)
+            load(of_pixels[OF_LENS + 1 :], first, last, room, ROUNDING)
+        else:
+            pixel_variance(noise, last - first, room)
+            if growth.shape[1] > 0:
+                for i in range(last - first):
+                    room[SHARED, i] *= growth[0, first + i]
+                    room[UNEVENNESS, i] += growth[1, first + i]
+            uneven = is_uneven(room)
+            if uneven:
+                if not everything:
+                    load(all_moments, first, last, room, 0)
+                    load(all_reference, first, last, room, U_0)
+                    ray_scatter(in_range_space, room)
+                uneven_variance(noise, last - first, room)
         if of_pixels.shape[0] < OF_LENS:
             lateral_variance(noise, room)
         else:
@@ -139,9 +157,8 @@ def assess(
             lateral_variance_of_lens(room)
         by_count(all_counts[first:last], tables, room)
         residual_ratio(room)
-        if of_pixels.shape[0] == OF_DEPTHS:
-            for i in range(TILES_AT_ONCE):
-                room[ROOT, i] = min(room[ROOT, i] * room[UNEVENNESS, i], chi_square.LEAST_FREEDOM**-0.5)
+        if uneven:
+            uneven_freedom(room)
         if limits.shape[0] > 0:
             if noise[INVERSE_FREEDOM] > 0.0:
                 variance_ratio.limits(limits[0], noise[INVERSE_FREEDOM], tails, TILES_AT_ONCE)
@@ -161,12 +178,10 @@ def assess(
             else:
                 chi_square.deviates(tails, TILES_AT_ONCE)
             normal_distribution.tails(tails, TILES_AT_ONCE)
-            ray_scatter(in_range_space, room)
             if noise[DEPTH_STEP] + noise[DISPARITY_STEP] > 0.0:
                 rounded_alike(noise, last - first, room)
-            if of_pixels.shape[0] < OF_DEPTHS:
-                covariances(room)
-            else:
+            covariances(room)
+            if uneven:
                 uneven_covariances(room)
             store(room, all_results, first, last)
 
@@ -203,10 +218,17 @@ def mean_inverse_depth(in_range_space, room):
 
 @kernel(inline=True)
 def pixel_variance(noise, count, room):
-    """Variances of errors along the ray and of rounding, of the pixels of each tile of a block."""
+    """Variances of errors along the ray and of rounding, of the pixels of each tile of a block, and how uneven."""
+    for i in range(TILES_AT_ONCE):
+        mean_w = room[3, i] * room[PER_PIXEL, i]
+        # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
+        spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
+        w = room[W_0, i] + mean_w
+        room[SPREAD, i] = spread / (w * w)
     if noise.shape[0] == VARIANCES + ONE:
         for i in range(TILES_AT_ONCE):
             room[SHARED, i] = noise[VARIANCES]
+            room[UNEVENNESS, i] = 0.0
     else:
         scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
         for i in range(TILES_AT_ONCE):
@@ -228,20 +250,52 @@ def pixel_variance(noise, count, room):
             variance += (position - room[SHARED, i]) * step
             # Averaged over the tile, as this power of q.
             power = min(max(position * step / max(variance, 1e-300), -STEEPEST), STEEPEST)
-            mean_w = room[3, i] * room[PER_PIXEL, i]
-            # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
-            spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
-            w = room[W_0, i] + mean_w
-            more = 0.5 * power * (power - 1.0) / (w * w) * spread
+            more = 0.5 * power * (power - 1.0) * room[SPREAD, i]
             room[SHARED, i] = variance * (1.0 + max(more, -LARGEST_LOSS))
+            spread = room[SPREAD, i]
+            room[UNEVENNESS, i] = spread * max(power * power, MOST_EVEN * room[0, i] * spread)
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
     if depth > 0.0:
         for i in range(TILES_AT_ONCE):
             square = room[MEAN_Q, i] * room[MEAN_Q, i]
-            room[ROUNDING, i] = depth * square * square + disparity
+            rounding = depth * square * square
+            power = 4.0 * rounding / (room[SHARED, i] + rounding + disparity)
+            spread = room[SPREAD, i]
+            unevenness = spread * max(power * power, MOST_EVEN * room[0, i] * spread)
+            room[UNEVENNESS, i] = max(room[UNEVENNESS, i], unevenness)
+            room[ROUNDING, i] = rounding + disparity
     else:
         for i in range(TILES_AT_ONCE):
             room[ROUNDING, i] = disparity
+
+
+@kernel(reduction=True, inline=True)
+def is_uneven(room):
+    """Whether a tile of the block may differ too much in its variance."""
+    number = 0.0
+    for i in range(TILES_AT_ONCE):
+        number += 1.0 if room[UNEVENNESS, i] > MOST_EVEN else 0.0
+    return number > 0.0
+
+
+@kernel(inline=True)
+def uneven_variance(noise, count, room):
+    """The same for tiles that differ in it, in room as ``of_pixels`` of `assess` has it; for others no UNEVENNESS."""
+    for i in range(count):
+        d = room[D, i]
+        if not (room[UNEVENNESS, i] > MOST_EVEN and d > 0.0):
+            room[UNEVENNESS, i] = 0.0
+            continue
+        nearness, per_pixel = -1.0 / d, room[PER_PIXEL, i]
+        plane = nearness * room[N_X, i], nearness * room[N_Y, i], nearness * room[N_Z, i]
+        uu, uv, vv = room[4, i] * per_pixel, room[5, i] * per_pixel, room[7, i] * per_pixel
+        means = means_over(plane, (room[1, i], room[2, i], uu, uv, vv), noise)
+        total = means[0] + means[1]
+        room[SHARED, i] = means[0]
+        room[ROUNDING, i] = means[1]
+        room[UNEVENNESS, i] = math.sqrt(means[2]) / total
+        for k in range(5):
+            room[WEIGHTED + k, i] = means[3 + k] / total
 
 
 @kernel(inline=True)
@@ -320,6 +374,17 @@ def residual_ratio(room):
         room[ROOT, i] = math.sqrt(min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM))
 
 
+@kernel(inline=True)
+def uneven_freedom(room):
+    """Fewer degrees of freedom where variances differ: by their mean square over the square of their mean."""
+    for i in range(TILES_AT_ONCE):
+        if not room[UNEVENNESS, i] > 0.0:
+            continue
+        share = (room[SHARED, i] + room[ROUNDING, i]) / max(room[SHARED, i] + room[INDEPENDENT, i], 1e-150)
+        more = max(room[UNEVENNESS, i] * room[UNEVENNESS, i] - 1.0, 0.0) * share * share
+        room[ROOT, i] = min(room[ROOT, i] * math.sqrt(1.0 + more), chi_square.LEAST_FREEDOM**-0.5)
+
+
 @kernel(reduction=True, inline=True)
 def ray_scatter(in_range_space, room):
     """Mean ray and centred scatter of the rays, ū, v̄, Suu, Suv, Svv, in place of the moments.
@@ -392,11 +457,13 @@ def covariances(room):
 
 @kernel(reduction=True, inline=True)
 def uneven_covariances(room):
-    """As `covariances`, where some pixels are noisier than others: see `sandwich.sandwich`.
+    """As `covariances`, where some of a tile's pixels are noisier than others: see `sandwich.sandwich`.
 
     Errors that neighbours share raise them by the same factors as if all variances were alike.
     """
     for i in range(TILES_AT_ONCE):
+        if not room[UNEVENNESS, i] > 0.0:
+            continue
         w = WEIGHTED
         weighted = room[w, i], room[w + 1, i], room[w + 2, i], room[w + 3, i], room[w + 4, i]
         even, slopes, with_mean = sandwich(

@@ -9,9 +9,9 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.label_variances import label_variances
+from rgbd_planes.kernels.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.ray_pitch import GAUSS_PLACES, GAUSS_WEIGHTS
 
 if TYPE_CHECKING:
     from rgbd_planes.plane_fits import PlaneFits
@@ -69,51 +69,37 @@ def sums_of_labels(frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int
     return sums
 
 
-def sums_of_fits(fits: "PlaneFits") -> Floats | None:
-    """`sums_of_labels` for the parts of one frame, from the mean and spread of their depths if no sums were kept."""
-    noise = fits.camera.noise
-    if noise is None or not _differs(noise):
+def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
+    """`sums_of_labels` for the parts of one frame: those that were kept, or from each part's moments.
+
+    ``alpha`` (N, 3) are the planes at whose depths the parts' pixels are; where it is NaN, at their mean depth.
+    """
+    if not _differs(fits.camera.noise):
         return None
     if fits._error_sums is not None:
         return fits._error_sums
-    moments = fits._moments.reshape(10, -1)
-    n, w, ww = moments[0], moments[3], moments[9]
-    mean = w / np.maximum(n, 1.0)
-    std = np.sqrt(np.maximum(ww / np.maximum(n, 1.0) - mean**2, 0.0))
-    mean = mean + fits._reference.reshape(3, -1)[2]
-    if not fits.method.startswith("range"):
-        mean = 1.0 / np.where(mean > 0.0, mean, np.inf)
-        std = std * mean**2
-    q = np.maximum(mean + GAUSS_PLACES[:, None] * std, 0.0)
-    along, rounding = _variance_at(q, noise), noise._rounding(q)
-    if noise.falloff:
-        along = along * fits._growth
-    total = along + rounding
-    along, rounding, squares, total = (GAUSS_WEIGHTS @ of for of in (along, rounding, total**2, total))
-    return np.stack([n * along, n * rounding, n * squares, *(total * of for of in _ray_sums(fits))], axis=1)
+    count, rays, q = _mean_rays(fits)
+    alpha = np.where(np.isnan(alpha), np.stack([0.0 * q, 0.0 * q, q], axis=1), alpha)
+    means = np.empty((len(alpha), 8))
+    part_variances(alpha, rays, settings_of(fits.camera), means)
+    means[count == 0.0] = 0.0  # there may be no ray, as at the rim of a fisheye
+    return np.asarray(count[:, None] * means)
 
 
-def _variance_at(q: Floats, noise: NoiseModel) -> Floats:
-    """Variance of the errors along the ray, as `kernels.label_variances.variance_at` has it."""
-    table = noise._variances[1:]  # a function need not be defined at 0
-    if len(table) == 1:
-        return np.full(q.shape, table[0])
-    position = noise._variances[0] * q  # beyond its end the table goes on by its last step
-    k = np.minimum(position, len(table) - 2).astype(np.int64)
-    return np.asarray(table[k] + (position - k) * (table[k + 1] - table[k]))
+def _mean_rays(fits: "PlaneFits") -> tuple[Floats, Floats, Floats]:
+    """Numbers of pixels; (N, 5) their rays, as `kernels.variances.means_over` takes them; and mean inverse depths.
 
-
-def _ray_sums(fits: "PlaneFits") -> list[Floats]:
-    """Σu, Σv, Σu², Σuv and Σv² of the rays of each part's pixels; from points (X, Y, Z) to first order."""
+    From points (X, Y, Z) to first order.
+    """
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
     n = np.maximum(moments[0], 1.0)
     first = moments[1:4] / n
     uu, uv, uw, vv, vw, ww = moments[4:] / n - first[[0, 0, 0, 1, 1, 2]] * first[[0, 1, 2, 1, 2, 2]]
     u, v, w = reference + first
     if not fits.method.startswith("range"):  # as `kernels.statistics.ray_scatter`
-        nearness = 1.0 / np.where(w > 0.0, w, np.inf)
-        u, v = u * nearness, v * nearness
-        uu = (uu - 2.0 * u * uw + u * u * ww) * nearness**2
-        uv = (uv - u * vw - v * uw + u * v * ww) * nearness**2
-        vv = (vv - 2.0 * v * vw + v * v * ww) * nearness**2
-    return [moments[0] * of for of in (u, v, uu + u * u, uv + u * v, vv + v * v)]
+        w = 1.0 / np.where(w > 0.0, w, np.inf)
+        u, v = u * w, v * w
+        uu = (uu - 2.0 * u * uw + u * u * ww) * w**2
+        uv = (uv - u * vw - v * uw + u * v * ww) * w**2
+        vv = (vv - 2.0 * v * vw + v * v * ww) * w**2
+    return moments[0], np.stack([u, v, uu, uv, vv], axis=1), w

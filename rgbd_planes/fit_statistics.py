@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
-from rgbd_planes.kernels import statistics
+from rgbd_planes.kernels import statistics, variances
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import inverse_freedom
@@ -95,7 +95,7 @@ def settings_of(camera: Camera) -> Floats:
 def _settings(noise: NoiseModel, fx: float, fy: float) -> Floats:
     lateral = np.array([noise.lateral / fx, noise.lateral / fy]) ** 2
     rounding = np.array([noise.step, noise.disparity_step]) ** 2 / 12.0
-    return np.concatenate([lateral, rounding, [inverse_freedom(noise.spread)], noise._variances])
+    return np.concatenate([lateral, rounding, [inverse_freedom(noise.spread), noise.falloff], noise._variances])
 
 
 def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.NDArray[Any]) -> Floats:
@@ -199,7 +199,7 @@ class Assessment:
         `noise.residuals.like_rectangles` gives.
     footprint : (N, 5) int64
         For each tile's pixels, missing ones included: their number, Σx, Σy, Σx² and Σy².
-    growth : (N,) float64
+    growth : (2, N) float64
         See `noise.falloff.growth_of_parts`.
     """
 
@@ -234,7 +234,7 @@ class Assessment:
         """Return a function that marks tiles ``start`` to ``stop`` of one frame, and writes their statistics.
 
         ``arrays`` are those of `plane_fits.allocate` and perhaps ``_statistics``, (RESULTS, R, C) or (RESULTS, K).
-        ``error_sums`` are those of `error_sums`, where a part may span many depths.
+        ``error_sums`` are those of `error_sums`, for labels and unions.
         """
         noise, results = self._noise, arrays.get("_statistics")
         if noise is None or (results is None and not len(self._limits)):
@@ -266,7 +266,7 @@ class Assessment:
     def _of_depths(self, error_sums: Floats, counts: npt.NDArray[np.int32]) -> Floats:
         """(OF_DEPTHS, N) float64: means over the pixels of each part."""
         of_pixels = np.zeros((statistics.OF_DEPTHS, counts.size))
-        lateral_x, lateral_y = self._of_noise[[statistics.LATERAL_X, statistics.LATERAL_Y]]
+        lateral_x, lateral_y = self._of_noise[[variances.LATERAL_X, variances.LATERAL_Y]]
         of_pixels[0], of_pixels[2] = lateral_x, lateral_y
         of_pixels[: len(self._of_lens)] = self._of_lens
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)

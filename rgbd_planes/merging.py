@@ -90,7 +90,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count, fits._total)
     footprint = _sums(fits._footprint, flat, count).astype(np.int64)
-    error_sums = sums_of_fits(fits)
+    of_parts = np.concatenate([np.full((1, 3), np.nan), arrays["alpha"]])[flat]
+    error_sums = sums_of_fits(fits, of_parts)
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
     sizes = like_rectangles(footprint)  # and no growth: the sums include it

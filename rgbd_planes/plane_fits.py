@@ -112,10 +112,10 @@ class PlaneFits:
     def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
-        For ``range_explicit`` it is exact where σq is constant over the tile, or the window; for labels wherever the
-        noise is independent from pixel to pixel, and for unions where σq is also constant over each of their parts. For
-        the other methods it is, to first order in the spread of depths, that of ``range_explicit`` on the same pixels:
-        the bound that they reach at best.
+        For labels by ``range_explicit`` it is exact wherever the noise is independent from pixel to pixel; for tiles,
+        windows and unions of them if σq is also constant over each. Where it changes with the depth, or by a falloff,
+        their pixels count as if they filled a parallelogram. For the other methods it is, to first order in the spread
+        of depths, that of ``range_explicit`` on the same pixels: the bound that they reach at best.
         """
         return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
 
@@ -162,7 +162,7 @@ class PlaneFits:
 
     @property
     def _growth(self) -> Floats:
-        """(N,): for each part of one frame, `noise.falloff.growth_of_parts`."""
+        """(2, N): for each part of one frame, `noise.falloff.growth_of_parts`."""
         return growth_of_parts(self.camera, self._footprint)
 
     @property

@@ -7,15 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.kernels.variances import PLACES, WEIGHTS
 
 Floats = npt.NDArray[np.float64]
 
-# The three places of Gauss's quadrature along a side, in standard deviations of values spread evenly along it, and
-# their weights.
-GAUSS_PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
-GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
-WEIGHTS_OF_PLACES = np.outer(GAUSS_WEIGHTS, GAUSS_WEIGHTS).ravel()
-"""For the nine places that two sides make."""
+WEIGHTS_OF_PLACES = np.outer(WEIGHTS, WEIGHTS).ravel()
+"""Of Gauss's quadrature, for the nine places that two sides make."""
 _ANGLES = 129  # angles off the axis in a table
 
 
@@ -59,7 +56,7 @@ def _at_places(tables: Sequence[Floats] | Floats, footprint: npt.NDArray[np.int6
     n, x, y, xx, yy = footprint.T.astype(np.float64)
     number = np.maximum(n, 1.0)
     columns, rows = (
-        sum_ / number + GAUSS_PLACES[:, None] * np.sqrt(np.maximum(square / number - (sum_ / number) ** 2, 0.0))
+        sum_ / number + PLACES[:, None] * np.sqrt(np.maximum(square / number - (sum_ / number) ** 2, 0.0))
         for sum_, square in ((x, xx), (y, yy))
     )
     places = np.stack(np.broadcast_arrays(rows[:, None], columns))  # (2, 3, 3, N)

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.linalg import eigvalsh
 from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
+from rgbd_planes.tile_grid import tile_windows
 
 CAMERA = rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5)
 FLOOR = np.array([0.0, np.cos(np.pi / 6), np.sin(np.pi / 6)]) / 1.2  # from 1.3 to 8 m
@@ -100,6 +102,83 @@ def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
     tiles = rp.fit_tiles(depth, camera, 4, method)
     union = rp.merge(tiles, np.where(tiles.valid_count > 0, 1, 0))
     np.testing.assert_allclose(union.alpha_covariance[0] / scale, wanted / scale, atol=0.02 if exact else 0.1)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+@pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.001, -0.001, 0.0)], ids=["pinhole", "barrel"])
+@pytest.mark.parametrize("fit", ["window", "tiles", "union of windows"])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        *NOISES.values(),
+        replace(rp.noise.kinect_v1(), falloff=6.0),
+        replace(NOISES["time of flight"], falloff=4.0),
+        rp.noise.NoiseModel((1e-4,), step=0.01),
+    ],
+    ids=str,
+)
+def test_covariance_of_a_window_is_that_of_uneven_variances(noise, fit, distortion, missing, rng):
+    """A mean variance for all pixels makes that of a window over the floor .4 to 5 times as large."""
+    camera = replace(CAMERA, noise=noise, distortion=distortion)
+    q = FLOOR[1] * camera.tan_y + FLOOR[2] + 0.05 * camera.tan_x
+    top = int(np.flatnonzero((q > 1.0 / 8.0).all(axis=1))[0])
+    seen = (q > 1.0 / 8.0) & (rng.random(q.shape) >= missing)
+    depth = np.where(seen, 1.0 / q, 0.0)
+    windows = np.array([[top, 0, 96 - top, 128], [top, 0, 40, 40], [top, 40, 40, 88]])
+    if fit == "tiles":  # ragged ones, too
+        fits = rp.fit_tiles(depth, camera, (36, 50), max_missing=0.6)
+        windows = tile_windows(camera.shape, (36, 50))[fits.fitted.ravel()]
+    else:
+        fits = rp.fit_windows(depth, camera, windows)
+        if fit == "union of windows":
+            fits, windows = rp.merge(fits, [1, 0, 0]), windows[:1]
+    assert len(windows) == {"tiles": 9, "window": 3, "union of windows": 1}[fit]
+    found = zip(fits.alpha[fits.fitted], fits.alpha_covariance[fits.fitted], windows, strict=True)
+    for alpha, covariance, (y, x, height, width) in found:
+        inside = np.zeros_like(seen)
+        inside[y : y + height, x : x + width] = seen[y : y + height, x : x + width]
+        wanted = sandwich(camera, inside, alpha)
+        # In any direction. A lens spreads rays less evenly.
+        assert eigvalsh(covariance, wanted) == pytest.approx(1.0, abs=0.25 if distortion else 0.15)
+
+
+@pytest.mark.parametrize("significance", [None, 0.2])
+@pytest.mark.parametrize("name", NOISES)
+def test_p_values_of_windows_are_uniform(name, significance, rng):
+    """And those below the level are ROUGH, which is found out before they are known."""
+    camera = replace(CAMERA, noise=replace(NOISES[name], lateral=0.3, falloff=1.0))
+    q = FLOOR[1] * camera.tan_y + FLOOR[2] + 0.0 * camera.tan_x
+    top = int(np.flatnonzero(q[:, 0] > 1.0 / 8.0)[0])
+    windows = [(top, x, 96 - top, 32) for x in range(0, 128, 32)] + [(top, 0, 8, 8)]
+    p_values = []
+    for _ in range(60):
+        error = camera.noise.sigma(q, camera.tan_x, camera.tan_y) * rng.standard_normal(q.shape)
+        error += 0.3 * FLOOR[1] / camera.fy * rng.standard_normal(q.shape)
+        depth = 1.0 / np.maximum(q + error, 1e-3)
+        fits = rp.fit_windows(depth, camera, windows, significance=significance)
+        p_values.append(fits.p_value)
+        if significance:
+            sure = np.abs(fits.p_value / significance - 1.0) > 0.02
+            np.testing.assert_array_equal(
+                (fits.status == rp.TileStatus.ROUGH)[sure], (fits.p_value < significance)[sure]
+            )
+    p_value = np.array(p_values)
+    assert stats.kstest(p_value[:, :4].ravel(), "uniform").pvalue > 1e-3
+    assert stats.kstest(p_value[:, 4], "uniform").pvalue > 1e-3
+
+
+def test_uncertainty_of_a_window_does_not_depend_on_the_others(rng):
+    """To the last bit: on those in whose block it is, and whether variances within these differ."""
+    camera = replace(CAMERA, noise=NOISES["time of flight"])
+    (depth,), seen = measured_floor(camera, 1, rng)
+    top = int(np.flatnonzero(seen.all(axis=1))[0])
+    small = [(y, x, 4, 4) for y in range(88, top, -4) for x in range(0, 128, 4)]
+    windows = [*small, (top, 0, 96 - top, 128), *small]
+    together = rp.fit_windows(depth, camera, windows)
+    for i in (3, len(small) - 1, len(small), len(windows) - 1):
+        alone = rp.fit_windows(depth, camera, [windows[i]])
+        for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std"):
+            np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name)[0])
 
 
 @pytest.mark.parametrize("noise", [rp.noise.NoiseModel((1e-4,), step=0.002), rp.noise.time_of_flight(1e-4)], ids=str)
@@ -206,6 +285,18 @@ def test_tiles_without_a_pixel_add_nothing(rng):
     np.testing.assert_allclose(union._pixels.error_sums[:, :3], sums[:, :3], rtol=2e-3)
     np.testing.assert_allclose(union._pixels.error_sums[:, 3:], sums[:, 3:], atol=1e-2 * sums[:, 5:].max())
     assert union.p_value[0] == pytest.approx(mask.p_value[0], abs=0.1)
+
+
+def test_tiles_of_a_column_of_pixels_have_no_width(rng):
+    """What rounding leaves of it was divided by."""
+    camera = replace(CAMERA, noise=NOISES["time of flight"])
+    (depth,), seen = measured_floor(camera, 1, rng)
+    for column in range(8):
+        shown = np.where(np.arange(128) % 8 == column, depth, 0.0)
+        union = rp.merge(rp.fit_tiles(shown, camera, 8), np.ones((12, 16), int))
+        mask = rp.fit_labels(shown, camera, seen, max_missing=1.0)
+        np.testing.assert_allclose(union._pixels.error_sums, mask._pixels.error_sums, rtol=0.02, atol=1e-6)
+        np.testing.assert_allclose(union.angle_std, mask.angle_std, rtol=0.02)
 
 
 def test_constant_noise_needs_no_sums(rng):

@@ -12,20 +12,21 @@ from rgbd_planes.tile_grid import tile_windows
 Floats = npt.NDArray[np.float64]
 
 # Read-only, like every array here: Numba would compile the kernels again for a writable one.
-EVEN: Floats = np.empty(0)
+EVEN: Floats = np.empty((2, 0))
 """`growth_of_parts` where nothing grows."""
 EVEN.flags.writeable = False
 
 
 def growth_of_pixels(camera: Camera) -> Floats:
     """(H, W) float64: the variance of q before rounding, as a multiple of that on the axis; (0, 1) without falloff."""
-    return _of_pixels(camera) if _grows(camera) else EVEN[:, None]
+    return _of_pixels(camera) if _grows(camera) else EVEN[0, :, None]
 
 
 def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
-    """(N,) float64: means of `growth_of_pixels` over parts of the image; (0,) without falloff.
+    """(2, N) float64: means of `growth_of_pixels` over parts of the image, and variances of its logarithm.
 
-    ``footprint`` is that of `ray_pitch.pitch_square`. Over pixels that the lens has a ray for; 1 where there are none.
+    ``footprint`` is that of `ray_pitch.pitch_square`. Over pixels that the lens has a ray for; 1 and 0 where there are
+    none. (2, 0) without falloff.
     """
     return _of_parts(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
 
@@ -36,7 +37,9 @@ def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
         return EVEN
     top, left, height, width = windows.T
     table, bottom, right = _summed(camera), top + height, left + width
-    return _mean(*(table[:, bottom, right] - table[:, top, right] - table[:, bottom, left] + table[:, top, left]))
+    return _mean_and_spread(
+        *(table[:, bottom, right] - table[:, top, right] - table[:, bottom, left] + table[:, top, left])
+    )
 
 
 def growth_of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
@@ -59,7 +62,7 @@ def _of_pixels(camera: Camera) -> Floats:
 @functools.lru_cache(maxsize=8)
 def _of_parts(camera: Camera, footprint: bytes) -> Floats:
     parts = np.frombuffer(footprint, np.int64).reshape(-1, 5)
-    return _mean(*means_over(_of_seen(camera), parts))
+    return _mean_and_spread(*means_over(_of_seen(camera), parts))
 
 
 @functools.lru_cache(maxsize=8)
@@ -69,18 +72,20 @@ def _of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
 
 @functools.lru_cache(maxsize=2)
 def _summed(camera: Camera) -> Floats:
-    """(2, H + 1, W + 1): summed-area tables of the growth, and of the pixels that the lens has a ray for."""
+    """(4, H + 1, W + 1): summed-area tables of `_of_seen`."""
     return np.pad(_of_seen(camera).cumsum(axis=1).cumsum(axis=2), ((0, 0), (1, 0), (1, 0)))
 
 
 def _of_seen(camera: Camera) -> Floats:
-    """(2, H, W): growth, and 1; 0 where a fisheye lens has no ray."""
+    """(4, H, W): growth, its logarithm and the square of that, and 1; 0 where a fisheye lens has no ray."""
     growth, without_ray = growth_of_pixels(camera), camera._without_ray
     seen = np.ones(growth.shape) if without_ray is None else (~without_ray).astype(np.float64)
-    return np.stack([growth * seen, seen])
+    logarithm = np.log(growth)
+    return np.stack([growth * seen, logarithm * seen, logarithm * logarithm * seen, seen])
 
 
-def _mean(sums: Floats, count: Floats) -> Floats:
-    made: Floats = np.divide(sums, count, out=np.ones_like(sums), where=count > 0.0)
+def _mean_and_spread(*sums: Floats) -> Floats:
+    mean, logarithm, square = np.divide(sums[:3], sums[3], out=np.zeros((3, *sums[0].shape)), where=sums[3] > 0.0)
+    made: Floats = np.stack([np.where(sums[3] > 0.0, mean, 1.0), square - logarithm**2])
     made.flags.writeable = False
     return made
