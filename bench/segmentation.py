@@ -29,7 +29,7 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import curved_scenes
+from bench import block_scenes, curved_scenes
 from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes
@@ -234,6 +234,14 @@ def curved() -> list[Frame]:
     return frames
 
 
+def blocks(sensor: block_scenes.Sensor, seeds: int) -> list[Frame]:
+    """Random blocks as a sensor measures them."""
+    measured = [block_scenes.measure(sensor, seed) for seed in range(seeds)]
+    return [
+        Frame(f"blocks {i}, {sensor.name}", depth, sensor.camera, truth) for i, (depth, truth) in enumerate(measured)
+    ]
+
+
 def opencv_planes() -> Callable[[Frame], NDArray[np.int32]] | None:
     """OpenCV 5's ``findPlanes`` with its own normals and defaults, where it is installed."""
     try:
@@ -402,6 +410,8 @@ def rendered_sets() -> Iterator[tuple[str, list[Frame]]]:
     for pixels in (2.5, 4.0):
         name = f"furnished room, errors smoothed by {pixels:g}"
         yield name, smoothed(scenes.room(), name, pixels, 5)
+    for sensor in block_scenes.SENSORS:
+        yield f"random blocks, {sensor.name}", blocks(sensor, 20)
 
 
 def measure() -> dict[str, Any]:

@@ -633,7 +633,7 @@ def test_a_sensors_noise_costs_no_planes_where_neighbours_share_their_errors(pix
 
     assert correct(SimpleNamespace(sigma=lambda q: 2e-3 + 0.0 * q)) >= correct(None) >= 12
     assert correct(estimate_noise([depth], CAMERA)) >= correct(None) - 1
-    assert correct(2e-3) < correct(None)  # a number is taken at its word
+    assert correct(3e-3) < correct(None)  # a number is taken at its word
 
 
 @pytest.mark.parametrize("pixels", [2.5, 4.0])

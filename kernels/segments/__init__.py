@@ -2,8 +2,8 @@
 
 - `search` reads a frame, with `blocks`
 - `frame_noise` finds the noise of the frame, with `noise_estimation` and `reach`
-- `search` finds planes and labels: with `regions`, which uses `joining`, `growth`, `merge`, `pixels` with `settled` and
-  `contest`, and `shape` with `facets`; with `parts`, which uses `runs`; with `gaps`, `labels` and `rims`
+- `search` finds planes and labels: with `regions`, which uses `joining`, `growth`, `merge` with `folds`, `pixels` with
+  `settled` and `contest`, and `shape` with `facets`; with `parts`, which uses `runs`; with `gaps`, `labels` and `rims`
 - `inside` fits the planes, with `unevenness`; `planes` describes them; `labels` settles strays
 
 `records` holds what they hand on; many use `moments` and `noise`.

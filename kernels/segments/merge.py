@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
-from .moments import difference, fit, rise, solve
+from .moments import difference, rise, solve
 from .noise import sensor_variance, variance, waviness
 
 # A region this many times larger than its neighbour takes in several of them at a time.
@@ -367,24 +367,6 @@ def keep_pairs_inside(contacts, parent, chosen):
                 where[kept, k] = where[i, k]
             kept += 1
     return kept
-
-
-@kernel()
-def find_rough(moments, parent, noise, rough, chosen):
-    """Mark the regions whose residual is above ``rough`` standard deviations: they are several planes.
-
-    ``chosen`` is (N,) bool, written; returns whether there are any.
-    """
-    alpha = np.empty(3)
-    found = False
-    for a in range(len(parent)):
-        chosen[a] = False
-        rss = fit(moments[a], alpha) if parent[a] == a else -1.0
-        if rss >= 0.0:
-            allowed = variance(moments[a], alpha, noise) * waviness(moments[a, 0], noise.growth) ** 2
-            chosen[a] = rss > rough * rough * allowed * moments[a, 0]
-            found |= chosen[a]
-    return found
 
 
 @kernel()

@@ -6,11 +6,11 @@ In rounds: from joined blocks to regions, from regions to the pixels they own, a
 import numpy as np
 
 from .._jit import kernel
-from ..copying import copy
 from .blocks import EMPTY
+from .folds import part_again
 from .growth import grow_together
 from .joining import join_blocks, leaves
-from .merge import find_rough, keep_pairs_inside, merge, neighbours, number_regions, rename_pairs, renumber
+from .merge import merge, neighbours, number_regions, rename_pairs, renumber
 from .moments import misfit
 from .noise import in_square
 from .pixels import own_pixels
@@ -84,8 +84,7 @@ def merge_and_own(
     Parameters
     ----------
     inverse_depth, rays, pyramid, noise, rules, least, owners, contended, sums
-        See `find_regions`. Regions with a residual above ``rules.rough`` standard deviations are merged anew, with half
-        the tolerance.
+        See `find_regions`.
     sensor, state
         See `joining.join_blocks`.
     region : (R, C) int32, written
@@ -117,17 +116,9 @@ def merge_and_own(
         first = Contacts(contacts.pairs[:pair_count].copy(), contacts.where[:pair_count].copy(), contacts.table)
         parent = np.empty(count, np.int64)
         pair_count = merge(moments[:count], contacts, pair_count, noise, rules, 1.0, parent)
-        several = np.empty(count, np.bool_)
-        is_rough = find_rough(moments, parent, noise, rules.rough, several)
-        if is_rough:
-            again = np.empty(count, np.int64)
-            merge(first_moments, first, keep_pairs_inside(first, parent, several), noise, rules, 0.5, again)
-            for a in range(count):
-                if several[parent[a]]:
-                    copy(first_moments[a], moments[a])
-                else:
-                    again[a] = parent[a]
-            parent = again
+        is_parted = part_again(
+            region, pyramid, owners, shares, moments[:count], first_moments, first, noise, rules, parent
+        )  # fmt: skip
         number = np.empty(count, np.int64)
         merged = number_regions(parent, moments, least if trip else 0.0, number)
         renumber(region, number)
@@ -137,7 +128,7 @@ def merge_and_own(
             for a in range(count):
                 if number[a] >= 0:
                     squares[number[a]] += own_squares[a]
-            if is_rough or not rename_pairs(contacts.pairs, pair_count, number):
+            if is_parted or not rename_pairs(contacts.pairs, pair_count, number):
                 pair_count = neighbours(region, rays, contacts)
             return number, merged, shares, pair_count
         count = merged

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import root_of, unite
-from .blocks import MIXED
+from .blocks import MIXED, UNSEEN
 from .facets import find_faceted, turn_of_groups
 from .moments import jump_at
 from .noise import about_plane, sensor_variance
@@ -86,7 +86,7 @@ def owned_means(owners, shares, number, region, pyramid):
                 continue
             n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
             i = row * region.shape[1] + column
-            if owners.block[row, column] >= 0:
+            if owners.block[row, column] >= 0 or owners.block[row, column] == UNSEEN:
                 n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
             elif owners.block[row, column] == MIXED:
                 first = owners.first[row, column]
@@ -212,8 +212,8 @@ def eliminate(products, first, stop):
 
 
 @kernel()
-def second_derivatives(products, scale, deviation, h):
-    """Write the quadric's second derivatives, after `eliminate`: h[0], h[1], h[2] = q_uu, q_uv, q_vv."""
+def second_derivatives(products, scale, deviation):
+    """The quadric's second derivatives q_uu, q_uv, q_vv, after `eliminate`."""
     c = np.zeros(TERMS)
     for k in range(TERMS - 1, PLANE_TERMS - 1, -1):
         if products[k, k] > 0.0:
@@ -222,7 +222,7 @@ def second_derivatives(products, scale, deviation, h):
                 total -= products[k, i] * c[i]
             c[k] = total / products[k, k]
     unit = deviation / (scale * scale)
-    h[0], h[1], h[2] = 2.0 * c[3] * unit, c[4] * unit, 2.0 * c[5] * unit
+    return 2.0 * c[3] * unit, c[4] * unit, 2.0 * c[5] * unit
 
 
 @kernel()
@@ -258,15 +258,52 @@ def step_of(window):
 
 
 @kernel()
-def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent):
-    """How far the normals of each region turn within it: mean squared angle, 0 where noise explains it.
+def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, products):
+    """How far the normals of a region turn within it: mean squared angle, 0 where noise explains it.
 
-    ``turned`` (N,) float64 is written, and ``bent`` (N,) bool: whether that is more than a sensor's bias.
+    Parameters
+    ----------
+    region, means
+        See `owned_means`.
+    a : int
+        The region.
+    box : (N, 4) int64
+        See `boxes`.
+    m, alpha : (10,) and (3,) float64
+        Its moments and its plane.
+    variance, waviness_square : float
+        Of a pixel about the plane, without the waviness.
+    rules : Rules
+    products : (7, 7) float64
+        Room.
+
+    Returns
+    -------
+    float, bool
+        The latter: whether the region is bent by more than a sensor's bias.
+    """
+    deviation, scale, step = math.sqrt(variance), extent(m), step_of(box[a])
+    centre = m[1] / m[0], m[2] / m[0]
+    products[:] = 0.0
+    pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, products)
+    if pixels == 0.0:
+        return 0.0, False
+    flat = eliminate(products, 0, PLANE_TERMS)
+    drop = flat - eliminate(products, PLANE_TERMS, TERMS)
+    turned = 0.0
+    if drop * step * step > rules.region_spread * waviness_square:
+        turned = turn(m, alpha, second_derivatives(products, scale, deviation))
+    return turned, drop > rules.bent * waviness_square * pixels
+
+
+@kernel()
+def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent):
+    """How far the normals of each region turn within it, and whether it is bent: see `own_turn`.
+
+    ``turned`` (N,) float64 and ``bent`` (N,) bool are written.
     """
     alpha, slope_variance, waviness_square, stretch, _ = planes
     products = np.empty((TERMS + 1, TERMS + 1))
-    h = np.empty(3)
-    centre = np.empty(2)
     for a in range(len(turned)):
         turned[a] = 0.0
         bent[a] = False
@@ -274,22 +311,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
         if breadth(box[a]) < FEWEST_ACROSS or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
-        deviation = math.sqrt(variance)
-        centre[0], centre[1] = m[1] / m[0], m[2] / m[0]
-        scale = extent(m)
-        products[:] = 0.0
-        step = step_of(box[a])
-        pixels = add_blocks(
-            region, means, a, box, alpha[a], deviation, box[a], step, centre, scale, products
-        )  # fmt: skip
-        if pixels == 0.0:
-            continue
-        flat = eliminate(products, 0, PLANE_TERMS)
-        drop = flat - eliminate(products, PLANE_TERMS, TERMS)
-        bent[a] = drop > rules.bent * waviness_square[a] * pixels
-        if drop * step * step > rules.region_spread * waviness_square[a]:
-            second_derivatives(products, scale, deviation, h)
-            turned[a] = turn(m, alpha[a], h)
+        turned[a], bent[a] = own_turn(region, means, a, box, m, alpha[a], variance, waviness_square[a], rules, products)
 
 
 @kernel()
@@ -321,7 +343,7 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
     window[2], window[3] = max(box[a, 2] - wide, 0), min(box[a, 3] + wide, region.shape[1])
     variance = sensor_variance(m[3] / m[0], sigma) + stretch[a] * min(slope_variance[a], slope_variance[b])
     deviation = math.sqrt(variance)
-    centre = np.array([m[1] / m[0], m[2] / m[0]])
+    centre = m[1] / m[0], m[2] / m[0]
     scale = extent(m)
     step = step_of(box[a])
     products = np.zeros((2, TERMS + 1, TERMS + 1))

@@ -1,0 +1,233 @@
+"""Segmentation: regions that were joined and are several planes.
+
+Some are too rough to be one plane. Others are faces that meet in an edge: the faces of something small differ by so
+little that a sensor might bend a plane as much, but they meet at an angle to which no sensor bends one. Such a region
+would count as curved. Of something curved, one quadric fits better than planes do; faces fit better as they are.
+"""
+
+import math
+
+import numpy as np
+
+from .._jit import kernel
+from ..copying import copy
+from .merge import keep_pairs_inside, merge
+from .moments import fit
+from .noise import variance, waviness
+from .shape import MARGIN, PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
+
+# Share of the tolerances with which parts are joined anew.
+STRICT = 0.5
+# Pixels of a part that is a face.
+FACE = 100
+# Variances by which each face must fit better, times the pixels that share an error: of χ²(3) one in fifty is 10.
+SURE = 10.0
+
+
+@kernel()
+def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
+    """Mark the joined regions that are several planes, and those that may be.
+
+    Parameters
+    ----------
+    moments, first_moments : (N, 10) float64
+        Of the regions that are left, and of all before they were joined.
+    parent : (N,) int64
+        The region that each one went into.
+    noise : Noise
+    rules : Rules
+    rough : (N,) bool, written
+        Those with a residual above ``rough`` standard deviations.
+    several : (N,) bool, written
+        The others with two or more parts that may be faces, turned against each other, and a residual nearly as
+        large as that of a curved region.
+
+    Returns
+    -------
+    bool
+        Whether there are any.
+    """
+    alpha = np.empty(3)
+    faces = np.zeros(len(parent), np.int64)
+    for a in range(len(parent)):
+        faces[parent[a]] += first_moments[a, 0] >= FACE
+    found = uneven = False
+    for a in range(len(parent)):
+        rough[a] = several[a] = False
+        rss = fit(moments[a], alpha) if parent[a] == a else -1.0
+        if rss >= 0.0:
+            n = moments[a, 0]
+            allowed = n * variance(moments[a], alpha, noise) * waviness(n, noise.growth) ** 2
+            rough[a] = rss > rules.rough**2 * allowed
+            several[a] = faces[a] > 1 and not rough[a] and rss > (0.5 + rules.bent) * allowed
+            found |= rough[a]
+            uneven |= several[a]
+    if not uneven:
+        return found
+    normal, pixels = np.zeros((len(parent), 3)), np.zeros(len(parent))
+    for a in range(len(parent)):
+        root, n = parent[a], first_moments[a, 0]
+        if several[root] and n >= FACE and fit(first_moments[a], alpha) >= 0.0:
+            length = math.sqrt(alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2)
+            pixels[root] += n
+            for k in range(3):
+                normal[root, k] += n * alpha[k] / length
+    for a in range(len(parent)):
+        if several[a]:
+            # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
+            mean = (normal[a, 0] ** 2 + normal[a, 1] ** 2 + normal[a, 2] ** 2) / max(pixels[a], 1.0) ** 2
+            several[a] = 1.0 - mean > 0.5 * math.radians(rules.sharp) ** 2
+            found |= several[a]
+    return found
+
+
+@kernel()
+def label_blocks(region, numbers, parent, chosen, labels):
+    """Write ``numbers`` of the blocks' regions to ``labels``, (R, C) int32; -1 outside what went into chosen ones."""
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            labels[row, column] = numbers[a] if a >= 0 and chosen[parent[a]] else -1
+
+
+@kernel()
+def keep_bent(labels, means, moments, noise, rules, chosen):
+    """Of the chosen regions, keep those chosen that would count as curved by themselves.
+
+    Parameters
+    ----------
+    labels : (R, C) int32
+        The region of each block.
+    means : (R, C, 4) float32
+        See `shape.owned_means`.
+    moments : (N, 10) float64
+    noise : Noise
+    rules : Rules
+    chosen : (N,) bool, changed
+
+    Returns
+    -------
+    bool
+        Whether there are any.
+    """
+    alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
+    products = np.empty((TERMS + 1, TERMS + 1))
+    boxes(labels, box)
+    found = False
+    for a in range(len(chosen)):
+        if chosen[a]:
+            m = moments[a]
+            fit(m, alpha)
+            of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
+            turned, bent = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
+            chosen[a] = bent and turned > math.radians(rules.sharp) ** 2
+            found |= chosen[a]
+    return found
+
+
+@kernel()
+def planes_fit_better(products):
+    """By how much planes fit parts better than one quadric does, and than one plane: differences of sums of squares.
+
+    ``products`` (K, 7, 7) are those of `shape.add_blocks` for each part.
+    """
+    joint = np.zeros((TERMS + 1, TERMS + 1))
+    planes = 0.0
+    for k in range(len(products)):
+        joint += products[k]
+        planes += eliminate(products[k].copy(), 0, PLANE_TERMS)
+    flat = eliminate(joint, 0, PLANE_TERMS)
+    return eliminate(joint, PLANE_TERMS, TERMS) - planes, flat - planes
+
+
+@kernel()
+def keep_faces(labels, means, moments, first_moments, parent, again, noise, chosen):
+    """Of the chosen regions, keep those chosen whose parts are faces: planes that meet in edges.
+
+    Every two of them, and all together, are fitted better by planes than by one quadric. Arguments as in `keep_bent`,
+    but ``labels`` are the parts, ``first_moments`` theirs; ``parent`` and ``again``, (N,) int64, say which region and
+    which part each of the first ones went into.
+    """
+    alpha = np.empty(3)
+    box, window = np.empty((len(chosen), 4), np.int64), np.empty(4, np.int64)
+    boxes(labels, box)
+    for root in range(len(chosen)):
+        if not chosen[root]:
+            continue
+        faces = [a for a in range(len(parent)) if parent[a] == root and again[a] == a and first_moments[a, 0] >= FACE]
+        window[0], window[1], window[2], window[3] = labels.shape[0], 0, labels.shape[1], 0
+        for a in faces:
+            window[0], window[1] = min(window[0], box[a, 0]), max(window[1], box[a, 1])
+            window[2], window[3] = min(window[2], box[a, 2]), max(window[3], box[a, 3])
+        m = moments[root]
+        fit(m, alpha)
+        deviation = math.sqrt(variance(m, alpha, noise))
+        centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), step_of(window)
+        products = np.zeros((len(faces), TERMS + 1, TERMS + 1))
+        for k, a in enumerate(faces):
+            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, products[k])
+        better, bend = planes_fit_better(products)
+        sure = SURE * noise.together * waviness(m[0], noise.growth) ** 2 / (step * step)
+        are_faces = better > max(MARGIN * bend, sure * (len(faces) - 1))
+        for k in range(len(faces)):
+            for i in range(k if len(faces) > 2 else 0):
+                better, bend = planes_fit_better(products[i : k + 1 : k - i])
+                are_faces &= better > MARGIN * bend or bend < sure
+        chosen[root] = are_faces
+
+
+@kernel()
+def part_again(region, pyramid, owners, shares, moments, first_moments, first, noise, rules, parent):
+    """Part the regions that were joined and are several planes.
+
+    Parameters
+    ----------
+    region : (R, C) int32
+        Region of each block before they were joined, or -1.
+    pyramid, owners, shares
+        See `shape.owned_means`.
+    moments : (N, 10) float64
+        Of the joined regions; changed.
+    first_moments : (N, 10) float64
+        Of the regions before.
+    first : Contacts
+        Of them; changed.
+    noise : Noise
+    rules : Rules
+    parent : (N,) int64, changed
+        The region that each one went into.
+
+    Returns
+    -------
+    bool
+        Whether there were any.
+    """
+    rough, several = np.empty(len(parent), np.bool_), np.empty(len(parent), np.bool_)
+    if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
+        return False
+    labels = np.empty_like(region)
+    label_blocks(region, parent, parent, several, labels)
+    means = owned_means(owners, shares, parent, labels, pyramid)
+    parted = keep_bent(labels, means, moments, noise, rules, several)
+    for a in range(len(parent)):
+        parted |= rough[a]
+        rough[a] |= several[a]
+    if not parted:
+        return False
+    again = np.empty(len(parent), np.int64)
+    merge(first_moments, first, keep_pairs_inside(first, parent, rough), noise, rules, STRICT, again)
+    label_blocks(region, again, parent, several, labels)
+    means = owned_means(owners, shares, again, labels, pyramid)
+    bent = several.copy()
+    keep_faces(labels, means, moments, first_moments, parent, again, noise, several)
+    parted = False
+    for a in range(len(parent)):
+        rough[a] &= several[a] or not bent[a]
+        parted |= rough[a]
+    for a in range(len(parent)):
+        if rough[parent[a]]:
+            copy(first_moments[a], moments[a])
+        else:
+            again[a] = parent[a]
+    copy(again, parent)
+    return parted
