@@ -104,16 +104,10 @@ def keep_bent(labels, means, moments, noise, rules, chosen):
     noise : Noise
     rules : Rules
     chosen : (N,) bool, changed
-
-    Returns
-    -------
-    bool
-        Whether there are any.
     """
     alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
     products = np.empty((TERMS + 1, TERMS + 1))
     boxes(labels, box)
-    found = False
     for a in range(len(chosen)):
         if chosen[a]:
             m = moments[a]
@@ -121,8 +115,6 @@ def keep_bent(labels, means, moments, noise, rules, chosen):
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
             turned, bent = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
             chosen[a] = bent and turned > math.radians(rules.sharp) ** 2
-            found |= chosen[a]
-    return found
 
 
 @kernel()
@@ -206,28 +198,23 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
         return False
     labels = np.empty_like(region)
-    label_blocks(region, parent, parent, several, labels)
-    means = owned_means(owners, shares, parent, labels, pyramid)
-    parted = keep_bent(labels, means, moments, noise, rules, several)
-    for a in range(len(parent)):
-        parted |= rough[a]
-        rough[a] |= several[a]
-    if not parted:
+    if np.any(several):
+        label_blocks(region, parent, parent, several, labels)
+        keep_bent(labels, owned_means(owners, shares, parent, labels, pyramid), moments, noise, rules, several)
+    chosen = rough | several
+    if not np.any(chosen):
         return False
     again = np.empty(len(parent), np.int64)
-    merge(first_moments, first, keep_pairs_inside(first, parent, rough), noise, rules, STRICT, again)
-    label_blocks(region, again, parent, several, labels)
-    means = owned_means(owners, shares, again, labels, pyramid)
-    bent = several.copy()
-    keep_faces(labels, means, moments, first_moments, parent, again, noise, several)
-    parted = False
+    merge(first_moments, first, keep_pairs_inside(first, parent, chosen), noise, rules, STRICT, again)
+    if np.any(several):
+        label_blocks(region, again, parent, several, labels)
+        means = owned_means(owners, shares, again, labels, pyramid)
+        keep_faces(labels, means, moments, first_moments, parent, again, noise, several)
+    chosen = rough | several
     for a in range(len(parent)):
-        rough[a] &= several[a] or not bent[a]
-        parted |= rough[a]
-    for a in range(len(parent)):
-        if rough[parent[a]]:
+        if chosen[parent[a]]:
             copy(first_moments[a], moments[a])
         else:
             again[a] = parent[a]
     copy(again, parent)
-    return parted
+    return np.any(chosen)
