@@ -81,6 +81,15 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
     return found
 
 
+@kernel(inline="compiled")
+def any_of(chosen):
+    """Whether any is chosen: NumPy's own would bring in its linear algebra, see `_cache`."""
+    found = False
+    for a in range(len(chosen)):
+        found |= chosen[a]
+    return found
+
+
 @kernel()
 def label_blocks(region, numbers, parent, chosen, labels):
     """Write ``numbers`` of the blocks' regions to ``labels``, (R, C) int32; -1 outside what went into chosen ones."""
@@ -198,15 +207,15 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
         return False
     labels = np.empty_like(region)
-    if np.any(several):
+    if any_of(several):
         label_blocks(region, parent, parent, several, labels)
         keep_bent(labels, owned_means(owners, shares, parent, labels, pyramid), moments, noise, rules, several)
     chosen = rough | several
-    if not np.any(chosen):
+    if not any_of(chosen):
         return False
     again = np.empty(len(parent), np.int64)
     merge(first_moments, first, keep_pairs_inside(first, parent, chosen), noise, rules, STRICT, again)
-    if np.any(several):
+    if any_of(several):
         label_blocks(region, again, parent, several, labels)
         means = owned_means(owners, shares, again, labels, pyramid)
         keep_faces(labels, means, moments, first_moments, parent, again, noise, several)
@@ -217,4 +226,4 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
         else:
             again[a] = parent[a]
     copy(again, parent)
-    return np.any(chosen)
+    return any_of(chosen)
