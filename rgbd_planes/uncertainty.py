@@ -205,8 +205,7 @@ def transform_planes(
     """
     plane = shaped_array("planes", planes, (4,))
     covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
-    motion = shaped_array("transform", transform, (4, 4))
-    motion = as_motion("transform", motion)
+    motion = as_motion("transform", shaped_array("transform", transform, (4, 4)))
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
     pose = None if transform_covariance is None else shaped_array("transform_covariance", transform_covariance, (6, 6))
     _leading(

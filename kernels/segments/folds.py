@@ -11,6 +11,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
+from .facets import turn_of_groups
 from .merge import keep_pairs_inside, merge
 from .moments import fit
 from .noise import variance, waviness
@@ -64,20 +65,15 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
             uneven |= several[a]
     if not uneven:
         return found
-    normal, pixels = np.zeros((len(parent), 3)), np.zeros(len(parent))
+    alphas = np.full((len(parent), 3), np.inf)
     for a in range(len(parent)):
-        root, n = parent[a], first_moments[a, 0]
-        if several[root] and n >= FACE and fit(first_moments[a], alpha) >= 0.0:
-            length = math.sqrt(alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2)
-            pixels[root] += n
-            for k in range(3):
-                normal[root, k] += n * alpha[k] / length
+        if several[parent[a]] and first_moments[a, 0] >= FACE and fit(first_moments[a], alpha) >= 0.0:
+            copy(alpha, alphas[a])
+    turn_square, pixels = np.empty(len(parent)), np.empty(len(parent))
+    turn_of_groups(parent, first_moments, alphas, np.zeros(len(parent)), turn_square, pixels, faces)
     for a in range(len(parent)):
-        if several[a]:
-            # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
-            mean = (normal[a, 0] ** 2 + normal[a, 1] ** 2 + normal[a, 2] ** 2) / max(pixels[a], 1.0) ** 2
-            several[a] = 1.0 - mean > 0.5 * math.radians(rules.sharp) ** 2
-            found |= several[a]
+        several[a] &= turn_square[a] > 0.5 * math.radians(rules.sharp) ** 2
+        found |= several[a]
     return found
 
 
