@@ -8,6 +8,7 @@ from rgbd_planes import segment
 from rgbd_planes.kernels.segments import folds
 from rgbd_planes.kernels.segments.records import Noise
 from rgbd_planes.kernels.segments.shape import PLANE_TERMS, TERMS
+from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
 
 SIGMA = 1e-3
@@ -106,3 +107,11 @@ def test_faces_of_small_blocks_are_no_curved_surface(sensor, seed):
     sensor = block_scenes.SENSORS[sensor]
     depth, _ = block_scenes.measure(sensor, seed)
     assert np.count_nonzero(segment(depth, sensor.camera).reason == Reason.CURVED) < 100
+
+
+@pytest.mark.parametrize(("sensor", "seed"), [(0, 74), (1, 28), (1, 65), (1, 73)])
+def test_faces_that_meet_at_blunt_angles_are_apart(sensor, seed):
+    """They are turned against each other by less than what counts as curved."""
+    sensor = block_scenes.SENSORS[sensor]
+    depth, truth = block_scenes.measure(sensor, seed)
+    assert compare_labels(segment(depth, sensor.camera).labels, truth).hoover(0.8).under_segmented == 0

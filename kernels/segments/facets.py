@@ -39,15 +39,15 @@ def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
 
 
 @kernel()
-def turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members):
+def turn_of_groups(parent, weight, alpha, turned, turn_square, total, members):
     """Mean squared angle of the normals of each group of regions about their mean, written at the group's root.
 
     ``parent`` (N,) leads to the roots; ``turned`` (N,) is the mean squared angle of the normals within each region.
-    Also written: ``pixels`` (N,) and ``members`` (N,) of each group.
+    Also written: ``total`` (N,), the sum of the ``weight`` (N,), and ``members`` (N,) of each group.
     """
     regions = len(parent)
     normal = np.zeros((regions, 3))
-    turn_square[:] = pixels[:] = 0.0
+    turn_square[:] = total[:] = 0.0
     members[:] = 0
     for a in range(regions):
         if not alpha[a, 0] < math.inf:
@@ -55,15 +55,15 @@ def turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, m
         root = root_of(parent, a)
         length = math.sqrt(alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2)
         for k in range(3):
-            normal[root, k] += region_moments[a, 0] * alpha[a, k] / length
-        pixels[root] += region_moments[a, 0]
-        turn_square[root] += region_moments[a, 0] * turned[a]
+            normal[root, k] += weight[a] * alpha[a, k] / length
+        total[root] += weight[a]
+        turn_square[root] += weight[a] * turned[a]
         members[root] += 1
     for a in range(regions):
-        if pixels[a] > 0.0:
-            mean = (normal[a, 0] ** 2 + normal[a, 1] ** 2 + normal[a, 2] ** 2) / pixels[a] ** 2
+        if total[a] > 0.0:
+            mean = (normal[a, 0] ** 2 + normal[a, 1] ** 2 + normal[a, 2] ** 2) / total[a] ** 2
             # 1 - |mean normal|² is the mean squared sine of the normals about their mean.
-            turn_square[a] = 1.0 - mean + turn_square[a] / pixels[a]
+            turn_square[a] = 1.0 - mean + turn_square[a] / total[a]
 
 
 @kernel()
@@ -86,7 +86,7 @@ def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, co
             a, b = pairs[i, 0], pairs[i, 1]
             if way == bend_of(a, b, region_moments[a], region_moments[b], where[i], alpha, rays, blunt):
                 unite(parent, a, b)
-        turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members)
+        turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
         largest[:] = 0.0
         for a in range(regions):
             root = root_of(parent, a)

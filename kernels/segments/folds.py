@@ -1,8 +1,8 @@
 """Segmentation: regions that were joined and are several planes.
 
 Some are too rough to be one plane. Others are faces that meet in an edge: the faces of something small differ by so
-little that a sensor might bend a plane as much, but they meet at an angle to which no sensor bends one. Such a region
-would count as curved. Of something curved, one quadric fits better than planes do; faces fit better as they are.
+little that a sensor might bend a plane as much, but a sensor makes no edges. Of what is bent, by a sensor or because it
+is curved, one quadric fits better than planes do; faces fit better as they are.
 """
 
 import math
@@ -21,6 +21,8 @@ from .shape import MARGIN, PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, ext
 STRICT = 0.5
 # Pixels of a part that is a face.
 FACE = 100
+# Root mean square angle by which the normals of faces turn, and those of the quadric that fits them best.
+TURNED = math.radians(4.0)
 # Variances by which each face must fit better, times the pixels that share an error: of χ²(3) one in fifty is 10.
 SURE = 10.0
 
@@ -40,8 +42,8 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
     rough : (N,) bool, written
         Those with a residual above ``rough`` standard deviations.
     several : (N,) bool, written
-        The others with two or more parts that may be faces, turned against each other, and a residual nearly as
-        large as that of a curved region.
+        The others with two or more parts that may be faces, turned against each other, and a residual larger than
+        that of a plane.
 
     Returns
     -------
@@ -60,19 +62,20 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
             n = moments[a, 0]
             allowed = n * variance(moments[a], alpha, noise) * waviness(n, noise.growth) ** 2
             rough[a] = rss > rules.rough**2 * allowed
-            several[a] = faces[a] > 1 and not rough[a] and rss > (0.5 + rules.bent) * allowed
+            several[a] = faces[a] > 1 and not rough[a] and rss > allowed
             found |= rough[a]
             uneven |= several[a]
     if not uneven:
         return found
-    alphas = np.full((len(parent), 3), np.inf)
+    alphas, weight = np.full((len(parent), 3), np.inf), np.empty(len(parent))
     for a in range(len(parent)):
+        weight[a] = first_moments[a, 0] ** 2  # noise turns normals by 1/n
         if several[parent[a]] and first_moments[a, 0] >= FACE and fit(first_moments[a], alpha) >= 0.0:
             copy(alpha, alphas[a])
-    turn_square, pixels = np.empty(len(parent)), np.empty(len(parent))
-    turn_of_groups(parent, first_moments, alphas, np.zeros(len(parent)), turn_square, pixels, faces)
+    turn_square, total = np.empty(len(parent)), np.empty(len(parent))
+    turn_of_groups(parent, weight, alphas, np.zeros(len(parent)), turn_square, total, faces)
     for a in range(len(parent)):
-        several[a] &= turn_square[a] > 0.5 * math.radians(rules.sharp) ** 2
+        several[a] &= turn_square[a] > TURNED**2
         found |= several[a]
     return found
 
@@ -96,8 +99,8 @@ def label_blocks(region, numbers, parent, chosen, labels):
 
 
 @kernel()
-def keep_bent(labels, means, moments, noise, rules, chosen):
-    """Of the chosen regions, keep those chosen that would count as curved by themselves.
+def keep_turned(labels, means, moments, noise, rules, chosen):
+    """Of the chosen regions, keep those chosen whose normals turn: those of the quadric that fits them best.
 
     Parameters
     ----------
@@ -118,8 +121,8 @@ def keep_bent(labels, means, moments, noise, rules, chosen):
             m = moments[a]
             fit(m, alpha)
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, bent = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
-            chosen[a] = bent and turned > math.radians(rules.sharp) ** 2
+            turned, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
+            chosen[a] = turned > TURNED**2
 
 
 @kernel()
@@ -141,7 +144,7 @@ def planes_fit_better(products):
 def keep_faces(labels, means, moments, first_moments, parent, again, noise, chosen):
     """Of the chosen regions, keep those chosen whose parts are faces: planes that meet in edges.
 
-    Every two of them, and all together, are fitted better by planes than by one quadric. Arguments as in `keep_bent`,
+    Every two of them, and all together, are fitted better by planes than by one quadric. Arguments as in `keep_turned`,
     but ``labels`` are the parts, ``first_moments`` theirs; ``parent`` and ``again``, (N,) int64, say which region and
     which part each of the first ones went into.
     """
@@ -205,7 +208,7 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     labels = np.empty_like(region)
     if any_of(several):
         label_blocks(region, parent, parent, several, labels)
-        keep_bent(labels, owned_means(owners, shares, parent, labels, pyramid), moments, noise, rules, several)
+        keep_turned(labels, owned_means(owners, shares, parent, labels, pyramid), moments, noise, rules, several)
     chosen = rough | several
     if not any_of(chosen):
         return False

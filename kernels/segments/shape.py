@@ -417,7 +417,7 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
             unite(parent, a, b)
             bent[root_of(parent, a)] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
-    turn_of_groups(parent, region_moments, alpha, turned, turn_square, pixels, members)
+    turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
     for a in range(regions):
         root = root_of(parent, a)
         curved[a] |= bent[root] and turn_square[root] > sharp * sharp
