@@ -1,5 +1,7 @@
 """Segmentation: joined regions that are several planes are parted, and curved ones are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,4 +116,10 @@ def test_faces_that_meet_at_blunt_angles_are_apart(sensor, seed):
     """They are turned against each other by less than what counts as curved."""
     sensor = block_scenes.SENSORS[sensor]
     depth, truth = block_scenes.measure(sensor, seed)
+    assert compare_labels(segment(depth, sensor.camera).labels, truth).hoover(0.8).under_segmented == 0
+
+
+def test_pieces_along_edges_that_have_parts_of_two_faces_do_not_keep_these_together():
+    sensor = replace(block_scenes.SENSORS[1], sigma=5.6e-3)
+    depth, truth = block_scenes.measure(sensor, 34)
     assert compare_labels(segment(depth, sensor.camera).labels, truth).hoover(0.8).under_segmented == 0

@@ -19,8 +19,8 @@ from .shape import MARGIN, PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, ext
 
 # Share of the tolerances with which parts are joined anew.
 STRICT = 0.5
-# Pixels of a part that is a face.
-FACE = 100
+# Pixels of a part that is a face, and the least share of the region: along edges there are parts of both faces.
+FACE, FACE_SHARE = 100, 0.025
 # Root mean square angle by which the normals of faces turn, and those of the quadric that fits them best.
 TURNED = math.radians(4.0)
 # Variances by which each face must fit better, times the pixels that share an error: of χ²(3) one in fifty is 10.
@@ -154,7 +154,8 @@ def keep_faces(labels, means, moments, first_moments, parent, again, noise, chos
     for root in range(len(chosen)):
         if not chosen[root]:
             continue
-        faces = [a for a in range(len(parent)) if parent[a] == root and again[a] == a and first_moments[a, 0] >= FACE]
+        least = max(FACE, FACE_SHARE * moments[root, 0])
+        faces = [a for a in range(len(parent)) if parent[a] == root and again[a] == a and first_moments[a, 0] >= least]
         window[0], window[1], window[2], window[3] = labels.shape[0], 0, labels.shape[1], 0
         for a in faces:
             window[0], window[1] = min(window[0], box[a, 0]), max(window[1], box[a, 1])
