@@ -211,23 +211,22 @@ def take_rest(j, q, square, limit, winner):
 
 
 @kernel(inline=True)
-def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
+def sum_owned(k, winner, q, u, v, owned, pixels):
     """Sum up the pixels that contender ``k`` has, as in `Shares`, and mark them.
 
-    Written to rows 11·k and following of ``owned``, and row k of ``pixels``. Squared residuals count as ``cut`` at
-    most.
+    Written to rows 10·k and following of ``owned``, and row k of ``pixels``.
     """
-    o = 11 * k
+    o = 10 * k
     for n in range(LANES):
         pixels[k, n] = 0
-    for j in range(11):
+    for j in range(10):
         for n in range(LANES):
             owned[o + j, n] = 0.0
     for y in range(BLOCK):
         for n in range(LANES):
             s_n, s_u, s_v, s_q = owned[o, n], owned[o + 1, n], owned[o + 2, n], owned[o + 3, n]
             s_uu, s_uv, s_uq = owned[o + 4, n], owned[o + 5, n], owned[o + 6, n]
-            s_vv, s_vq, s_qq, s_error = owned[o + 7, n], owned[o + 8, n], owned[o + 9, n], owned[o + 10, n]
+            s_vv, s_vq, s_qq = owned[o + 7, n], owned[o + 8, n], owned[o + 9, n]
             for x in range(BLOCK):  # a row at a time: sums stay in the processor's registers, and loops vectorise
                 i, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
                 w = 1.0 if winner[i, n] == k else 0.0
@@ -243,10 +242,9 @@ def sum_owned(k, winner, q, u, v, square, cut, owned, pixels):
                 s_vv += w_v * v_p
                 s_vq += w_v * q_p
                 s_qq += w_q * q_p
-                s_error += w * np.float64(min(square[k * AREA + p, n], cut))
             owned[o, n], owned[o + 1, n], owned[o + 2, n], owned[o + 3, n] = s_n, s_u, s_v, s_q
             owned[o + 4, n], owned[o + 5, n], owned[o + 6, n] = s_uu, s_uv, s_uq
-            owned[o + 7, n], owned[o + 8, n], owned[o + 9, n], owned[o + 10, n] = s_vv, s_vq, s_qq, s_error
+            owned[o + 7, n], owned[o + 8, n], owned[o + 9, n] = s_vv, s_vq, s_qq
     for i in range(BLOCK * BLOCK):
         for n in range(LANES):
             pixels[k, n] |= np.int32(winner[i, n] == k) << np.int32(i)
@@ -264,7 +262,7 @@ def measured_pixels(q, pixels):
 
 
 @kernel(inline=True)
-def share_out(contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels):
+def share_out(contending, space, plane, penalty, line, limit, close, square, sums, winner, owned, pixels):
     """Share out the pixels of LANES blocks among their contenders, of which each block has ``contending``.
 
     Parameters
@@ -273,11 +271,11 @@ def share_out(contending, space, plane, penalty, line, limit, close, cut, square
         q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room.
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
         α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
-    limit, close, cut : float32
-        Squares of what `pixels.own_pixels` calls ``reach``, ``close`` and ``cut``.
+    limit, close : float32
+        Squares of what `pixels.own_pixels` calls ``reach`` and ``close``.
     square, sums, winner
         Room: see `misfits`, `sums_of_nine` and `contend`.
-    owned, pixels : (11·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written
+    owned, pixels : (10·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written
         See `sum_owned` and `measured_pixels`.
     """
     q, u, v, is_measured = (
@@ -306,4 +304,4 @@ def share_out(contending, space, plane, penalty, line, limit, close, cut, square
         take_rest(j, q, square, limit, winner)
     measured_pixels(q, pixels)
     for j in range(contending):
-        sum_owned(j, winner, q, u, v, square, cut, owned, pixels)
+        sum_owned(j, winner, q, u, v, owned, pixels)

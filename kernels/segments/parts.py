@@ -7,8 +7,8 @@ from ..copying import copy
 from ..disjoint_sets import root_of
 from .blocks import BLOCK
 from .labels import label_runs
-from .moments import add, ray_of
-from .records import Parts, Sums
+from .moments import add, ray_of, residual
+from .records import Parts
 from .runs import WHOLE, find_runs, first_of, how_many
 
 
@@ -35,7 +35,7 @@ def first_of_run(start, stop, row, inverse_depth):
 
 
 @kernel(inline=True)
-def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, parts):
+def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_moments, parts):
     """Number the parts and share out what the regions own.
 
     The largest part of a region gets the region's moments less those of the other parts, whose blocks are added up.
@@ -49,8 +49,8 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
     pyramid : Pyramid
     inverse_depth : (H, W) float32
     rays : Rays
-    sums : Sums
-        Of the regions; changed.
+    region_moments : (N, 10) float64
+        Changed.
     parts : Parts, written
 
     Returns
@@ -61,8 +61,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
     row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
     run_pixels, run_label, run_across, run_down = runs.pixels, runs.label, runs.across, runs.down
     parent, part = runs.parent, runs.part
-    region_moments, region_squares = sums
-    moments, squares, size, across, down, first, owner = parts
+    moments, size, across, down, first, owner = parts
     width = inverse_depth.shape[1]
     count = 0
     for row in range(len(row_runs) - 1):
@@ -80,7 +79,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
                 y, x = first_of_run(run_start[i], run_stop[i], row, inverse_depth)
             if root == i:
                 part[i] = count
-                size[count] = squares[count] = 0.0
+                size[count] = 0.0
                 across[count] = down[count] = 0
                 moments[count, :] = 0.0
                 owner[count] = run_label[i]
@@ -98,8 +97,8 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
         a = owner[k]
         if largest[a] < 0 or size[k] > size[largest[a]]:
             largest[a] = k
-    columns, of_block, error = owners.block.shape[1], pyramid.moments, owners.error
-    share_pixels, share_sums = shares.pixels, shares.sums
+    columns, of_block = owners.block.shape[1], pyramid.moments
+    share_pixels, share_moments = shares.pixels, shares.moments
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
             i = np.uint32(i)
@@ -111,42 +110,36 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, sums, part
                 for c in range(run_start[i], run_stop[i]):
                     for j in range(10):
                         moments[k, j] += of_block[j, row * columns + c]
-                    squares[k] += error[row, c]
             elif run_pixels[i] == share_pixels[s]:
                 for j in range(10):
-                    moments[k, j] += share_sums[s, j]
-                squares[k] += share_sums[s, 10]
+                    moments[k, j] += share_moments[s, j]
             else:
                 add_piece(run_pixels[i], row, run_start[i], inverse_depth, rays, moments, k)
-                # The residuals of a share are only known as a sum: its pixels have equal parts of it.
-                squares[k] += share_sums[s, 10] * how_many(run_pixels[i]) / share_sums[s, 0]
     for k in range(count):
         a = owner[k]
         if largest[a] != k:
-            region_squares[a] -= squares[k]
             for j in range(10):
                 region_moments[a, j] -= moments[k, j]
     for k in range(count):
         a = owner[k]
         if largest[a] == k:
-            squares[k] = region_squares[a]
             copy(region_moments[a], moments[k])
         size[k] = moments[k, 0]
     return count
 
 
 @kernel(inline=True)
-def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number, kept):
+def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, stray, number, kept):
     """Decide whether each part is a plane, and if not, why.
 
     Parameters
     ----------
     parts, count
         From `measure_parts`.
-    curved : (N,) bool
-        For each region.
+    curved, deviation : (N,) bool and float64
+        For each region: see `regions.find_regions`.
     rules : Rules
-        A plane's runs have at least ``narrow`` pixels on average, and its pixels lie within ``rough`` deviations.
+        A plane's runs have at least ``narrow`` pixels on average, and its residual is at most ``shapeless`` deviations.
     least : int
         Pixels that a plane must have.
     reasons : Reasons
@@ -164,7 +157,7 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
         Number of planes.
     """
     plane, small, uneven, bent, thin, _, _ = reasons
-    _, squares, size, across, down, first, region = parts
+    moments, size, across, down, first, region = parts
     planes = 0
     for k in range(count):
         why[k] = plane
@@ -172,7 +165,7 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
             why[k] = thin
         if curved[region[k]]:
             why[k] = bent
-        if squares[k] > rules.rough * rules.rough * size[k]:
+        if residual(moments[k]) > (rules.shapeless * deviation[region[k]]) ** 2 * size[k]:
             why[k] = uneven
         if size[k] < least:
             why[k] = small
@@ -192,8 +185,8 @@ def judge_parts(parts, count, curved, rules, least, reasons, why, stray, number,
 
 @kernel(inline=True)
 def find_parts(
-    inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons, sums, runs,
-    loose, found,
+    inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons,
+    region_moments, runs, loose, found,
 ):  # fmt: skip
     """Split the regions into connected parts, and find those that are planes.
 
@@ -205,8 +198,8 @@ def find_parts(
         From there.
     rules, least, reasons
         See `judge_parts`.
-    sums : Sums
-        Of the regions; changed.
+    region_moments : (N or more, 10) float64
+        Changed.
     runs, loose
         Written: see `runs.find_runs`. The runs get their labels.
     found : Found, written
@@ -216,17 +209,17 @@ def find_parts(
     tuple of int
         Numbers of planes, of parts and of loose pixels.
     """
-    regions = len(curved)
     height, width = inverse_depth.shape
     run_count, loose_count = find_runs(owners, shares, region_number, height, width, runs, loose)
     parts = Parts(
-        np.empty((run_count, 10)), np.empty(run_count), np.empty(run_count), np.empty(run_count, np.int64),
+        np.empty((run_count, 10)), np.empty(run_count), np.empty(run_count, np.int64),
         np.empty(run_count, np.int64), np.empty(run_count, np.int64), np.empty(run_count, np.int64),
     )  # fmt: skip
-    of_regions = Sums(sums.moments[:regions], sums.squares[:regions])
-    count = measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, of_regions, parts)
+    count = measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_moments[: len(curved)], parts)
     kept = np.empty(count, np.int64)
-    planes = judge_parts(parts, count, curved, rules, least, reasons, found.why, found.stray, found.number, kept)
+    planes = judge_parts(
+        parts, count, curved, deviation, rules, least, reasons, found.why, found.stray, found.number, kept
+    )
     label_runs(runs, found.number)
     for i in range(planes):
         copy(parts.moments[kept[i]], found.moments[i])

@@ -31,7 +31,7 @@ from .settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, loo
 @kernel(inline=True)
 def own_pixels(
     inverse_depth, rays, pyramid, sensor, region, planes, sigma, rules, is_first, before, number, last_alpha,
-    owners, shares, contended, sums,
+    owners, shares, contended, region_moments,
 ):  # fmt: skip
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
@@ -51,7 +51,7 @@ def own_pixels(
     rules : Rules
         A region contends for a pixel within ``reach`` standard deviations of its plane. Two planes meet where both
         fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it
-        within ``settled``. Squared residuals count as ``cut``² variances at most.
+        within ``settled``.
     is_first : bool
         Whether this is the first round.
     before : (R, C) int32
@@ -66,7 +66,7 @@ def own_pixels(
         From the last round.
     contended : Contended
         Room for as many blocks as there are, and NEIGHBOURS regions for each.
-    sums : Sums, written
+    region_moments : (N, 10) float64, written
 
     Returns
     -------
@@ -78,7 +78,7 @@ def own_pixels(
     task = tasks[: rows * columns].reshape(rows, columns)
     look_around(region, owners.block, task)
     if not is_first:
-        keep_unchanged(region, before, number, planes, last_alpha, sigma, rays, sums.moments, owners.block, task)
+        keep_unchanged(region, before, number, planes, last_alpha, sigma, rays, region_moments, owners.block, task)
     for row in range(rows):
         copy(region[row], before[row])
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
@@ -92,13 +92,13 @@ def own_pixels(
     room = sparse_count + listed
     for i in same[:same_count]:
         room += shares_of[i]
-    new = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 11)))
+    new = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 10)))
     put = take_over(same[:same_count], number, owners, shares, new)
     put = share_sparse(opened[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
     put = contest(
         contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
     )
-    add_up(pyramid, owners, new, put, sums)
+    add_up(pyramid, owners, new, put, region_moments)
     return new
 
 
@@ -124,8 +124,8 @@ def list_blocks(tasks, opened, same):
 def take_over(blocks, number, owners, shares, new):
     """Take over the shares of blocks that stay the SAME, by their regions' new ``number``; returns their count."""
     first, shares_of = owners.first.reshape(-1), owners.count.reshape(-1)
-    region, pixels, sums = shares
-    new_region, new_pixels, new_sums = new
+    region, pixels, moments = shares
+    new_region, new_pixels, new_moments = new
     count = 0
     for i in blocks:
         start = count
@@ -139,12 +139,12 @@ def take_over(blocks, number, owners, shares, new):
             if k == count:
                 new_region[k] = a
                 new_pixels[k] = 0
-                for j in range(11):
-                    new_sums[k, j] = 0.0
+                for j in range(10):
+                    new_moments[k, j] = 0.0
                 count += 1
             new_pixels[k] |= pixels[s]
-            for j in range(11):
-                new_sums[k, j] += sums[s, j]
+            for j in range(10):
+                new_moments[k, j] += moments[s, j]
         first[i] = start
         shares_of[i] = count - start
     return count
@@ -172,7 +172,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
     of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
-    owner, errors = owners.block, owners.error
+    owner = owners.block
     block, many, first, all_candidates, all_centres = contended
     settled_square, reach = rules.settled * rules.settled, rules.reach
     candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
@@ -182,17 +182,15 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
         pixels = of_block[0, here]
         contending = contenders(before, row, column, centre_u, centre_v, candidate, centre)
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
-        fits, error, total = False, 0.0, 1.0
+        fits = False
         if a >= 0:
             total = grown_variance(sensor[here], slope_variance[a], stretch[here], waviness_square[a])
-            error = misfit(of_block, here, alpha, a)
-            fits = error <= settled_square * pixels * total
+            fits = misfit(of_block, here, alpha, a) <= settled_square * pixels * total
             if fits and contending > 1:
                 distance = reach * math.sqrt(total)
                 fits = is_undisputed(a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance)
         if fits:
             owner[row, column] = region[row, column] = a
-            errors[row, column] = max(error, 0.0) / total
             blocks[sparse] = here
             sparse += pixels <= SPARSE
             continue
@@ -222,8 +220,8 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
     height, width = inverse_depth.shape
     columns = region.shape[1]
     of_block = pyramid.moments
-    owner, errors, first, shares_of, measured = owners
-    share_region, share_pixels, share_sums = shares
+    owner, first, shares_of, measured = owners
+    share_region, share_pixels, share_moments = shares
     for here in blocks:
         row, column = place(here, columns)
         mask = np.int32(0)
@@ -232,8 +230,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
                 mask |= np.int32(inverse_depth[y, x] > 0.0) << np.int32(y % BLOCK * BLOCK + x % BLOCK)
         share_region[put], share_pixels[put] = region[row, column], mask
         for k in range(10):
-            share_sums[put, k] = of_block[k, here]
-        share_sums[put, 10] = errors[row, column]
+            share_moments[put, k] = of_block[k, here]
         owner[row, column], measured[row, column] = MIXED, mask
         first[row, column], shares_of[row, column] = put, 1
         put += 1
@@ -252,10 +249,9 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
     of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
     first_share, shares_of, measured = owners.first, owners.count, owners.measured
-    share_region, share_pixels, share_sums = shares
+    share_region, share_pixels, share_moments = shares
     block, many, first, candidate, centre = contended
     limit, close = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
-    cut = np.float32(rules.cut * rules.cut)
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     # Of fixed sizes: see `kernels`.
     space = np.empty((ROOM, LANES), np.float32)
@@ -265,7 +261,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
     square = np.empty((NEIGHBOURS * AREA, LANES), np.float32)
     sums = np.empty(((NEIGHBOURS + 1) * BLOCK * BLOCK, LANES), np.float32)
     winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
-    owned, pixels = np.empty((NEIGHBOURS * 11, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
+    owned, pixels = np.empty((NEIGHBOURS * 10, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
     listed = np.empty(LANES, np.int64)
     for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks processed together
         contending = least
@@ -300,7 +296,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                     q[p, n] = 0.0
             if separable:
                 repeat_rays(u, v)
-            share_out(contending, space, plane, penalty, line, limit, close, cut, square, sums, winner, owned, pixels)
+            share_out(contending, space, plane, penalty, line, limit, close, square, sums, winner, owned, pixels)
             for n in range(lanes):
                 c = listed[n]
                 row, column = place(block[c], columns)
@@ -312,12 +308,12 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                         continue
                     a = candidate[first[c] + j]
                     share_region[put], share_pixels[put] = a, pixels[j, n]
-                    for k in range(11):
-                        share_sums[put, k] = owned[11 * j + k, n]
+                    for k in range(10):
+                        share_moments[put, k] = owned[10 * j + k, n]
                     put += 1
                     # A thin region may not own most of any block: a block stays with a region that owns a third of
                     # it.
-                    of_own = owned[11 * j, n]
+                    of_own = owned[10 * j, n]
                     stays |= (a == own) & (of_own >= third) & (of_own > 2.0)
                     if of_own > most_pixels:
                         largest, most_pixels = a, of_own

@@ -33,8 +33,8 @@ class Rules(NamedTuple):
     reach: float = 8.0  # deviations within which a region contends for a pixel
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left alone
-    cut: float = 4.0  # deviations: the most that a pixel counts for in a region's residual
-    rough: float = 3.0  # deviations of a region that is several planes, or none
+    rough: float = 3.0  # deviations of a region that is parted, if it can be
+    shapeless: float = 4.0  # deviations of a part that is no plane
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
     narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
@@ -118,18 +118,10 @@ class Planes(NamedTuple):
     square_stretch: Array  # that of `Rays`
 
 
-class Sums(NamedTuple):
-    """Sums over the pixels that each region owns."""
-
-    moments: Array  # (N, 10) float64
-    squares: Array  # (N,) float64: sum of squared residuals, in variances
-
-
 class Owners(NamedTuple):
     """Which region has which blocks; for blocks that several have parts of, see `Shares`."""
 
     block: Array  # (R, C) int32: region that has all measured pixels of a block; or EMPTY, MIXED or UNSEEN
-    error: Array  # (R, C) float64: of a block with one region, the sum of its squared residuals in variances
     first: Array  # (R, C) int32: of a MIXED block its first share
     count: Array  # (R, C) int32: how many shares it has; its other pixels have no owner
     measured: Array  # (R, C) int32: its measured pixels, see `Shares`
@@ -140,7 +132,7 @@ class Shares(NamedTuple):
 
     region: Array  # (S,) int32
     pixels: Array  # (S,) int32: pixel (y, x) of the block is bit BLOCK·y + x
-    sums: Array  # (S, 11) float64: moments, and the sum of squared residuals in variances
+    moments: Array  # (S, 10) float64
 
 
 class Contended(NamedTuple):
@@ -183,7 +175,6 @@ class Parts(NamedTuple):
     """Connected parts of regions."""
 
     moments: Array  # (P, 10) float64
-    squares: Array  # (P,) float64: as in `Sums`
     size: Array  # (P,) float64: pixels
     across: Array  # (P,) int64: runs of pixels along the rows
     down: Array  # (P,) int64: runs of pixels along the columns

@@ -15,7 +15,7 @@ from .moments import misfit
 from .noise import in_square
 from .pixels import own_pixels
 from .planes import deviations, fit_regions
-from .records import Contacts, Planes, Shares, Sums
+from .records import Contacts, Planes, Shares
 from .shape import find_curved, owned_means
 
 # The four blocks beside one.
@@ -77,14 +77,14 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
 
 @kernel(inline=True)
 def merge_and_own(
-    inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, sums
+    inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, moments
 ):  # fmt: skip
     """Merge what is one plane, give the pixels to the planes, fit the planes again to their pixels: in rounds.
 
     Parameters
     ----------
-    inverse_depth, rays, pyramid, noise, rules, least, owners, contended, sums
-        See `find_regions`.
+    inverse_depth, rays, pyramid, noise, rules, least, owners, contended, moments
+        See `find_regions`, which calls the last ``region_moments``.
     sensor, state
         See `joining.join_blocks`.
     region : (R, C) int32, written
@@ -101,7 +101,6 @@ def merge_and_own(
     shares : Shares
     contact_count : int
     """
-    moments, squares = sums
     count = leaves(pyramid, state, region, owners.block, moments)
     parent, number = np.empty(count, np.int64), np.empty(count, np.int64)
     grow_together(region, moments[:count], noise, rules, parent)
@@ -109,7 +108,7 @@ def merge_and_own(
     renumber(region, number)
     before = np.empty_like(region)
     alpha = np.empty((0, 3))
-    shares = Shares(np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 11)))
+    shares = Shares(np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 10)))
     for trip in range(rules.trips + 1):
         pair_count = neighbours(region, rays, contacts)
         first_moments = moments[:count].copy()
@@ -123,11 +122,6 @@ def merge_and_own(
         merged = number_regions(parent, moments, least if trip else 0.0, number)
         renumber(region, number)
         if trip == rules.trips:
-            own_squares = squares[:count].copy()
-            squares[:merged] = 0.0
-            for a in range(count):
-                if number[a] >= 0:
-                    squares[number[a]] += own_squares[a]
             if is_parted or not rename_pairs(contacts.pairs, pair_count, number):
                 pair_count = neighbours(region, rays, contacts)
             return number, merged, shares, pair_count
@@ -140,13 +134,13 @@ def merge_and_own(
             spread_out(region, owners.block, pyramid, sensor, planes, rules.settled)
         shares = own_pixels(
             inverse_depth, rays, pyramid, sensor, region, planes, noise.sigma, rules, trip == 0, before, number,
-            last_alpha, owners, shares, contended, Sums(moments[:count], squares[:count]),
+            last_alpha, owners, shares, contended, moments[:count],
         )  # fmt: skip
     return number, count, shares, 0
 
 
 @kernel(inline=True)
-def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, contended, contacts, sums):
+def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, contended, contacts, region_moments):
     """The regions of a frame, which pixels they own, and which of them are curved.
 
     Parameters
@@ -158,8 +152,8 @@ def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, cont
     owners : Owners, written
     contended, contacts
         Room: see `pixels.own_pixels` and `merge.neighbours`.
-    sums : Sums, written
-        Of the regions, with room for R·C.
+    region_moments : (R·C, 10) float64, written
+        The first rows are those of the regions.
 
     Returns
     -------
@@ -176,9 +170,10 @@ def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, cont
     join_blocks(pyramid, noise, rules, sensor, state)
     region = np.empty((rows, columns), np.int32)
     number, count, shares, contact_count = merge_and_own(
-        inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, sums
-    )
-    moments = sums.moments[:count]
+        inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts,
+        region_moments,
+    )  # fmt: skip
+    moments = region_moments[:count]
     planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)
     fit_regions(moments, noise, planes)
     curved, deviation = np.empty(count, np.bool_), np.empty(count)

@@ -110,7 +110,7 @@ def let_go(
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
     row_runs, run_start, run_share = runs.first, runs.start, runs.share
     run_label, run_pixels = runs.label, runs.pixels
-    sums = shares.sums
+    of_shares = shares.moments
     alpha, rss, gone = np.empty((len(moments), 3)), np.empty(len(moments)), np.zeros((len(moments), 10))
     fit_planes(moments, alpha, rss)
     limit = np.empty(len(moments))
@@ -122,8 +122,10 @@ def let_go(
             k, s = run_label[i] - 1, run_share[i]
             if s == WHOLE or k < 0 or SHARE * moments[k, 0] < LEAST:
                 continue
-            total = sums[s, 3] - (alpha[k, 0] * sums[s, 1] + alpha[k, 1] * sums[s, 2] + alpha[k, 2] * sums[s, 0])
-            if abs(total) <= limit[k] * sums[s, 0]:
+            total = of_shares[s, 3] - (
+                alpha[k, 0] * of_shares[s, 1] + alpha[k, 1] * of_shares[s, 2] + alpha[k, 2] * of_shares[s, 0]
+            )
+            if abs(total) <= limit[k] * of_shares[s, 0]:
                 continue
             far = limit[k] if total > 0.0 else -limit[k]
             most = np.int64(min(SHARE * moments[k, 0], MOST))

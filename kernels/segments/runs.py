@@ -253,7 +253,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
         Number of runs, and of loose pixels.
     """
     # Names for fields of tuples: see `kernels`.
-    owner, _, first_share, shares_of, measured = owners
+    owner, first_share, shares_of, measured = owners
     share_region, share_pixels, _ = shares
     first, start, stop, share, pixels, label, filled_x, filled_y, across, down, parent, _ = runs
     rows, columns = owner.shape

@@ -25,8 +25,8 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
 
 @kernel()
 def find_planes(
-    inverse_depth, rays, pyramid, noise, rules, least, min_size, reasons, owners, contended, contacts, sums, runs,
-    loose, found, label, reason,
+    inverse_depth, rays, pyramid, noise, rules, least, min_size, reasons, owners, contended, contacts, region_moments,
+    runs, loose, found, label, reason,
 ):  # fmt: skip
     """Find the regions of a frame, and those of their parts that are planes, and label their pixels.
 
@@ -41,7 +41,7 @@ def find_planes(
     least, min_size : int
         Pixels that a plane must have while they are found, and in the end.
     reasons : Reasons
-    owners, contended, contacts, sums
+    owners, contended, contacts, region_moments
         Room: see `regions.find_regions`.
     runs : Runs, written
     loose : (H·W,) int32, written
@@ -58,14 +58,14 @@ def find_planes(
         Their number, and that of the loose pixels: see `labels.write_labels`.
     """
     shares, region_number, curved, deviation = find_regions(
-        inverse_depth, rays, pyramid, noise, rules, float(least), owners, contended, contacts, sums
+        inverse_depth, rays, pyramid, noise, rules, float(least), owners, contended, contacts, region_moments
     )
     needed = owners.block.size + PIECES * len(shares.region)
     if needed > len(runs.start):
         return needed, 0, 0
     planes, parts, loose_count = find_parts(
-        inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons, sums,
-        runs, loose, found,
+        inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons,
+        region_moments, runs, loose, found,
     )  # fmt: skip
     number, why, stray = found.number[:parts], found.why[:parts], found.stray[:parts]
     planes = join_across_gaps(

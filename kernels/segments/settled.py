@@ -147,9 +147,8 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
                     + a_v * (a_v * s_vv[c] + 2.0 * a_1 * s_v[c])
                     + a_1 * a_1 * n[c]
                 )  # fmt: skip
-                work[5, c] = max(square / total, 0.0)  # rounding may make it negative
+                work[5, c] = square / total
                 work[6, c] = allowed * n[c] if n[c] > SPARSE else -1.0
-            copy(work[5], owners.error[row, start:stop])
             for c in range(count):
                 fits = work[5, c] <= work[6, c]
                 is_alone = line[c] == ALONE
@@ -170,25 +169,21 @@ def add_square(of_squares, i, moments, a):
 
 
 @kernel()
-def add_up(pyramid, owners, shares, count, sums):
+def add_up(pyramid, owners, shares, count, region_moments):
     """Sum up what each region has: in whole blocks, and in the first ``count`` shares.
 
     Of 4x4 blocks that one region has the pyramid knows the moments, and of 2x2.
     """
     of_squares, offsets, shapes = pyramid.moments.reshape(-1), pyramid.offsets, pyramid.shapes
-    owner, error = owners.block, owners.error
-    share_region, share_sums = shares.region, shares.sums
-    moments, squares = sums.moments.reshape(-1), sums.squares
+    owner, share_region, share_moments = owners.block, shares.region, shares.moments
+    moments = region_moments.reshape(-1)
     moments[:] = 0.0
-    squares[:] = 0.0
     rows, columns = owner.shape
-    same, down = np.empty(columns, np.bool_), np.empty(columns)
+    same = np.empty(columns, np.bool_)
     for row in range(0, rows, 4):
         a, b, c, d = owner[row], owner[row + 1], owner[row + 2], owner[row + 3]
-        of_a, of_b, of_c, of_d = error[row], error[row + 1], error[row + 2], error[row + 3]
         for x in range(columns):
             same[x] = (a[x] == b[x]) & (b[x] == c[x]) & (c[x] == d[x])
-            down[x] = (of_a[x] + of_b[x]) + (of_c[x] + of_d[x])
         for column in range(0, columns, 4):
             first = a[column]
             if (
@@ -198,7 +193,6 @@ def add_up(pyramid, owners, shares, count, sums):
                 if first >= 0:
                     i = offsets[2] + (row >> 2) * shapes[2, 1] + (column >> 2)
                     add_square(of_squares, i, moments, first)
-                    squares[first] += (down[column] + down[column + 1]) + (down[column + 2] + down[column + 3])
                 continue
             for y in range(row, row + 4, 2):
                 for x in range(column, column + 4, 2):
@@ -206,17 +200,14 @@ def add_up(pyramid, owners, shares, count, sums):
                     if (owner[y, x + 1] == first) & (owner[y + 1, x] == first) & (owner[y + 1, x + 1] == first):
                         if first >= 0:
                             add_square(of_squares, offsets[1] + (y >> 1) * shapes[1, 1] + (x >> 1), moments, first)
-                            squares[first] += (error[y, x] + error[y, x + 1]) + (error[y + 1, x] + error[y + 1, x + 1])
                         continue
                     for r in range(y, y + 2):
                         for k in range(x, x + 2):
                             if owner[r, k] >= 0:
                                 add_square(of_squares, r * columns + k, moments, owner[r, k])
-                                squares[owner[r, k]] += error[r, k]
     for s in range(count):
         a = share_region[s]
         there = np.uint64(10 * a)
         for k in range(10):
-            moments[there] += share_sums[s, k]
+            moments[there] += share_moments[s, k]
             there += np.uint64(1)
-        squares[np.uint64(a)] += share_sums[s, 10]

@@ -92,10 +92,10 @@ def owned_means(owners, shares, number, region, pyramid):
                 first = owners.first[row, column]
                 for s in range(first, first + owners.count[row, column]):
                     if number[shares.region[s]] == a:
-                        n += shares.sums[s, 0]
-                        s_u += shares.sums[s, 1]
-                        s_v += shares.sums[s, 2]
-                        s_q += shares.sums[s, 3]
+                        n += shares.moments[s, 0]
+                        s_u += shares.moments[s, 1]
+                        s_v += shares.moments[s, 2]
+                        s_q += shares.moments[s, 3]
             per_pixel = 1.0 / max(n, 1.0)
             means[row, column, 0] = n
             means[row, column, 1] = s_u * per_pixel

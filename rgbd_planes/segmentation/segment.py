@@ -149,7 +149,8 @@ def _segment(
         work.make_room(room)
         room, found, loose_count = find_planes(
             work.inverse_depth, rays, work.pyramid, noise, rules, min(min_size, SMALLEST), min_size, _REASONS,
-            work.owners, work.contended, work.contacts, work.sums, work.runs, work.loose, work.found, labels, reason,
+            work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose, work.found, labels,
+            reason,
         )  # fmt: skip
         enough = room <= len(work.runs.start)
     moments, deviation = work.found.moments[:found], work.found.deviation[:found]

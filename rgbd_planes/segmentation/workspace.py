@@ -11,7 +11,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.kernels.segments.blocks import BLOCK
 from rgbd_planes.kernels.segments.contest import NEIGHBOURS
 from rgbd_planes.kernels.segments.noise import stretches as write_stretches
-from rgbd_planes.kernels.segments.records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs, Sums
+from rgbd_planes.kernels.segments.records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -64,9 +64,7 @@ class Workspace:
         blocks, squares = int(offsets[1]), int(offsets[-1])
         self.inverse_depth = np.empty(camera.shape, np.float32)
         self.pyramid = Pyramid(np.empty((10, squares)), np.empty(squares), np.empty(squares), offsets, shapes)
-        self.owners = Owners(
-            np.empty(self.blocks, np.int32), np.empty(self.blocks), *np.empty((3, *self.blocks), np.int32)
-        )
+        self.owners = Owners(*np.empty((4, *self.blocks), np.int32))
         self.contended = Contended(
             np.empty(blocks, np.int32),
             np.empty(blocks, np.int32),
@@ -74,7 +72,7 @@ class Workspace:
             np.empty(NEIGHBOURS * blocks, np.int32),
             np.empty((NEIGHBOURS * blocks, 3)),
         )
-        self.sums = Sums(np.empty((blocks, 10)), np.empty(blocks))
+        self.region_moments = np.empty((blocks, 10))
         self.contacts = Contacts(
             np.empty((4 * blocks + 1, 3), np.int32),
             np.empty((4 * blocks, 3)),
