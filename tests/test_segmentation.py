@@ -23,14 +23,14 @@ from rgbd_planes.kernels.segments.gaps import find_coplanar, label_boxes
 from rgbd_planes.kernels.segments.inside import inside_moments
 from rgbd_planes.kernels.segments.noise_estimation import estimate_noise as estimate_frame_noise
 from rgbd_planes.kernels.segments.noise_estimation import varied_squares
-from rgbd_planes.kernels.segments.records import Planes, Rays, Runs
+from rgbd_planes.kernels.segments.records import Planes, Rays, Rules, Runs
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
 from rgbd_planes.segmentation.noise import noise_of
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.result import Reason
-from rgbd_planes.segmentation.segment import _given
+from rgbd_planes.segmentation.segment import _given, segment_frame
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -500,13 +500,26 @@ def test_waves_that_begin_at_16_pixels_do_not_make_one_of_what_is_far_apart(rng)
 
 
 def test_pixels_far_off_a_plane_do_not_make_it_rough(rng):
-    # Three in ten by six deviations, by which they are still its own: in full they would be most of its residual.
+    # Three in ten by six deviations, by which they are still its own; they are most of its residual, 3.4 deviations.
     q = 0.5 + rng.normal(0.0, 1e-3, CAMERA.shape)
     off = rng.random(CAMERA.shape) < 0.3
     q[off] += 6e-3 * rng.choice([-1.0, 1.0], np.count_nonzero(off))
     found = segment(1.0 / q, CAMERA, noise=1e-3)
     assert len(found) == 1
     assert (found.labels > 0).mean() > 0.98
+
+
+@pytest.mark.parametrize(("deviations", "is_plane"), [(1.9, False), (2.6, True)])
+def test_what_has_too_large_a_residual_is_no_plane(deviations, is_plane, rng):
+    """What is nearer, on the right, is twice as noisy as the noise that is given."""
+    q = np.full(CAMERA.shape, 0.5)
+    q[:, 200:] = 0.7
+    sigma = np.where(q > 0.6, 2.2e-3, 1e-3)
+    frame = as_depth_frame((1.0 / (q + sigma * rng.normal(size=q.shape))).astype(np.float32), CAMERA)
+    found = segment_frame(frame, CAMERA, _given(1e-3), 60, Rules(shapeless=deviations))
+    right = found.reason[:, 204:]
+    assert np.mean(right == (Reason.PLANE if is_plane else Reason.ROUGH)) > 0.95
+    assert np.mean(found.reason[:, :196] == Reason.PLANE) > 0.99
 
 
 def test_labels_are_in_the_order_of_their_first_pixels():

@@ -34,7 +34,7 @@ class Rules(NamedTuple):
     close: float = 3.0  # deviations within which two planes meet
     settled: float = 3.0  # deviations of a block that is left alone
     rough: float = 3.0  # deviations of a region that is parted, if it can be
-    shapeless: float = 4.0  # deviations of a part that is no plane
+    shapeless: float = 3.5  # deviations of a part that is no plane
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
     narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
