@@ -1,4 +1,4 @@
-"""Random blocks on a floor before a wall, seen by three kinds of sensor.
+"""Random blocks on a floor before a wall, seen by four kinds of sensor.
 
 Boxes, wedges, frustums and boxes with a bevelled edge: many faces are small or narrow, and meet at obtuse angles.
 """
@@ -19,9 +19,9 @@ Floats = NDArray[np.float64]
 class Sensor:
     """What errs, and where it stands.
 
-    ``sigma`` is the standard deviation of 1/Z in 1/m, ``lateral`` that of where in the image a pixel looks, in pixels;
-    errors of neighbours are smoothed by a Gaussian of ``shared`` pixels, and so is the surface by one of ``blur``.
-    It is ``distance`` (least, most) metres away from blocks of about ``size`` metres.
+    ``sigma`` is the standard deviation of 1/Z in 1/m, ``sigma_depth`` that of Z in metres, ``lateral`` that of where in
+    the image a pixel looks, in pixels; errors of neighbours are smoothed by a Gaussian of ``shared`` pixels, and so is
+    the surface by one of ``blur``. It is ``distance`` (least, most) metres away from blocks of about ``size`` metres.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Sensor:
     lateral: float
     shared: float = 0.0
     blur: float = 0.0
+    sigma_depth: float = 0.0
 
 
 SENSORS = (
@@ -45,6 +46,10 @@ SENSORS = (
     Sensor(
         "active stereo", Camera(640, 480, 385.0, 385.0, 319.5, 239.5, depth_scale=1e3),
         (1.2, 2.5), 0.5, 2e-3, 0.3, 2.5, 0.8,
+    ),
+    Sensor(
+        "time of flight", Camera(640, 576, 504.0, 504.0, 319.5, 287.5, depth_scale=1e3), (1.2, 3.0), 0.5, 0.0, 0.3,
+        sigma_depth=4e-3,
     ),
 )  # fmt: skip
 
@@ -85,7 +90,10 @@ def measure(sensor: Sensor, seed: int) -> tuple[NDArray[np.uint16], NDArray[np.i
     if sensor.blur > 0.0:
         q = gaussian_filter(q, sensor.blur)
     assert camera.depth_scale is not None
-    depth = np.rint(camera.depth_scale / np.maximum(q + sensor.sigma * errors, 1e-2))
+    z = 1.0 / np.maximum(q + sensor.sigma * errors, 1e-2)
+    if sensor.sigma_depth > 0.0:
+        z += sensor.sigma_depth * rng.normal(size=camera.shape)
+    depth = np.rint(camera.depth_scale * z)
     depth[(rng.random(camera.shape) < 0.01) | (depth > 65534.0) | (labels == 0)] = 0.0
     return depth.astype(np.uint16), np.where(depth > 0.0, labels, 0).astype(np.int32)
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
+from bench import block_scenes
 from rgbd_planes import Camera, estimate_noise, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.quantiles import quantile
@@ -22,8 +23,9 @@ from rgbd_planes.kernels.segments.frame_noise import tolerance
 from rgbd_planes.kernels.segments.gaps import find_coplanar, label_boxes
 from rgbd_planes.kernels.segments.inside import inside_moments
 from rgbd_planes.kernels.segments.noise_estimation import estimate_noise as estimate_frame_noise
-from rgbd_planes.kernels.segments.noise_estimation import varied_squares
+from rgbd_planes.kernels.segments.noise_estimation import is_of_depth, varied_squares
 from rgbd_planes.kernels.segments.records import Planes, Rays, Rules, Runs
+from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import NoiseModel, kinect_v1
@@ -1096,6 +1098,49 @@ def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparit
     assert about.tolerance == pytest.approx(tolerance(by_32, table[16], flattest[16]))
     assert about.typical_sigma == pytest.approx(np.median(sigma))
     assert about.is_exact == (sigma[-1] <= flattest[-1])
+
+
+def shows_noise_of_depth(depth: np.ndarray, camera: Camera) -> bool:
+    """What the kernel says of a frame."""
+    frame = as_depth_frame(depth.astype(np.float32), camera)
+    with workspaces.lent(camera) as work:
+        read_frame(
+            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, rays_of(camera),
+            work.inverse_depth, work.pyramid,
+        )  # fmt: skip
+        return bool(is_of_depth(work.pyramid))
+
+
+@pytest.mark.parametrize(("power", "expected"), [(0.0, True), (1.0, False), (2.0, False)])
+def test_noise_that_is_the_same_at_all_depths_is_told_from_that_of_triangulation(power, expected, rng):
+    depth = np.broadcast_to(np.geomspace(4.0, 1.0, CAMERA.width), CAMERA.shape)
+    noisy = depth + 0.004 * (depth / 2.0) ** power * rng.normal(size=depth.shape)
+    assert shows_noise_of_depth(noisy, CAMERA) == expected
+
+
+def test_near_things_that_are_rough_do_not_make_noise_one_of_depth(rng):
+    """Noise of 1/Z; only the nearest third is six times as noisy as the rest, as its square would make it."""
+    depth = np.broadcast_to(np.geomspace(4.0, 1.0, CAMERA.width), CAMERA.shape)
+    sigma = np.where(depth < 1.6, 6e-3, 1e-3)
+    noisy = 1.0 / (1.0 / depth + sigma * rng.normal(size=depth.shape))
+    assert not shows_noise_of_depth(noisy, CAMERA)
+
+
+@pytest.mark.parametrize("depths", [(2.0, 2.0), (2.0, 2.5)])
+def test_a_frame_of_hardly_different_depths_does_not_show_how_noise_depends_on_it(depths, rng):
+    depth = np.broadcast_to(np.linspace(*depths, CAMERA.width), CAMERA.shape)
+    assert not shows_noise_of_depth(depth + 0.004 * rng.normal(size=depth.shape), CAMERA)
+
+
+def test_what_is_near_is_found_where_noise_is_one_of_depth():
+    """Of 5 mm at all depths, that in 1/Z is six times as large for what is near."""
+    sensor = replace(block_scenes.SENSORS[3], sigma_depth=5e-3)
+    depth, truth = block_scenes.measure(sensor, 3)
+    found = segment(depth, sensor.camera)
+    given = segment(depth, sensor.camera, noise=lambda q: 5e-3 * q * q)
+    for labels in (found.labels, given.labels):
+        assert compare_labels(labels, truth).covering > 0.98
+    assert found.share > 0.98
 
 
 def test_squares_with_a_constant_quarter_show_no_noise():

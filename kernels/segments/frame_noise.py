@@ -8,7 +8,7 @@ from .._jit import kernel
 from ..copying import copy
 from ..quantiles import quantile
 from .noise import step_at
-from .noise_estimation import estimate_noise
+from .noise_estimation import estimate_noise, is_of_depth
 
 # Entries of the table of standard deviations: from an inverse depth of 0 to that of the nearest surface, in equal
 # steps. MIDDLE is that of a surface twice as far away as the nearest.
@@ -81,15 +81,20 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     interval = nearest / (ENTRIES - 1)
     sigma[0] = interval
     is_given = len(given) > 0
-    known = 0
+    known, shape = 0, np.ones(ENTRIES)  # of the noise, by inverse depth
     if is_sensors:
-        copy(given, sigma[1:])
+        copy(given, shape)
         known = len(sigma)
+    elif not is_given and is_of_depth(pyramid):
+        for i in range(ENTRIES):
+            shape[i] = (max(i, 1) / MIDDLE) ** 2
+        known = len(sigma)
+    copy(shape, sigma[1:])
     typical, lateral, by_32, together = estimate_noise(pyramid, sigma[:known], growth, reach)
     deviation, expected = math.sqrt(typical), 0.0
-    shown = deviation
+    shown = deviation * shape[MIDDLE]
     if is_sensors:  # what squares show is a multiple of it
-        expected, shown = 1.0, deviation * given[MIDDLE]
+        expected = 1.0
     else:
         for i in range(len(given)):
             expected = max(expected, given[i])
@@ -99,10 +104,10 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
         of_steps = step_at(q, step, scale, is_disparity) / math.sqrt(12.0)
         if not is_given:
             # Between the first two entries it must not fall to zero: far surfaces may lie there.
-            value = max(min(deviation, FORMLESS * max(q, interval)), of_steps)
+            value = max(min(deviation * shape[i], FORMLESS * max(q, interval)), of_steps)
         elif is_sensors and typical > 0.0:
             # An error that neighbours share is not seen within a square: it shows as growth.
-            value = min(max(deviation * given[i], of_steps), given[i])
+            value = min(max(deviation * shape[i], of_steps), given[i])
         else:
             value = given[i]
         if i == MIDDLE:

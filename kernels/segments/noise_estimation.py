@@ -42,6 +42,11 @@ CONSTANT = 1e-12
 # If a smaller share of the squares that are not constant varies in each of their quarters, of which a straight edge
 # crosses at most three, these have corners in them.
 FEWEST_VARIED = 0.1
+# The farthest, the middle and the nearest third of the squares, of at most MANY, tell how noise depends on depth, if
+# the nearest are so many times as near as the farthest. It is one of depth if that of 1/Z grows by no less and no more
+# than these powers of 1/Z, and from each third to the next by no less than the last: what lies near may be rougher.
+MANY, APART = 1024, 1.5
+LEAST_POWER, MOST_POWER, LEAST_OF_STEP = 1.5, 2.5, 1.0
 
 
 @kernel()
@@ -131,6 +136,41 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
         slope_square[count] = slopes[i] / expected
         count += 1
     return count
+
+
+@kernel()
+def is_of_depth(pyramid):
+    """Whether the noise is the same at all depths Z: that of 1/Z then grows with the square of 1/Z.
+
+    So it is with lasers and, within a factor, with time of flight, while that of triangulation is the same in 1/Z.
+    """
+    moments, rss, offsets = pyramid.moments, pyramid.rss, pyramid.offsets
+    step = max((offsets[2] - offsets[1]) // MANY, 1)
+    q, mean_square = np.empty((2, (offsets[2] - offsets[1]) // step + 1))
+    count = 0
+    for i in range(offsets[1], offsets[2], step):
+        if is_measured(moments, rss, 1, i):
+            q[count], mean_square[count] = moments[3, i] / moments[0, i], rss[i] / (moments[0, i] - 3.0)
+            count += 1
+    if count < 3 * FEWEST:
+        return False
+    far, near = quantile(q[:count].copy(), 1.0 / 3.0), quantile(q[:count].copy(), 2.0 / 3.0)
+    depths, noises = np.empty(3), np.empty(3)  # inverse ones, and variances
+    some_q, some = np.empty(count), np.empty(count)
+    for k in range(3):
+        least, most = -math.inf if k == 0 else far if k == 1 else near, far if k == 0 else near if k == 1 else math.inf
+        chosen = 0
+        for i in range(count):
+            some_q[chosen], some[chosen] = q[i], mean_square[i]
+            chosen += least <= q[i] <= most
+        depths[k], noises[k] = quantile(some_q[:chosen], 0.5), quantile(some[:chosen], TYPICAL)
+    if not noises[0] > 0.0:
+        return False
+    ratio, grown = depths[2] / depths[0], math.sqrt(noises[2] / noises[0])
+    follows = ratio >= APART and ratio**LEAST_POWER <= grown <= ratio**MOST_POWER
+    for k in range(2):
+        follows &= noises[k + 1] >= noises[k] * (depths[k + 1] / depths[k]) ** (2.0 * LEAST_OF_STEP)
+    return follows
 
 
 @kernel()

@@ -55,7 +55,8 @@ def segment(
         and the lateral error that the frame shows is added. For a model, its own ``lateral`` error, in pixels, is
         taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours share their
         errors, that counts. Covariances are by the model alone, unless neighbours do share errors: see
-        `Segmentation.alpha_covariance`. By default ``camera.noise``; without either, noise is estimated from the frame.
+        `Segmentation.alpha_covariance`. By default ``camera.noise``; without either, noise is estimated from the frame:
+        the same in 1/Z at all depths, or in Z if the frame shows that plainly.
     min_size : int
         Pixels that a plane must have, at least 3. Planes of fewer are left out: from 60 on, that does not change the
         fits of the others, and takes no more from their labels than some strays, less than a pixel in fifty.
