@@ -154,15 +154,14 @@ def is_of_depth(pyramid):
             count += 1
     if count < 3 * FEWEST:
         return False
-    far, near = quantile(q[:count].copy(), 1.0 / 3.0), quantile(q[:count].copy(), 2.0 / 3.0)
+    edges = -math.inf, quantile(q[:count].copy(), 1.0 / 3.0), quantile(q[:count].copy(), 2.0 / 3.0), math.inf
     depths, noises = np.empty(3), np.empty(3)  # inverse ones, and variances
     some_q, some = np.empty(count), np.empty(count)
     for k in range(3):
-        least, most = -math.inf if k == 0 else far if k == 1 else near, far if k == 0 else near if k == 1 else math.inf
         chosen = 0
         for i in range(count):
             some_q[chosen], some[chosen] = q[i], mean_square[i]
-            chosen += least <= q[i] <= most
+            chosen += edges[k] <= q[i] <= edges[k + 1]
         depths[k], noises[k] = quantile(some_q[:chosen], 0.5), quantile(some[:chosen], TYPICAL)
     if not noises[0] > 0.0:
         return False
