@@ -148,7 +148,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
                     + a_1 * a_1 * n[c]
                 )  # fmt: skip
                 work[5, c] = square / total
-                work[6, c] = allowed * n[c] if n[c] > SPARSE else -1.0
+                work[6, c] = allowed * n[c] if n[c] > SPARSE else -math.inf
             for c in range(count):
                 fits = work[5, c] <= work[6, c]
                 is_alone = line[c] == ALONE
