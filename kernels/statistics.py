@@ -47,10 +47,12 @@ LIMITS = 11
 # steeper, it jumps. The mean of the power is its series to second order, which where depths differ a hundredfold may be
 # below 0: at most LARGEST_LOSS is taken off. Where the variance of this variance, relative to its squared mean, is more
 # than MOST_EVEN, or that of q so large that the series might be off by what a chi-square of the tile's pixels shows
-# (about 1/√n), means come from `variances.means_over` instead.
+# (about 1/√n), means come from `variances.means_over` instead. Not where the squared residual is HOPELESS times what
+# errors explain in the middle: such a tile crosses an edge, and is no plane by any mean.
 STEEPEST = 8.0
 LARGEST_LOSS = 0.5
 MOST_EVEN = 0.02
+HOPELESS = 64.0
 # Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
 # differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
 # of those in ``noise``. And for a part of many depths: variances of q along the ray and of rounding; how uneven their
@@ -143,18 +145,18 @@ def assess(
                 for i in range(last - first):
                     room[SHARED, i] *= growth[0, first + i]
                     room[UNEVENNESS, i] += growth[1, first + i]
-            uneven = is_uneven(room)
+        if of_pixels.shape[0] >= OF_LENS:
+            load(of_pixels[:OF_LENS], first, last, room, LATERAL)
+        independent_variance(of_pixels, noise, room)
+        if not uneven:
+            uneven = find_uneven(room)
             if uneven:
                 if not everything:
                     load(all_moments, first, last, room, 0)
                     load(all_reference, first, last, room, U_0)
                     ray_scatter(in_range_space, room)
                 uneven_variance(noise, last - first, room)
-        if of_pixels.shape[0] < OF_LENS:
-            lateral_variance(noise, room)
-        else:
-            load(of_pixels[:OF_LENS], first, last, room, LATERAL)
-            lateral_variance_of_lens(room)
+                independent_variance(of_pixels, noise, room)
         by_count(all_counts[first:last], tables, room)
         residual_ratio(room)
         if uneven:
@@ -270,23 +272,25 @@ def pixel_variance(noise, count, room):
 
 
 @kernel(reduction=True, inline=True)
-def is_uneven(room):
-    """Whether a tile of the block may differ too much in its variance."""
+def find_uneven(room):
+    """Whether a tile of the block may differ too much in its variance; for those that do not, no UNEVENNESS."""
     number = 0.0
     for i in range(TILES_AT_ONCE):
-        number += 1.0 if room[UNEVENNESS, i] > MOST_EVEN else 0.0
+        d, misfit = room[D, i], room[ERROR, i] * room[MEAN_Q, i]
+        explained = (room[SHARED, i] + room[INDEPENDENT, i]) * d * d
+        is_uneven = room[UNEVENNESS, i] > MOST_EVEN and d > 0.0 and misfit * misfit < HOPELESS * explained
+        room[UNEVENNESS, i] = room[UNEVENNESS, i] if is_uneven else 0.0
+        number += 1.0 if is_uneven else 0.0
     return number > 0.0
 
 
 @kernel(inline=True)
 def uneven_variance(noise, count, room):
-    """The same for tiles that differ in it, in room as ``of_pixels`` of `assess` has it; for others no UNEVENNESS."""
+    """As `pixel_variance`, for tiles that differ in it, in room as ``of_pixels`` of `assess` has it."""
     for i in range(count):
-        d = room[D, i]
-        if not (room[UNEVENNESS, i] > MOST_EVEN and d > 0.0):
-            room[UNEVENNESS, i] = 0.0
+        if not room[UNEVENNESS, i] > 0.0:
             continue
-        nearness, per_pixel = -1.0 / d, room[PER_PIXEL, i]
+        nearness, per_pixel = -1.0 / room[D, i], room[PER_PIXEL, i]
         plane = nearness * room[N_X, i], nearness * room[N_Y, i], nearness * room[N_Z, i]
         uu, uv, vv = room[4, i] * per_pixel, room[5, i] * per_pixel, room[7, i] * per_pixel
         means = means_over(plane, (room[1, i], room[2, i], uu, uv, vv), noise)
@@ -299,26 +303,22 @@ def uneven_variance(noise, count, room):
 
 
 @kernel(inline=True)
-def lateral_variance(noise, room):
+def independent_variance(of_pixels, noise, room):
     """Variance of the errors that are independent: rounding, and what errors across the ray make of q."""
     x, y = noise[LATERAL_X], noise[LATERAL_Y]
-    if x > 0.0:
+    if of_pixels.shape[0] >= OF_LENS:
+        for i in range(TILES_AT_ONCE):
+            n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
+            xx, xy, yy = room[LATERAL, i], room[LATERAL + 1, i], room[LATERAL + 2, i]
+            lateral = (xx * n_x * n_x + 2.0 * xy * n_x * n_y + yy * n_y * n_y) / (d * d)
+            room[INDEPENDENT, i] = room[ROUNDING, i] + lateral
+    elif x > 0.0:
         for i in range(TILES_AT_ONCE):
             n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
             room[INDEPENDENT, i] = room[ROUNDING, i] + (x * n_x * n_x + y * n_y * n_y) / (d * d)
     else:
         for i in range(TILES_AT_ONCE):
             room[INDEPENDENT, i] = room[ROUNDING, i]
-
-
-@kernel(inline=True)
-def lateral_variance_of_lens(room):
-    """As `lateral_variance`, where a lens makes rays differ over the image."""
-    for i in range(TILES_AT_ONCE):
-        n_x, n_y, d = room[N_X, i], room[N_Y, i], room[D, i]
-        xx, xy, yy = room[LATERAL, i], room[LATERAL + 1, i], room[LATERAL + 2, i]
-        lateral = (xx * n_x * n_x + 2.0 * xy * n_x * n_y + yy * n_y * n_y) / (d * d)
-        room[INDEPENDENT, i] = room[ROUNDING, i] + lateral
 
 
 @kernel(inline=True)

@@ -181,6 +181,25 @@ def test_uncertainty_of_a_window_does_not_depend_on_the_others(rng):
             np.testing.assert_array_equal(getattr(together, name)[i], getattr(alone, name)[0])
 
 
+@pytest.mark.parametrize("method", ["range_explicit", "standard_pca"])
+@pytest.mark.parametrize("name", NOISES)
+def test_a_window_across_an_edge_has_the_variance_in_its_middle(name, method, rng):
+    """It is ROUGH by any mean of variances, which are only taken for its neighbour."""
+    camera = replace(CAMERA, noise=NOISES[name])
+    (depth,), seen = measured_floor(camera, 1, rng)
+    top = int(np.flatnonzero(seen.all(axis=1))[0])
+    depth[top : top + 16, :32] = 4.0
+    depth[top : top + 16, 16:32] = 1.0
+    windows = [(top, 0, 16, 32), (top + 16, 0, 80 - top, 128)]
+    fits = rp.fit_windows(depth, camera, windows, method)
+    assert fits.status[0] == rp.TileStatus.ROUGH
+    assert fits.p_value[0] < 1e-12
+    even = rp.fit_windows(depth, replace(camera, noise=rp.noise.NoiseModel((1e-3,))), windows, method)
+    edge, floor = fits.alpha_covariance / even.alpha_covariance
+    np.testing.assert_allclose(edge, edge[0, 0], rtol=1e-9)
+    assert np.ptp(floor) > 0.01 * floor[0, 0]
+
+
 @pytest.mark.parametrize("noise", [rp.noise.NoiseModel((1e-4,), step=0.002), rp.noise.time_of_flight(1e-4)], ids=str)
 @pytest.mark.parametrize("lens", [(-0.2, 0.03, 0.002, -0.001, 0.0), (0.01, -0.005, 0.0, 0.0)])
 def test_the_lateral_error_is_that_of_rays_through_the_lens(lens, noise):
