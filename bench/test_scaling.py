@@ -1,5 +1,6 @@
 """How the cost of a fit grows with the frame, the tile and the threads: ``pytest bench/test_scaling.py``."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 
 import rgbd_planes as rp
 from bench.fitting import case, fit
+from rgbd_planes.threads import num_cores
 
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 TILES = (4, 8, 16, 20, 32, 64)
+THREADS = [2**k for k in range(num_cores().bit_length())]
 
 
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
@@ -25,11 +28,11 @@ def test_tile_size(benchmark: Any, tile: int) -> None:
     benchmark(fit(case(), tile))
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_batch(benchmark: Any, threads: int) -> None:
-    benchmark.group = "100 frames of 640 x 480, tiles of 20, range_explicit"
-    frame = case()
-    frames = np.repeat(frame.depth[None], 100, axis=0)
-    fitter = rp.TileFitter(frame.camera, 20, num_threads=threads)
+@pytest.mark.parametrize("threads", THREADS)
+@pytest.mark.parametrize("container", [np.stack, list], ids=["array", "list"])
+def test_batch(benchmark: Any, container: Callable[[Any], Any], threads: int) -> None:
+    frames = container([case().depth] * 32 * THREADS[-1])
+    benchmark.group = f"{len(frames)} frames of 640 x 480, tiles of 20, range_explicit"
+    fitter = rp.TileFitter(case().camera, 20, num_threads=threads)
     out = fitter.fit_batch(frames)
     benchmark(fitter.fit_batch, frames, out=out)

@@ -1,4 +1,4 @@
-"""A frame's tiles from raw depth to planes in one call: moments, then the solve, strip by strip.
+"""The tiles of frames from raw depth to planes in one call: moments, then the solve, strip by strip.
 
 Everything between the frame and the planes stays in the nearest caches.
 """
@@ -17,12 +17,12 @@ def fit_range_tiles(
     implicit, max_error, tile_row_start, tile_row_stop,
     moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
 ):  # fmt: skip
-    """Fit the tiles of some tile rows in range space.
+    """Fit the tiles of some tile rows, counted through all frames, in range space.
 
     Parameters
     ----------
-    raw : (H, W) array
-        The frame; a pixel is valid if ``lowest <= raw <= highest``.
+    raw : (F, H, W) array
+        The frames; a pixel is valid if ``lowest <= raw <= highest``.
     scale, offset
         q = scale / raw, or scale * raw + offset unless ``offset`` is None.
     tan_x, tan_y : (H, W) float64
@@ -33,48 +33,50 @@ def fit_range_tiles(
     needed : (T,) float64
     implicit, max_error
         As in `solve.range_planes` and `solve.write_planes`.
-    moments, reference : (10 * T,) and (3 * T,) float64, written
-    planes, alpha, rmse, rmse_metric, valid_count, status : (4 * T,), (3 * T,), (T,)..., written
+    moments, reference : (F, 10 * T) and (F, 3 * T) float64, written
+    planes, alpha, rmse, rmse_metric, valid_count, status : (F, 4 * T), (F, 3 * T), (F, T)..., written
     """
-    height = raw.shape[0]
-    tile_columns = (raw.shape[1] - 1) // tile_width + 1
+    height, width = raw.shape[1:]
+    tile_rows, tile_columns = (height - 1) // tile_height + 1, (width - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.empty((13 + solve.WORK, TILES))
     block_moments, block_reference, work = room[:10], room[10:13], room[13:]
     block_moments[:] = 0.0
     sums_room = strip_room()
 
-    first = tile_row_start * tile_columns
-    filled = np.int64(0)
-    for tile_row in range(tile_row_start, tile_row_stop):
+    first = filled = np.int64(0)
+    for row in range(tile_row_start, tile_row_stop):
+        frame, tile_row = row // tile_rows, row % tile_rows
+        if row == tile_row_start or tile_row == 0:
+            first = tile_row * tile_columns
         row_start = tile_row * tile_height
         row_stop = min(row_start + tile_height, height)
         for tile_start in range(0, tile_columns, tiles_at_once):
             tile_stop = min(tile_start + tiles_at_once, tile_columns)
             if tan_x.ndim == 1:
                 range_moments.range_strip_separable(
-                    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
+                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     row_start, row_stop, tile_start, tile_stop, sums_room,
                     block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
                 range_moments.range_strip(
-                    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
+                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[:, first + filled :], row_start, row_stop, tile_start, tile_stop,
                     sums_room, block_reference[2, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
-            is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
+            is_last = (row + 1 == tile_row_stop or tile_row + 1 == tile_rows) and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 copy_columns(centre, first, last, block_reference)
-                copy_columns_back(block_moments, first, last, moments)
-                copy_columns_back(block_reference, first, last, reference)
+                copy_columns_back(block_moments, first, last, moments[frame])
+                copy_columns_back(block_reference, first, last, reference[frame])
                 solve.range_planes(implicit, block_moments, block_reference, None, needed[first:last], filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
-                    planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last],
-                    rmse_metric[first:last], valid_count[first:last], status[first:last],
+                    planes[frame, 4 * first : 4 * last], alpha[frame, 3 * first : 3 * last], rmse[frame, first:last],
+                    rmse_metric[frame, first:last], valid_count[frame, first:last], status[frame, first:last],
                 )  # fmt: skip
                 first = last
                 filled = 0
@@ -91,8 +93,8 @@ def fit_standard_tiles(
 
     ``method`` is as in `solve.standard_planes`.
     """
-    height = raw.shape[0]
-    tile_columns = (raw.shape[1] - 1) // tile_width + 1
+    height, width = raw.shape[1:]
+    tile_rows, tile_columns = (height - 1) // tile_height + 1, (width - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
     room = np.empty((25 + solve.WORK, TILES))
     block_moments, block_sums, block_reference, work = room[:10], room[10:22], room[22:25], room[25:]
@@ -100,39 +102,41 @@ def fit_standard_tiles(
     block_sums[:] = 0.0
     sums_room = strip_room()
 
-    first = tile_row_start * tile_columns
-    filled = np.int64(0)
-    for tile_row in range(tile_row_start, tile_row_stop):
+    first = filled = np.int64(0)
+    for row in range(tile_row_start, tile_row_stop):
+        frame, tile_row = row // tile_rows, row % tile_rows
+        if row == tile_row_start or tile_row == 0:
+            first = tile_row * tile_columns
         row_start = tile_row * tile_height
         row_stop = min(row_start + tile_height, height)
         for tile_start in range(0, tile_columns, tiles_at_once):
             tile_stop = min(tile_start + tiles_at_once, tile_columns)
             if tan_x.ndim == 1:
                 standard_moments.standard_strip_separable(
-                    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
+                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     row_start, row_stop, tile_start, tile_stop, sums_room,
                     block_reference[2, filled:], block_sums[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             else:
                 standard_moments.standard_strip(
-                    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width,
+                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width,
                     centre[:, first + filled :], row_start, row_stop, tile_start, tile_stop,
                     sums_room, block_reference[:, filled:], block_moments[:, filled:],
                 )  # fmt: skip
             filled += tile_stop - tile_start
-            is_last = tile_row + 1 == tile_row_stop and tile_stop == tile_columns
+            is_last = (row + 1 == tile_row_stop or tile_row + 1 == tile_rows) and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
                 if tan_x.ndim == 1:
                     copy_columns(centre, first, last, block_reference)
                     standard_moments.standard_from_sums(block_sums, filled, block_reference, block_moments)
-                copy_columns_back(block_moments, first, last, moments)
-                copy_columns_back(block_reference, first, last, reference)
+                copy_columns_back(block_moments, first, last, moments[frame])
+                copy_columns_back(block_reference, first, last, reference[frame])
                 solve.standard_planes(method, block_moments, block_reference, None, filled, work)
                 solve.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
-                    planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last],
-                    rmse_metric[first:last], valid_count[first:last], status[first:last],
+                    planes[frame, 4 * first : 4 * last], alpha[frame, 3 * first : 3 * last], rmse[frame, first:last],
+                    rmse_metric[frame, first:last], valid_count[frame, first:last], status[frame, first:last],
                 )  # fmt: skip
                 first = last
                 filled = 0

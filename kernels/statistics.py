@@ -78,13 +78,13 @@ def assess(
 ):  # fmt: skip
     """Give status ROUGH to tiles whose residual is larger than noise explains; write how uncertain the planes are.
 
-    For tiles ``start`` to ``stop`` of a frame, counted row by row.
+    For tiles ``start`` to ``stop`` of N in each of F frames, counted through all frames.
 
     Parameters
     ----------
-    moments, reference : (10, R, C) and (3, R, C) float64
-    planes, rmse_metric : (R, C, 4) and (R, C) float64
-    counts : (R, C) integers
+    moments, reference : (F, 10, N) and (F, 3, N) float64
+    planes, rmse_metric : (F, 4 * N) and (F, N) float64
+    counts : (F, N) integers
         Which row of ``tables`` belongs to a tile.
     tables : (K, TABLE_COLUMNS) float64
         By number of pixels. With the covariance C of errors that neighbours share, of variance 1, and the projection P
@@ -93,16 +93,16 @@ def assess(
         independent.
     noise : (8 or more,) float64
         See `variances.LATERAL_X`.
-    growth : (2, R·C) float64, or (2, 0)
+    growth : (2, N) float64, or (2, 0)
         Factors on the variances of q along the ray in ``noise``, at each tile's place in the image, and the variances
         of their logarithms within the tiles.
-    of_pixels : (OF_LENS or OF_DEPTHS, R·C) float64, or without rows
+    of_pixels : (OF_LENS or OF_DEPTHS, N) float64, or without rows
         See OF_LENS.
     limits : (LIMITS,) float64
         The largest permitted sum of squared residuals over its expected value, as a polynomial in 1/√(degrees of
         freedom); with a spread of the variance, the normal deviate of the level; empty for no test.
-    status : (R, C) uint8, written
-    results : (RESULTS, R, C) float64, written
+    status : (F, N) uint8, written
+    results : (F, RESULTS, N) float64, written
         P-values of the residuals, covariances of α and of (n, d), and deviations, from row P_VALUE, ALPHA_COVARIANCE,
         PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres). NaN where there is no plane. Without rows, only
         the test is made.
@@ -110,23 +110,23 @@ def assess(
     # Allocated first: later deallocations would hide its shape from the compiler.
     room = np.empty((ROWS, TILES_AT_ONCE))
     tails = room[RATIO : RATIO + normal_distribution.WORK]
-    tiles = status.size
-    all_moments, all_reference = moments.reshape(10, tiles), reference.reshape(3, tiles)
-    all_planes, all_errors, all_counts = planes.ravel(), rmse_metric.reshape(1, tiles), counts.ravel()
-    all_status, all_results = status.ravel(), results.reshape(results.shape[0], tiles)
-    everything = results.shape[0] > 0
-    for first in range(start, stop, TILES_AT_ONCE):
-        last = min(first + TILES_AT_ONCE, stop)
+    tiles = status.shape[1]
+    everything = results.shape[1] > 0
+    begin = start
+    while begin < stop:
+        frame, first = begin // tiles, begin % tiles
+        last = min(first + TILES_AT_ONCE, first + stop - begin, tiles)
+        begin += last - first
         if everything:
-            load(all_moments, first, last, room, 0)
-            load(all_reference, first, last, room, U_0)
+            load(moments[frame], first, last, room, 0)
+            load(reference[frame], first, last, room, U_0)
         else:  # as much as even variances need
-            load(all_moments[:1], first, last, room, 0)
-            load(all_moments[3:4], first, last, room, 3)
-            load(all_moments[9:], first, last, room, 9)
-            load(all_reference[2:], first, last, room, W_0)
-        load(all_errors, first, last, room, ERROR)
-        plane = all_planes[4 * first : 4 * last]
+            load(moments[frame, :1], first, last, room, 0)
+            load(moments[frame, 3:4], first, last, room, 3)
+            load(moments[frame, 9:], first, last, room, 9)
+            load(reference[frame, 2:], first, last, room, W_0)
+        load(rmse_metric[frame : frame + 1], first, last, room, ERROR)
+        plane = planes[frame, 4 * first : 4 * last]
         for i in range(last - first):
             room[N_X, i] = plane[4 * i]
             room[N_Y, i] = plane[4 * i + 1]
@@ -152,12 +152,12 @@ def assess(
             uneven = find_uneven(room)
             if uneven:
                 if not everything:
-                    load(all_moments, first, last, room, 0)
-                    load(all_reference, first, last, room, U_0)
+                    load(moments[frame], first, last, room, 0)
+                    load(reference[frame], first, last, room, U_0)
                     ray_scatter(in_range_space, room)
                 uneven_variance(noise, last - first, room)
                 independent_variance(of_pixels, noise, room)
-        by_count(all_counts[first:last], tables, room)
+        by_count(counts[frame, first:last], tables, room)
         residual_ratio(room)
         if uneven:
             uneven_freedom(room)
@@ -170,7 +170,7 @@ def assess(
                     for k in range(LIMITS - 1, -1, -1):
                         limit = limit * room[ROOT, i] + limits[k]
                     room[LIMIT, i] = limit
-            mark = all_status[first:last]
+            mark = status[frame, first:last]
             for i in range(last - first):
                 if room[RATIO, i] > room[LIMIT, i]:
                     mark[i] = ROUGH
@@ -185,7 +185,7 @@ def assess(
             covariances(room)
             if uneven:
                 uneven_covariances(room)
-            store(room, all_results, first, last)
+            store(room, results[frame], first, last)
 
 
 @kernel(inline=True)

@@ -118,6 +118,18 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     """
     array = plain_array("depth", depth)
     _check_shape(depth, array, camera)
+    return _read(array, camera)
+
+
+def as_depth_frames(frames: NDArray[Any], camera: Camera) -> DepthFrame:
+    """The same for an array of frames (F, H, W), all at once: ``raw`` has its shape."""
+    array = plain_array("depth", frames)
+    _check_shape(frames[0], array[0], camera)
+    return _read(array, camera)
+
+
+def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
+    """`as_depth_frame` of a frame, or of several, (..., H, W)."""
     kind = array.dtype.kind
     if kind in "ui":
         if camera.depth_scale is None and camera.disparity is None:
@@ -136,10 +148,11 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         raw = np.require(array, dtype, ["C", "A"])
     depth_scale = camera.depth_scale if kind in "ui" else 1.0
     disparity = camera.disparity
-    sample = some_of(raw)
+    samples = some_of(raw)
     if disparity is None:
         assert depth_scale is not None
-        _warn_of_units(sample, array.dtype, depth_scale, camera.depth_range)
+        for sample in samples:
+            _warn_of_units(sample, array.dtype, depth_scale, camera.depth_range)
     lowest, highest, holes, missing = _validity(
         dtype.char,
         array.dtype.char if kind == "f" else dtype.char,
@@ -149,12 +162,15 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
         camera.invalid_values,
     )
     largest = raw.dtype.type(_LARGEST if kind in "ui" else 1e-3 * _LARGEST)
-    if disparity is None and lowest <= largest <= highest and largest not in holes:
-        _warn_of_the_largest(sample, largest)
+    may_be_meant = disparity is not None or not lowest <= largest <= highest or largest in holes
+    if not may_be_meant and (len(samples) == 1 or (samples[:, ::8] == largest).any()):  # of several NumPy is faster
+        for sample in samples:
+            _warn_of_the_largest(sample, largest)
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:
         invalid.append(camera._without_ray)
-        _warn_of_lost_pixels((sample >= lowest) & (sample <= highest) & some_of(camera._without_ray))
+        for sample in samples:
+            _warn_of_lost_pixels((sample >= lowest) & (sample <= highest) & some_of(camera._without_ray)[0])
     if invalid:
         raw, lowest, highest = _without(raw, functools.reduce(np.logical_or, invalid), lowest, highest, missing)
     raw = raw.view()
@@ -273,12 +289,13 @@ def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:
 
 
 def some_of(raw: NDArray[Any]) -> NDArray[Any]:
-    """About a thousand pixels of a frame, which often tell as much as all of them."""
+    """(F, K): about a thousand pixels of each frame (..., H, W), which often tell as much as all of them."""
     # A step without a common divisor with the width meets every column, whatever pattern the holes have.
-    step = max(1, raw.size // 1024)
-    while math.gcd(step, raw.shape[1]) > 1:
+    pixels = raw.shape[-2] * raw.shape[-1]
+    step = max(1, pixels // 1024)
+    while math.gcd(step, raw.shape[-1]) > 1:
         step += 1
-    return raw.reshape(-1)[::step]
+    return raw.reshape(-1, pixels)[:, ::step]
 
 
 def step_of(frame: DepthFrame) -> float:
@@ -286,7 +303,7 @@ def step_of(frame: DepthFrame) -> float:
     if frame.step > 0.0:
         return frame.step
     grain = _GRAIN_OF_DISPARITY if frame.is_disparity else _GRAIN
-    sample = some_of(frame.raw)
+    sample = some_of(frame.raw)[0]
     grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / grain
     grains = grains[np.abs(grains) < _INDISTINCT]
     whole = np.rint(grains)

@@ -57,13 +57,10 @@ class FitStatistics:
         self.rows = np.empty((*frames, statistics.RESULTS, *cells))
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
         assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
-        error_sums = fits._error_sums
         # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.
         arrays = {name: np.require(getattr(fits, name), requirements="W") for name in _ARGUMENTS}
         arrays["_statistics"] = self.rows
-        for frame in np.ndindex(frames):
-            of_frame = {name: array[frame] for name, array in arrays.items()}
-            assess.of(of_frame, error_sums)(0, math.prod(cells))
+        assess.of(arrays, fits._error_sums)(0, math.prod(fits.shape))
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
@@ -231,21 +228,23 @@ class Assessment:
         self._in_range_space = method.startswith("range")
 
     def of(self, arrays: "Arrays", error_sums: Floats | None = None) -> Work:
-        """Return a function that marks tiles ``start`` to ``stop`` of one frame, and writes their statistics.
+        """Return a function that marks tiles ``start`` to ``stop``, through all frames, and writes their statistics.
 
-        ``arrays`` are those of `plane_fits.allocate` and perhaps ``_statistics``, (RESULTS, R, C) or (RESULTS, K).
-        ``error_sums`` are those of `error_sums`, for labels and unions.
+        ``arrays`` are those of `plane_fits.allocate`, of one frame or several, and perhaps ``_statistics``, RESULTS
+        rows for each frame. ``error_sums`` are those of `error_sums`, for labels and unions.
         """
         noise, results = self._noise, arrays.get("_statistics")
         if noise is None or (results is None and not len(self._limits)):
             return lambda start, stop: None
         moments, reference, planes, errors, counts, status = _arguments(arrays)
+        tiles = len(self._sizes)
+        frames = status.size // tiles if tiles else 1
+        planes, errors = planes.reshape(frames, 4 * tiles), errors.reshape(frames, tiles)
+        fits = moments.reshape(frames, 10, tiles), reference.reshape(frames, 3, tiles), planes, errors
+        counts, status = counts.reshape(frames, tiles), status.reshape(frames, tiles)
         if results is None:
-            results = np.empty((0, *status.shape))
-        if status.ndim == 1:
-            moments, reference, results = moments[:, None], reference[:, None], results[:, None]
-            planes, errors, counts, status = planes[None], errors[None], counts[None], status[None]
-        fits = moments, reference, planes, errors
+            results = np.empty((frames, 0, tiles))
+        results = results.reshape(frames, -1, tiles) if results.size else results
         of_pixels, growth = self._of_lens, self._growth
         if error_sums is not None:
             of_pixels, growth = self._of_depths(error_sums, counts), EVEN
@@ -254,11 +253,11 @@ class Assessment:
         def assess(start: int, stop: int) -> None:
             index, tables = counts, self._tables
             if tables is None:
-                some = counts.ravel()[start:stop]  # other parts may not be written yet
-                tables = _some_tables(noise, some, self._sizes[start:stop])
+                some = np.arange(start, stop)  # other parts may not be written yet
+                tables = _some_tables(noise, counts.ravel()[some], self._sizes[some % tiles])
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
-                index = counts + self._first.reshape(counts.shape)
+                index = counts + self._first
             statistics.assess(*fits, index, tables, *settings, start, stop, status, results)
 
         return assess

@@ -24,7 +24,7 @@ METHODS = tuple(SOLVES)
 # What the kernels write, in the order of their arguments.
 RESULTS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 ARRAYS = ("_moments", "_reference", *RESULTS)
-_in_order = operator.itemgetter(*ARRAYS)
+in_order = operator.itemgetter(*ARRAYS)
 
 
 def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np.float64]:
@@ -32,11 +32,6 @@ def valid_needed(pixels: npt.NDArray[Any], max_missing: float) -> npt.NDArray[np
     # The small term keeps the rounding of a share such as 0.3 of 10 pixels from changing the whole number.
     needed: npt.NDArray[np.float64] = np.maximum(3.0, pixels - np.floor(pixels * max_missing + 1e-9))
     return needed
-
-
-def flat(arrays: Arrays) -> list[npt.NDArray[Any]]:
-    """The arrays of `plane_fits.allocate` in the kernels' order and in one dimension, which Numba compiles fastest."""
-    return [array.ravel() for array in _in_order(arrays)]
 
 
 def solve_planes(
@@ -52,7 +47,8 @@ def solve_planes(
 
     ``arrays`` are those of `plane_fits.allocate`, ``total`` that of the moments' `window_moments.Source`.
     """
-    moments, reference, *results = flat(arrays)
+    # In one dimension, which Numba compiles fastest.
+    moments, reference, *results = (array.ravel() for array in in_order(arrays))
     solve.fit_moments(
         *SOLVES[method], moments.reshape(10, -1), reference.reshape(3, -1), total, needed, max_error, start, stop,
         *results,

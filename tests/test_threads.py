@@ -349,6 +349,72 @@ def test_batch_bits_do_not_depend_on_threads_or_neighbours(method, distortion, t
             np.testing.assert_array_equal(getattr(batch, name), getattr(wanted, name))
 
 
+STACKS = {
+    "uint16": ({}, lambda raw: raw),
+    "of the other byte order": ({}, lambda raw: raw.astype(">u2")),
+    "of 8 bits": ({"depth_scale": 40.0}, lambda raw: (raw // 25).astype(np.uint8)),
+    "int32": ({}, lambda raw: raw.astype(np.int32)),
+    "float32": ({}, lambda raw: (raw / 1000).astype(np.float32)),
+    "float64": ({}, lambda raw: raw / 1000),
+    "strided": ({}, lambda raw: raw.repeat(2, axis=2)[:, :, ::2]),
+    "backwards": ({}, lambda raw: raw[::-1]),
+    "disparity": ({"depth_scale": None, "disparity": (1e-3, 0.01)}, lambda raw: raw),
+    "invalid values": ({"invalid_values": (1500.0, 65535.0)}, lambda raw: raw),
+    "a lens": ({"distortion": (0.05, -0.02, 0.0, 0.0, 0.0)}, lambda raw: raw),
+    "a fisheye": ({"distortion": (0.9, 0.1, 0.0, 0.0), "distortion_model": "fisheye"}, lambda raw: raw),
+    # Of the last one all codes count but one, which is in some frames only: those need a wider type than the others.
+    "codes": ({"depth_scale": None, "disparity": (1e-3, 0.01), "invalid_values": (1500.0,)}, lambda raw: raw),
+}
+
+
+@pytest.mark.parametrize("num_threads", [1, 3])
+@pytest.mark.parametrize("kind", STACKS)
+def test_frames_of_one_array_are_fitted_as_one_by_one(kind, num_threads, rng):
+    """Which is done in one call for several: the last ones are fewer."""
+    options, convert = STACKS[kind]
+    camera = make_camera(noise=rp.noise.time_of_flight(0.005), **options)
+    raw = np.stack([as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16") for _ in range(37)])
+    raw[raw == 1500] = 1501
+    raw[7, 20:25, 30:33] = 1500
+    frames = convert(raw)
+    fitter = rp.TileFitter(camera, (7, 9), num_threads=num_threads)
+    found = fitter.fit_batch(frames)
+    for i, frame in enumerate(frames):
+        wanted = fitter.fit(frame)
+        for name in (*ARRAYS, "p_value", "alpha_covariance"):
+            np.testing.assert_array_equal(getattr(found, name)[i], getattr(wanted, name), err_msg=name)
+    assert found.fitted.mean() > 0.2
+    again = fitter.fit_batch(frames[::-1], out=found)
+    np.testing.assert_array_equal(again.p_value, fitter.fit_batch(list(frames[::-1])).p_value)
+
+
+@pytest.mark.parametrize("kind", ["millimetres", "the largest number", "nothing"])
+def test_one_frame_of_an_array_is_warned_of(kind, recwarn, rng):
+    camera = make_camera(depth_range=None)
+    metres = np.stack([make_depth(camera, rng)] * 20)
+    if kind == "millimetres":
+        metres[18] *= 1000.0
+    elif kind == "the largest number":
+        metres[18, :, ::4] = 65.535
+    rp.TileFitter(camera).fit_batch(metres)
+    messages = [str(warning.message) for warning in recwarn]
+    wanted = {"millimetres": ["millimetres?"], "the largest number": ["many pixels are 65.535"], "nothing": []}[kind]
+    assert len(messages) == len(wanted)
+    assert all(part in message for part, message in zip(wanted, messages, strict=True))
+
+
+def test_an_array_of_frames_is_refused_as_one_frame_is():
+    fitter = rp.TileFitter(make_camera())
+    with pytest.raises(ValueError, match="expected a depth frame of shape"):
+        fitter.fit_batch(np.ones((20, 48, 63)))
+    with pytest.raises(TypeError, match="integers or floats, got dtype complex128"):
+        fitter.fit_batch(np.ones((20, 48, 64), complex))
+    with pytest.raises(TypeError, match="masked"):
+        fitter.fit_batch(np.ma.masked_equal(np.ones((20, 48, 64)), 0.0))
+    with pytest.raises(ValueError, match="depth_scale"):
+        rp.TileFitter(make_camera(depth_scale=None)).fit_batch(np.ones((20, 48, 64), np.uint16))
+
+
 def test_warmup_leaves_nothing_to_compile(caplog):
     rp.warmup()
     rp.warmup(make_camera((0.01, 0.0, 0.0, 0.0, 0.0)), ["range_explicit", "standard_pca"], "uint16")
