@@ -162,10 +162,8 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
         camera.invalid_values,
     )
     largest = raw.dtype.type(_LARGEST if kind in "ui" else 1e-3 * _LARGEST)
-    may_be_meant = disparity is not None or not lowest <= largest <= highest or largest in holes
-    if not may_be_meant and (len(samples) == 1 or (samples[:, ::8] == largest).any()):  # of several NumPy is faster
-        for sample in samples:
-            _warn_of_the_largest(sample, largest)
+    if disparity is None and lowest <= largest <= highest and largest not in holes:
+        _warn_of_the_largest(samples, largest)
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:
         invalid.append(camera._without_ray)
@@ -268,15 +266,19 @@ def _warn_of_the_nearest(
     )
 
 
-def _warn_of_the_largest(sample: NDArray[Any], largest: Any) -> None:
+def _warn_of_the_largest(samples: NDArray[Any], largest: Any) -> None:
     """Warn of a number that most likely means missing, and would count as a far plane; in metres, as millimetres."""
-    # Mostly there are none, which an eighth of the sample shows.
-    if largest.item() in sample[::8].tolist() and np.count_nonzero(sample == largest) > 10:  # a hundredth
-        millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
-        warn_caller(
-            f"many pixels are {largest:g}{millimetres}, the largest number of 16 bits: are they missing? A camera with "
-            f"invalid_values=({largest:g},) says so, or with a depth_range that ends before"
-        )
+    # Mostly there are none, which an eighth of the samples shows.
+    found = samples[:, ::8] == largest
+    if not found.any():
+        return
+    for sample in samples[found.any(axis=1)]:
+        if np.count_nonzero(sample == largest) > 10:  # a hundredth
+            millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
+            warn_caller(
+                f"many pixels are {largest:g}{millimetres}, the largest number of 16 bits: are they missing? A camera "
+                f"with invalid_values=({largest:g},) says so, or with a depth_range that ends before"
+            )
 
 
 def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:
