@@ -433,14 +433,16 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 
-@pytest.mark.parametrize("cores", [1, 3])
+@pytest.mark.parametrize("cores", [1, 3, 20])
 def test_no_more_threads_than_the_process_has_cores(cores, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(5, 5 + cores)), raising=False)
     assert threads.choose_num_threads(None, 10**9) == cores
     assert threads.choose_num_threads(None, 2 * threads.PIXELS_PER_THREAD) == min(2, cores)
     assert threads.choose_num_threads(7, 1) == 7
-    assert batch._Threads(None).slots == cores
+    assert batch._Threads(None, rp.FitSettings()).slots == min(cores, 8)
+    assert batch._Threads(None, rp.FitSettings(segments=True)).slots == min(cores, 16)
+    assert batch._Threads(20, rp.FitSettings()).slots == 20
     monkeypatch.delattr(os, "sched_getaffinity")  # as on a Mac
     assert threads.choose_num_threads(None, 10**9) == 64
 

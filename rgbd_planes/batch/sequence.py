@@ -38,6 +38,8 @@ MOST_FRAMES = 512
 MOST_SEGMENTED = 64  # segmenting a frame takes tens of times as long as fitting its tiles
 FEWEST_FRAMES = 4
 MOST_ROWS = 600_000
+# Of more threads most wait for Python, which lets one run at a time, but for decoding, fitting and writing.
+MOST_THREADS, MOST_THREADS_OF_SEGMENTS = 8, 16
 CONNECT_SECONDS = 30.0
 PROGRESS_SECONDS = 0.2  # between two calls, while no part is done
 _ABOUT = "_about.json"
@@ -127,7 +129,8 @@ def fit_sequence(
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles` or `segment`.
     num_threads : int, optional
-        All cores, if not given. The table is the same for any number.
+        If not given, one for each core, up to 8, or 16 for segments: of more, most wait for Python, which lets one run
+        at a time. The table is the same for any number.
     scheduler : str, optional
         Address of a Dask scheduler, tcp://host:port, instead of threads here. Its workers must see the
         sequence's files at the same paths; `out` is written here.
@@ -179,7 +182,7 @@ def fit_sequence(
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"{folder}: expected a folder for the table, got a file; choose another name")
-    with _workers(scheduler, num_threads) as workers, alone_in(folder):
+    with _workers(scheduler, num_threads, settings) as workers, alone_in(folder):
         size = _open_table(folder, sequence, settings, workers.slots)
         tasks: list[Task] = [
             (i, start, min(start + size, len(sequence))) for i, start in enumerate(range(0, len(sequence), size))
@@ -271,8 +274,9 @@ class _Threads:
     `run` yields the number of frames that were fitted since it last did, and a part, if one is done.
     """
 
-    def __init__(self, num_threads: int | None) -> None:
-        self.slots = num_threads or num_cores()
+    def __init__(self, num_threads: int | None, settings: FitSettings) -> None:
+        most = MOST_THREADS_OF_SEGMENTS if settings.segments else MOST_THREADS
+        self.slots = num_threads or min(num_cores(), most)
 
     def run(
         self, sequence: FrameSequence, settings: FitSettings, columns: Columns, tasks: list[Task], folder: Path
@@ -357,9 +361,9 @@ class _Cluster:
 
 
 @contextmanager
-def _workers(scheduler: str | None, num_threads: int | None) -> Iterator[_Threads | _Cluster]:
+def _workers(scheduler: str | None, num_threads: int | None, settings: FitSettings) -> Iterator[_Threads | _Cluster]:
     if scheduler is None:
-        yield _Threads(num_threads)
+        yield _Threads(num_threads, settings)
         return
     if not re.fullmatch(r"\w+://.+:\d+", scheduler):
         raise ValueError(f"expected the scheduler's address as tcp://host:port, got {scheduler!r}")

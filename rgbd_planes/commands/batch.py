@@ -39,7 +39,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     add_min_size(parser)
     add_fit_options(parser)
     add_noise(parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain")
-    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (one for each core)")
+    parser.add_argument(
+        "--threads", type=int, metavar="N", help="number of threads (one for each core, up to 8, or 16 for segments)"
+    )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler, to use its workers: tcp://host:port"
     )
