@@ -29,7 +29,7 @@ Habits of these kernels, each because it was measured:
 Names that mean the same everywhere:
 
 raw, lowest, highest
-    A frame, (H, W) uint16, float32 or float64; a pixel is valid if ``lowest <= raw <= highest``.
+    A frame, (H, W) uint16, float32 or float64, or several, (F, H, W); a pixel is valid if ``lowest <= raw <= highest``.
 scale, offset, is_disparity
     The inverse depth of a raw value: ``scale / raw``, or ``scale * raw + offset`` for disparity. Without an
     ``is_disparity``, an ``offset`` of None means depth.

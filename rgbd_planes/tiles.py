@@ -29,8 +29,8 @@ from rgbd_planes.window_moments import WindowMoments
 IMPLEMENTATIONS = ("direct", "integral", "naive")
 
 _MANY = 8  # frames for each thread that are enough to share out whole ones fairly
-# Frames of one array that a thread fits in one call: threads wait for one another only in between, where Python is.
-_AT_ONCE = 16
+# Of frames in one array a thread fits so many in one call: only in between, in Python, do threads wait for one another.
+_PIXELS_AT_ONCE = 5_000_000
 
 _arrays_of = operator.attrgetter(*ARRAYS)
 
@@ -179,7 +179,7 @@ class TileFitter:
         rows = self._grid[0]
 
         is_one_array = isinstance(frames, np.ndarray) and frames.ndim == 3 and self.implementation == "direct"
-        at_once = _AT_ONCE if is_one_array else 1
+        at_once = max(1, _PIXELS_AT_ONCE // math.prod(self.camera.shape)) if is_one_array else 1
 
         def fit_some(start: int, stop: int) -> None:
             """Fit tile rows ``start`` to ``stop``, counted through all frames."""

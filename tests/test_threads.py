@@ -15,7 +15,7 @@ import pytest
 from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
-from rgbd_planes import threads
+from rgbd_planes import threads, tiles
 from rgbd_planes.batch import sequence as batch
 
 ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
@@ -369,8 +369,9 @@ STACKS = {
 
 @pytest.mark.parametrize("num_threads", [1, 3])
 @pytest.mark.parametrize("kind", STACKS)
-def test_frames_of_one_array_are_fitted_as_one_by_one(kind, num_threads, rng):
-    """Which is done in one call for several: the last ones are fewer."""
+def test_frames_of_one_array_are_fitted_as_one_by_one(kind, num_threads, rng, monkeypatch):
+    """Which is done in one call for several, here five: the last ones are fewer."""
+    monkeypatch.setattr(tiles, "_PIXELS_AT_ONCE", 5 * 48 * 64 + 100)
     options, convert = STACKS[kind]
     camera = make_camera(noise=rp.noise.time_of_flight(0.005), **options)
     raw = np.stack([as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16") for _ in range(37)])
