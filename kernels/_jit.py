@@ -17,6 +17,7 @@ from typing import Any, Literal, TypeVar, cast
 import numba
 import numpy as np
 from numba.core.options import DefaultOptions
+from numba.core.types import unliteral
 
 from ._cache import Cache
 from ._compiling import without_haste
@@ -45,6 +46,11 @@ def _sources_digest() -> str:
         stat = os.stat(getattr(__loader__, "archive", sys.executable))
         digest.update(repr((stat.st_mtime_ns, stat.st_size)).encode())
     return digest.hexdigest()[:12]
+
+
+def _of_any_value(template: Callable[..., Any]) -> Callable[..., Any]:
+    """Have a kernel compiled once for all numbers of a type, instead of again for those that its callers spell out."""
+    return lambda args, kws: template(tuple(map(unliteral, args)), {name: unliteral(kws[name]) for name in kws})
 
 
 def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = False) -> Callable[[Function], Function]:
@@ -83,6 +89,7 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
         dispatcher = numba.njit(**options)(function)
         with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own way then
             dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile)
+            dispatcher.get_call_template = _of_any_value(dispatcher.get_call_template)
         try:
             dispatcher._cache = Cache(function)
             has_cache &= dispatcher._cache.saves

@@ -38,6 +38,20 @@ def double(x):
     return 2 * x
 
 
+def test_kernels_are_compiled_once_for_all_numbers_of_a_type():
+    """Not for 0 as well, with which a caller begins."""
+    plus_one = _jit.kernel()(lambda x: x + 1)
+
+    def count(n):
+        number = 0
+        for _ in range(n):
+            number = plus_one(number)
+        return plus_one(7) + number
+
+    assert _jit.kernel()(count)(3) == 11
+    assert plus_one.signatures == [(numba.types.int64,)]
+
+
 def test_kernels_compile_without_haste():
     assert hasattr(numba.njit(double)._compiler, "compile")  # what is replaced is still what Numba calls
     kernel = _jit.kernel()(lambda x: x + 1)
