@@ -244,7 +244,8 @@ class Assessment:
         counts, status = counts.reshape(frames, tiles), status.reshape(frames, tiles)
         if results is None:
             results = np.empty((frames, 0, tiles))
-        results = results.reshape(frames, -1, tiles) if results.size else results
+        else:
+            results = results.reshape(frames, statistics.RESULTS, tiles)
         of_pixels, growth = self._of_lens, self._growth
         if error_sums is not None:
             of_pixels, growth = self._of_depths(error_sums, counts), EVEN

@@ -291,6 +291,22 @@ def test_sums_are_those_of_numpy(distortion, disparity, rng):
         np.testing.assert_allclose(sums[i], wanted, rtol=1e-4, atol=1e-4 * np.abs(products).max())
 
 
+@pytest.mark.parametrize("noise", [*NOISES.values(), replace(rp.noise.kinect_v1(), correlation=((0.5, 3.0),))], ids=str)
+@pytest.mark.parametrize("kind", ["windows", "labels", "union"])
+def test_of_no_parts_there_are_no_uncertainties(kind, noise):
+    camera = replace(CAMERA, noise=noise)
+    depth = np.ones(camera.shape)
+    if kind == "windows":
+        fits = rp.fit_windows(depth, camera, np.empty((0, 4), int))
+    elif kind == "labels":
+        fits = rp.fit_labels(depth, camera, np.zeros(camera.shape, int))
+    else:
+        tiles = rp.fit_tiles(depth, camera, 16)
+        fits = rp.merge(tiles, np.zeros(tiles.shape, int))
+    assert fits.p_value.shape == fits.angle_std.shape == (0,)
+    assert fits.alpha_covariance.shape == (0, 3, 3)
+
+
 def test_tiles_without_a_pixel_add_nothing(rng):
     """Whatever a function says of an inverse depth of 0."""
     camera = replace(CAMERA, noise=rp.noise.function(lambda q: 2e-3 / np.sqrt(q)))
