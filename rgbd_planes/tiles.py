@@ -7,7 +7,7 @@ import math
 import operator
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -178,18 +178,20 @@ class TileFitter:
         arrays = self._arrays((len(frames),), out)
         rows = self._grid[0]
 
-        is_one_array = isinstance(frames, np.ndarray) and frames.ndim == 3 and self.implementation == "direct"
-        at_once = max(1, _PIXELS_AT_ONCE // math.prod(self.camera.shape)) if is_one_array else 1
+        stack = None
+        if isinstance(frames, np.ndarray) and frames.ndim == 3 and self.implementation == "direct":
+            stack = frames
+        at_once = 1 if stack is None else max(1, _PIXELS_AT_ONCE // math.prod(self.camera.shape))
 
         def fit_some(start: int, stop: int) -> None:
             """Fit tile rows ``start`` to ``stop``, counted through all frames."""
             end = -(-stop // rows)
             for first in range(start // rows, end, at_once):
                 last = min(first + at_once, end)
-                if is_one_array:
-                    frame = as_depth_frames(cast(npt.NDArray[Any], frames)[first:last], self.camera)
-                else:
+                if stack is None:
                     frame = as_depth_frame(frames[first], self.camera)
+                else:
+                    frame = as_depth_frames(stack[first:last], self.camera)
                 fit = self._into({name: array[first:last] for name, array in arrays.items()})
                 with announced((*self._compiled_for, frame.raw.dtype)):
                     fit(frame)(max(start - first * rows, 0), min(stop, last * rows) - first * rows)
