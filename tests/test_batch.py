@@ -149,6 +149,18 @@ def test_each_frame_may_have_its_own_camera(recording, tmp_path):
     check_rows(tmp_path / "out", mixed)
 
 
+def test_a_camera_that_cannot_be_used_is_a_problem_of_each_of_its_frames(recording, tmp_path):
+    bad = 1, 2
+    folded = replace(CAMERA, depth_scale=5000.0, distortion=(-5.0, 0.0, 0.0, 0.0, 0.0))
+    sequence = rp.open_sequence(recording)[:4]
+    entries = [replace(e, camera=folded if i in bad else CAMERA) for i, e in enumerate(sequence.entries)]
+    mixed = FrameSequence(entries, images.read_depth)
+    report = rp.fit_sequence(mixed, tmp_path / "out")
+    assert [problem.frame for problem in report.problems] == list(bad)
+    assert len({problem.reason for problem in report.problems}) == 1
+    check_rows(tmp_path / "out", mixed, bad=bad)
+
+
 def test_a_noise_model_adds_covariances_and_p_values(recording, tmp_path):
     plain = rp.open_sequence(recording)
     sequence = plain.with_noise(rp.noise.kinect_v1())
@@ -397,7 +409,7 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
         (out / stranger).unlink()
     rp.fit_sequence(sequence, out)
     about = json.loads((out / "_about.json").read_text())
-    for damaged in ({}, {**about, "frames_per_part": 0}):
+    for damaged in ({}, [], {**about, "frames_per_part": 0}, {**about, "frames_per_part": None}):
         (out / "_about.json").write_text(json.dumps(damaged))
         with pytest.raises(ValueError, match="damaged; remove"):
             rp.fit_sequence(sequence, out)

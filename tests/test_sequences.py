@@ -22,7 +22,7 @@ from PIL import Image
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
 from rgbd_planes.sequences.bag import _OpenBag
-from rgbd_planes.sequences.frames import numbered
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered
 from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
@@ -267,6 +267,13 @@ def test_scannet_sens_frames_come_with_camera_and_times(tmp_path, frames, compre
     write_sens(path, frames, compression=compression)
     times = [math.nan, 0.033, 0.066]  # a stamp of zero is none
     same(rp.open_sequence(path), frames, CAMERA, times=times)
+    # A given camera counts, even if the file's own is none.
+    content = path.read_bytes()
+    matrix = np.array([[7.0, 0, 3.5, 0], [0, 7.5, 2.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "<f4").tobytes()
+    assert content.count(matrix) == 1
+    path.write_bytes(content.replace(matrix, bytes(64)))
+    with pytest.raises(ValueError, match=r"a\.sens|00\.sens: expected"):
+        rp.open_sequence(path)
     same(sequences.scannet_sens(path, presets.scannet()), frames, presets.scannet(), times=times)
 
 
@@ -411,6 +418,12 @@ def test_folder_of_images_needs_a_camera(tmp_path, frames):
     (tmp_path / "nested" / "depth.txt").write_text("0.5 depth/f10.npy\n1.5 depth/f9.png\n")
     times = rp.open_sequence(tmp_path / "nested")
     same(times, frames[[1, 0]], CAMERA, times=[0.5, 1.5])
+
+
+def test_a_reader_without_a_frame_is_not_the_end_of_a_loop(frames):
+    entries = [FrameEntry(str(i), math.nan, CAMERA, i) for i in range(len(frames) + 2)]
+    with pytest.raises(IndexError, match="out of bounds"):
+        list(FrameSequence(entries, frames.__getitem__))
 
 
 def test_a_frame_that_is_a_link_to_nowhere_keeps_its_place(tmp_path, frames, link):

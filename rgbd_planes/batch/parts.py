@@ -268,11 +268,10 @@ class _TileAdder:
 
     def __call__(self, frame: Frame, index: int, rows: Rows) -> None:
         if frame.camera is not self._camera:
-            self._camera = frame.camera
-            self._fitter = _fitter(frame.camera, self._settings)
+            fitter = _fitter(frame.camera, self._settings)  # an error leaves all as it was
+            self._grid = Grid(grid_shape(frame.camera, fitter.tile), frame.camera.shape, fitter.tile)
             self._tiles: TilePlanes | None = None
-            tile = self._fitter.tile
-            self._grid = Grid(grid_shape(frame.camera, tile), frame.camera.shape, tile)
+            self._fitter, self._camera = fitter, frame.camera
         self._tiles = tiles = self._fitter.fit(frame.depth, self._tiles)
         rows.add_tiles(index, self._grid, tiles)
 

@@ -224,7 +224,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
             size = int(found.pop("frames_per_part"))
             if size < 1:
                 raise ValueError(size)
-        except (ValueError, KeyError, AttributeError):
+        except (ValueError, KeyError, AttributeError, TypeError):
             raise ValueError(f"{file}: damaged; remove {folder} to begin again") from None
         if found != about:
             different = [name for name in about if found.get(name) != about[name]]

@@ -4,7 +4,7 @@ import math
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
@@ -95,6 +95,10 @@ class FrameSequence(Sequence[Frame]):
         except IndexError:
             raise IndexError(f"expected the number of one of {len(self)} frames, got {index}") from None
         return Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name)
+
+    def __iter__(self) -> Iterator[Frame]:
+        # Sequence's own takes an IndexError of the reader for the end.
+        return (self[i] for i in range(len(self)))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -73,7 +73,7 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     with file.open("rb") as stream:
         try:
             header = _read_header(stream)
-            entries = list(_entries(stream, file, header, camera or header.camera))
+            entries = list(_entries(stream, file, header, camera or _camera(*header.camera)))
         except struct.error:
             raise ValueError(
                 f"{path}: damaged or truncated: {file.stat().st_size} bytes end in the header of a .sens file"
@@ -116,7 +116,7 @@ def read_sens_frame(location: SensLocation) -> NDArray[np.uint16]:
 
 
 class _Header(NamedTuple):
-    camera: Camera
+    camera: tuple[NDArray[np.float64], tuple[int, int], float]  # as `_camera` takes it
     compression: str
     frames: int
 
@@ -135,11 +135,12 @@ def _read_header(stream: BinaryIO) -> _Header:
     name = _COMPRESSIONS.get(compression, str(compression))
     if name not in ("raw_ushort", "zlib_ushort"):
         raise ValueError(f"expected depth compressed as raw_ushort or zlib_ushort, got {name}")
-    return _Header(_camera(matrices[2], (width, height), depth_scale), name, count)
+    return _Header((matrices[2], (width, height), depth_scale), name, count)
 
 
 def _entries(stream: BinaryIO, file: Path, header: _Header, camera: Camera) -> Any:
     end = file.stat().st_size
+    _, (width, height), _ = header.camera
     for i in range(header.frames):
         about = stream.read(_ABOUT_FRAME.size)
         if len(about) == _ABOUT_FRAME.size:
@@ -148,7 +149,7 @@ def _entries(stream: BinaryIO, file: Path, header: _Header, camera: Camera) -> A
         if len(about) < _ABOUT_FRAME.size or start + depth_size > end:
             raise ValueError(f"truncated: {end} bytes end in frame {i}, expected {header.frames} frames")
         stream.seek(start + depth_size)
-        location = SensLocation(file, start, depth_size, header.compression, header.camera.shape)
+        location = SensLocation(file, start, depth_size, header.compression, (height, width))
         time = microseconds * 1e-6 if microseconds else math.nan
         yield FrameEntry(f"{i:06d}", time, camera, location)
 
