@@ -63,10 +63,7 @@ class Fit:
     def __post_init__(self) -> None:
         frame, camera = sensor(self.disparity)
         self._range = self.method.startswith("range")
-        self._frame = (
-            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-            *ray_tables(camera),
-        )  # fmt: skip
+        self._frame = *frame.values, *ray_tables(camera)
         shape = camera.height + 1, camera.width + 1
         self._full = np.empty((6, len(self.windows)))
         nothing_missing = np.empty((0, 0), np.int32), np.empty((0, 5))

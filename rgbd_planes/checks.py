@@ -155,10 +155,9 @@ LARGEST_NOISE = 1e60  # 1/m: the square of its square is finite, and so are sums
 
 
 def check_noise(sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True) -> NDArray[np.float64]:
-    """Return standard deviations at inverse depths, one for each, as floats: 0 or more, except where q is 0."""
+    """Return standard deviations at inverse depths, one for each, as floats: 0 or more."""
     made = for_each(sigma, inverse_depth)
     bad = ~(made >= 0.0) | (finite & (made > LARGEST_NOISE))
-    bad &= inverse_depth > 0.0  # no function need be defined at 0
     if bad.any():
         first = bad.argmax()
         raise ValueError(
@@ -209,7 +208,8 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     return tuple(number(name, value, finite=finite) for value in values)
 
 
-_INSIDE = "rgbd_planes", "contextlib"  # the latter's ExitStack waits for threads
+# ExitStack waits for threads; `dataclasses.replace` and `copy.copy` make cameras anew.
+_INSIDE = "rgbd_planes", "contextlib", "dataclasses", "copy"
 
 
 class _Collected(threading.local):

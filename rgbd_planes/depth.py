@@ -62,6 +62,11 @@ class DepthFrame(NamedTuple):
     step: float
 
     @property
+    def values(self) -> tuple[NDArray[Any], Any, Any, float, float, bool]:
+        """All but the step, as most kernels take them."""
+        return self[:6]
+
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """(H, W) bool: where the frame has a measurement."""
         return np.asarray((self.raw >= self.lowest) & (self.raw <= self.highest))

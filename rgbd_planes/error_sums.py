@@ -62,10 +62,7 @@ def sums_of_labels(frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int
     if not _differs(camera.noise):
         return None
     sums = np.empty((len(alpha), 8))
-    label_variances(
-        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
-        labels, alpha, settings_of(camera), growth_of_pixels(camera), sums,
-    )  # fmt: skip
+    label_variances(*frame.values, *camera._rays, labels, alpha, settings_of(camera), growth_of_pixels(camera), sums)
     return sums
 
 

@@ -104,9 +104,8 @@ def fit_labels(
     moments, reference = np.empty((count, 10)), np.empty((count, 3))
     with announced(("labels", method, frame.raw.dtype)):
         label_moments(
-            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, *camera._rays,
-            method.startswith("standard"), numbers, footprint, moments, reference,
-        )  # fmt: skip
+            *frame.values, *camera._rays, method.startswith("standard"), numbers, footprint, moments, reference
+        )
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
         pixels = Pixels(footprint, camera.noise, sums_of_labels(frame, camera, numbers, arrays["alpha"]))

@@ -141,7 +141,6 @@ def _surfaces(
     avoid_edges = bool(avoid_edges)  # otherwise Numba would compile again for a 1
     frame = as_depth_frame(depth, camera)
     height, width = frame.raw.shape
-    values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
     needs_surfaces = avoid_edges or not normals_only or not camera.is_separable
     threads = choose_num_threads(check_num_threads(num_threads), frame.raw.size)
 
@@ -154,11 +153,13 @@ def _surfaces(
         rays = camera.fx, camera.fy, camera.tan_x_columns, camera.tan_y_rows
 
         def work(start: int, stop: int) -> None:
-            dense.separable(*values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays)
+            dense.separable(*frame.values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays)
     else:
 
         def work(start: int, stop: int) -> None:
-            dense.distorted(*values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays)
+            dense.distorted(
+                *frame.values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
+            )
 
     with announced(("normals", camera.is_separable, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)

@@ -59,7 +59,7 @@ class WindowMoments:
         They are valid until the same thread prepares its next frame.
         """
         tan_x, tan_y = self._rays
-        values = (frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity)
+        values = frame.values
         if not self._integral:
             pixels = naive.range_window_moments if self._range else naive.standard_window_moments
             return Source(pixels, (*values, tan_x, tan_y), 0.0)

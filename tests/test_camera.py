@@ -741,6 +741,9 @@ def test_intrinsics_that_no_camera_has_are_doubted(change, words):
         Camera(**values | change)
     assert len(warned) == 1
     assert warned[0].filename == __file__
+    with pytest.warns(UserWarning, match=re.escape(words)) as warned:
+        copy.deepcopy(replace(Camera(**values), **change))
+    assert [warning.filename for warning in warned] == [__file__, __file__]
     # Wide lenses, narrow ones, and crops beside the principal point are no reason.
     for other in ({"fx": 90.0}, {"fx": 1e6}, {"cx": -1000.0}, {"cy": 1900.0}):
         Camera(**values | other)

@@ -8,6 +8,8 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
+from rgbd_planes.noise import estimation
+from rgbd_planes.noise import large_planes as large
 from rgbd_planes.noise.flatness import flatness
 from rgbd_planes.noise.large_planes import large_planes
 from rgbd_planes.noise.samples import WINDOW, Samples, unevenness
@@ -347,6 +349,21 @@ def test_all_tiles_at_one_depth(rng):
     pattern = 20000 + rng.integers(-50, 51, (12, 12))
     model = rp.estimate_noise(np.tile(pattern, (32, 40)).astype(np.uint16), CAMERA)
     assert model.sigma_depth(2.0) == pytest.approx(1e-4 * pattern.std(), rel=0.3)
+
+
+def test_it_takes_no_more_threads_than_it_may(rng, monkeypatch):
+    threads = []
+
+    class Counted(rp.TileFitter):
+        def __init__(self, *args, **options):
+            threads.append(options.get("num_threads"))
+            super().__init__(*args, **options)
+
+    for module in (estimation, large):
+        monkeypatch.setattr(module, "TileFitter", Counted)
+    rp.estimate_noise(1.0 / (0.5 + 1e-3 * rng.standard_normal((4, *CAMERA.shape))), CAMERA, num_threads=1)
+    assert set(threads) == {1}
+    assert len(threads) >= 4
 
 
 def test_one_frame_and_a_stack_are_taken(rng):

@@ -28,7 +28,7 @@ from rgbd_planes.kernels.segments.records import Planes, Rays, Rules, Runs
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels, plane_errors
-from rgbd_planes.noise import NoiseModel, kinect_v1
+from rgbd_planes.noise import NoiseModel, function, kinect_v1
 from rgbd_planes.segmentation.noise import noise_of
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.result import Reason
@@ -671,6 +671,22 @@ def test_a_model_counts_where_a_frame_shows_no_noise():
     assert repr(found).startswith("<Segmentation: 1 plane, ")
 
 
+@pytest.mark.parametrize("farthest", [2.0, 45.0])
+def test_noise_is_asked_for_where_it_is_known(farthest):
+    asked = []
+
+    def sigma(q):
+        asked.append(q.min())
+        return 1e-3 * np.sqrt(q)
+
+    depth = np.linspace(0.5 * farthest, farthest, CAMERA.height)[:, None] + np.zeros(CAMERA.shape)
+    segment(depth, CAMERA, noise=sigma)
+    assert min(asked) > 0.0
+    asked.clear()
+    segment(depth, CAMERA, noise=function(sigma))
+    assert min(asked) > 1.2e-3
+
+
 @pytest.mark.parametrize("noise", [None, NoiseModel((1e-3,)), lambda q: np.where(q > 0.0, 1e-3, np.nan)])
 @pytest.mark.parametrize(("side", "millimetres"), [(1, 1), (1, 20), (10, 1), (40, 20)])
 def test_specks_before_the_lens_change_nothing_elsewhere(room, noise, side, millimetres):
@@ -1019,10 +1035,7 @@ def blocks_and_squares(depth, camera):
     """Inverse depth, moments and planes of blocks and squares, largest inverse depth."""
     frame, rays = as_depth_frame(depth, camera), rays_of(camera)
     work = Workspace(camera)
-    nearest = block_moments(
-        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        rays, work.inverse_depth, work.pyramid,
-    )  # fmt: skip
+    nearest = block_moments(*frame.values, rays, work.inverse_depth, work.pyramid)
     return work.inverse_depth, work.pyramid, nearest
 
 
@@ -1082,7 +1095,7 @@ def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparit
     rounding = step_of_raw * (5e-4 if disparity else inverse_depth**2 / 1000.0) / np.sqrt(12.0)
     table, known = None, np.empty(0)
     if given.sigma is not None:
-        table = np.maximum(given.sigma(inverse_depth), flattest)
+        table = np.maximum(given.sigma(np.maximum(inverse_depth, 0.5 * step)), flattest)
         known = np.concatenate([[step], table]) if given.at_large else known
     typical, lateral, by_32, together = estimate_frame_noise(pyramid, known, growth, reach_table())
     if table is None:
@@ -1104,10 +1117,7 @@ def shows_noise_of_depth(depth: np.ndarray, camera: Camera) -> bool:
     """What the kernel says of a frame."""
     frame = as_depth_frame(depth.astype(np.float32), camera)
     with workspaces.lent(camera) as work:
-        read_frame(
-            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, rays_of(camera),
-            work.inverse_depth, work.pyramid,
-        )  # fmt: skip
+        read_frame(*frame.values, rays_of(camera), work.inverse_depth, work.pyramid)
         return bool(is_of_depth(work.pyramid))
 
 

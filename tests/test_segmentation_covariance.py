@@ -247,10 +247,7 @@ def test_a_little_that_squares_show_may_be_chance():
 def test_squares_that_are_not_in_one_plane_show_no_shared_errors():
     noise = gaussian_filter(np.random.default_rng(22).standard_normal(CAMERA.shape), 1.0)
     work, frame = Workspace(CAMERA), as_depth_frame(1.0 / (0.5 + 1e-2 * noise), CAMERA)
-    read_frame(
-        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity, rays_of(CAMERA),
-        work.inverse_depth, work.pyramid,
-    )  # fmt: skip
+    read_frame(*frame.values, rays_of(CAMERA), work.inverse_depth, work.pyramid)
     one = np.ones(CAMERA.shape, np.int32)
     stripes = one + (np.arange(CAMERA.width, dtype=np.int32) // 4) % 2
     for label, expected in ((one, 3.0), (0 * one, 1.0), (stripes, 1.0)):
@@ -324,10 +321,7 @@ def mean_weights(on, sigma, rng):
     for weighted in all_weighted:
         q = 0.5 + 0.05 * u + sigma * rng.standard_normal(CAMERA.shape)
         frame = as_depth_frame(1.0 / q, CAMERA)
-        read_frame(
-            frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-            rays_of(CAMERA), work.inverse_depth, work.pyramid,
-        )  # fmt: skip
+        read_frame(*frame.values, rays_of(CAMERA), work.inverse_depth, work.pyramid)
         rows = np.stack([np.ones(on.sum()), u[on], v[on], q[on]])
         moments = (rows @ rows.T)[np.triu_indices(4)]
         alpha, rss, *_ = np.linalg.lstsq(rows[[1, 2, 0]].T, q[on])

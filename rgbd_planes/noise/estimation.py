@@ -98,8 +98,8 @@ def estimate_noise(
     Warns
     -----
     UserWarning
-        The windows taken for flat differ so much that they may hold edges or outliers: do not rely on the model then.
-        Or surfaces without noise are bent when taken as depth, and flat as distances along the ray.
+        As `fit_tiles`. Or the windows taken for flat differ so much that they may hold edges or outliers: do not rely
+        on the model then. Or surfaces without noise are bent when taken as depth, and flat as distances along the ray.
 
     Notes
     -----
@@ -170,7 +170,7 @@ def estimate_noise(
             "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
             "are surfaces in the frames flat over 50 pixels or more?"
         )
-    return replace(model, evidence=evidence_of(opened, camera, model, samples, count))
+    return replace(model, evidence=evidence_of(opened, camera, model, samples, count, num_threads))
 
 
 def _rounding(steps: Sequence[float], frame: DepthFrame) -> NoiseModel:

@@ -87,7 +87,12 @@ class NoiseEvidence:
 
 
 def evidence_of(
-    frames: Sequence[Any], camera: Camera, model: NoiseModel, samples: dict[int, Samples], windows: int
+    frames: Sequence[Any],
+    camera: Camera,
+    model: NoiseModel,
+    samples: dict[int, Samples],
+    windows: int,
+    num_threads: int | None,
 ) -> NoiseEvidence:
     """What the flat tiles of frames, by size, say for and against a model."""
     from scipy.special import ndtr
@@ -99,7 +104,7 @@ def evidence_of(
     bins = bins_of(chosen.q, 60)
     sizes = np.array(list(samples))
     wide = replace(camera, noise=model)
-    large = large_planes(frames, wide)  # once more, by the floor that they have shown
+    large = large_planes(frames, wide, num_threads)  # once more, by the floor that they have shown
     sides, bends, _ = bends_by_side(large)
     residuals = np.append(
         [some.typical(model)[0] for some in samples.values()],

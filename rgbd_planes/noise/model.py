@@ -20,7 +20,8 @@ Floats = NDArray[np.float64]
 # Tables of the noise by inverse depth: number of entries, and the largest inverse depth in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
-_LARGEST_FALLOFF = 50.0  # that of sensors is up to 4
+SMALLEST = 0.5 / _SCALE  # 1/m: no function of inverse depth need be defined below
+_LARGEST_FALLOFF = 50.0  # that of sensors is up to 5
 _AT_30_DEGREES = 3.0**-0.5  # tangent
 
 KINECT_V1 = 1.425e-3
@@ -42,7 +43,7 @@ class NoiseModel:
     samples : tuple of (q, σq), optional
         Instead of `coefficients`: σq at inverse depths, linear between them, constant beyond.
     formula : function, optional
-        Instead of `coefficients`: σq of an array of q, evaluated when the model is made.
+        Instead of `coefficients`: σq of an array of q.
     step : float
         Quantum of integer depth in metres: rounding adds (step·q²)²/12 to the variance.
     disparity_step : float
@@ -196,7 +197,7 @@ class NoiseModel:
 
     def _table(self) -> Floats:
         """σq before rounding, on the axis, at all inverse depths, 1.2e-3 to 20 1/m."""
-        q = np.maximum(np.arange(_ENTRIES + 1), 0.5) / _SCALE  # no function need be defined at 0
+        q = np.maximum(np.arange(_ENTRIES + 1) / _SCALE, SMALLEST)
         return check_noise(self._along(q), q)
 
     @property

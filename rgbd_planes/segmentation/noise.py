@@ -11,6 +11,7 @@ from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
+from rgbd_planes.noise.model import SMALLEST
 from rgbd_planes.noise.residuals import ResidualStatistics, like_rectangles
 from rgbd_planes.segmentation.reach import reach_table
 
@@ -111,9 +112,8 @@ def _table(given: Given, nearest: float) -> Floats:
         return _UNKNOWN
     q = np.linspace(0.0, nearest, ENTRIES)
     flattest = FLATNESS * q
+    q = np.maximum(q, max(0.5 * q[1], min(SMALLEST, nearest) if given.at_large else 0.0))  # no function need know 0
     table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
-    if not np.isfinite(table[0]):
-        table[0] = table[1]
     if not given.at_large:
         warn_of_large_noise(table[MIDDLE], q[MIDDLE], "nearly all things are one plane, or none")
     return table

@@ -137,10 +137,7 @@ def _segment(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
 ) -> Segmentation:
     """Find the planes and their pixels, and describe them."""
-    nearest = read_frame(
-        frame.raw, frame.lowest, frame.highest, frame.scale, frame.offset, frame.is_disparity,
-        rays, work.inverse_depth, work.pyramid,
-    )  # fmt: skip
+    nearest = read_frame(*frame.values, rays, work.inverse_depth, work.pyramid)
     step_of_raw = step_of(frame)
     noise, about_noise = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
     rules = rules.tolerating(about_noise.tolerance)
