@@ -67,8 +67,8 @@ def main(arguments: list[str] | None = None) -> int:
     if missing := set(SECTIONS) - set(results):
         print(f"nothing measured yet of {', '.join(sorted(missing))}: the page stays as it is", file=sys.stderr)
         return 1
-    PAGE.write_text(page_of(PAGE.read_text(encoding="utf-8"), results))
-    README.write_text(readme_of(README.read_text(encoding="utf-8"), results))
+    PAGE.write_text(page_of(PAGE.read_text(encoding="utf-8"), results), encoding="utf-8")
+    README.write_text(readme_of(README.read_text(encoding="utf-8"), results), encoding="utf-8")
     return 0
 
 

@@ -52,6 +52,7 @@ NORMALS_SHOWN = {"normals 7": "`normals`", "avoid_edges 7": "`normals`, `avoid_e
     f"OpenCV {name}": f"OpenCV {name}" for name in ("FALS", "LINEMOD", "SRI", "CROSS_PRODUCT")
 }
 NO_PLANE = 10**9
+SLOW_TURNS = 3  # of what takes a second
 THREADS = os.cpu_count() or 1
 
 # Time over the baseline's, least and most of several runs: by side of the tile.
@@ -114,21 +115,23 @@ def compare(frame: Case, tile: int, repeats: int) -> list[dict[str, Any]]:
     """One row a system: times, ratios to the baseline and to the floors, accuracy."""
     functions, angles = systems(frame, tile)
     times = take_turns(functions, repeats)
+    measured = [(name, values, times) for name, values in times.items()]
     slow = open3d(frame) if tile == 20 else {}
     if slow:
-        times |= {name: np.resize(values, len(times[BASE])) for name, values in take_turns(slow, 3).items()}
+        times = take_turns({name: functions[name] for name in (BASE, FLOOR)} | slow, SLOW_TURNS)
+        measured += [(name, times[name], times) for name in slow]
     return [
         {
             "tile": tile,
             "system": name,
             "median_ms": float(np.median(values) * 1e3),
             "fastest_ms": float(values.min() * 1e3),
-            "of_baseline": ratio(values, times[BASE]),
-            "faster_than_baseline": ratio(times[BASE], values),
-            "of_floor": ratio(values, times[FLOOR]),
+            "of_baseline": ratio(values, beside[BASE]),
+            "faster_than_baseline": ratio(beside[BASE], values),
+            "of_floor": ratio(values, beside[FLOOR]),
             "median_deg": angles.get(name),
         }
-        for name, values in times.items()
+        for name, values, beside in measured
     ]
 
 

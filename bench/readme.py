@@ -40,7 +40,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--readme", type=Path, default=README, help="the file to change (README.md)")
     options = parser.parse_args(arguments)
     table = readme_table(json.loads(options.json.read_text(encoding="utf-8")))
-    options.readme.write_text(with_table(options.readme.read_text(encoding="utf-8"), table))
+    text = with_table(options.readme.read_text(encoding="utf-8"), table)
+    options.readme.write_text(text, encoding="utf-8")
     return 0
 
 

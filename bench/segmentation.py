@@ -17,7 +17,6 @@ times more, moved by 0 to 3 pixels, as it is, mirrored, and transposed: there ch
 import argparse
 import contextlib
 import itertools
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
@@ -34,6 +33,7 @@ from bench.fitting import numpy_fit
 from bench.timing import in_turns
 from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.images import read_depth
 from rgbd_planes.kernels.segments.records import Rules
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import segment as segmentation
@@ -157,16 +157,13 @@ HEADER = f"{'':38s} frames regions  c 80%   c 90%  over  undr  miss  nois  F .5 
 
 def read_set(folder: Path) -> list[Frame]:
     """The labelled frames of one folder."""
-    from PIL import Image
-
-    camera = Camera.from_dict(json.loads((folder / "camera.json").read_text()))
+    camera = Camera.load(folder / "camera.json")
     frames = []
     for path in sorted((folder / "labels").glob("*.png")):
-        with Image.open(folder / "depth" / path.name) as depth, Image.open(path) as labels:
-            truth = np.asarray(labels).astype(np.int32)
-            if folder.name.startswith("mosd"):
-                truth[truth >= TABLES] = 0
-            frames.append(Frame(f"{folder.name}/{path.stem}", np.asarray(depth), camera, truth))
+        truth = read_depth(path).astype(np.int32)
+        if folder.name.startswith("mosd"):
+            truth[truth >= TABLES] = 0
+        frames.append(Frame(f"{folder.name}/{path.stem}", read_depth(folder / "depth" / path.name), camera, truth))
     return frames
 
 

@@ -1,11 +1,10 @@
 """The frames that are segmented: a real sequence beside the checkout, or rendered ones."""
 
-import json
-
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes import Camera, scenes
+from rgbd_planes.images import read_depth
 from tests.real_data import FOLDER as REAL_DATA
 
 SEQUENCE = "kinect1_7scenes_seq"
@@ -17,17 +16,11 @@ Frames = list[npt.NDArray[np.uint16]]
 
 def real_frames(name: str) -> tuple[Frames, Camera] | None:
     """The frames and the camera of a set of real data, or None where it is not there."""
-    from PIL import Image
-
     folder = REAL_DATA / name
     if not (folder / "camera.json").is_file():
         return None
-    camera = Camera.from_dict(json.loads((folder / "camera.json").read_text()))
-    frames = []
-    for path in sorted((folder / "depth").glob("*.png")):
-        with Image.open(path) as image:
-            frames.append(np.asarray(image))
-    return frames, camera
+    frames = [read_depth(path) for path in sorted((folder / "depth").glob("*.png"))]
+    return frames, Camera.load(folder / "camera.json")
 
 
 def rendered_frames(count: int) -> tuple[Frames, Camera]:

@@ -84,7 +84,8 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
     -------
     dict
         camera (`Camera.to_dict`), method, tile [height, width], and planes: for each tile that has one, its row,
-        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points.
+        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points; None for a
+        residual that is not known, and for a polygon whose plane some ray of its corners does not meet.
     """
     _check_one_frame(tiles)
     corners = _corners(tiles)

@@ -26,7 +26,7 @@ class MergedPlanes(KeepsPixels, PlaneFits):
 
     Attributes
     ----------
-    labels : S int32
+    labels : int32, of the shape of the merged fits
         Which union each of the merged tiles or windows belongs to, 0 for none.
     """
 
@@ -62,9 +62,9 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers or a mask of this shape, or masked, negative or above the number of pixels; or
-        ``fits`` are a batch's: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the camera has no
-        noise model for it.
+        The labels are not integers or a mask of this shape, or masked, negative, or above the numbers of pixels and of
+        planes; or ``fits`` are a batch's: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the
+        camera has no noise model for it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")

@@ -45,7 +45,8 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
 def _sampled(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of a frame that a panel shows."""
     step = max(1.0, shape[1] / _WIDEST)
-    rows, columns = (np.arange(0.0, size, step).astype(np.int64) for size in shape)
+    # Rounding may add one beyond the end.
+    rows, columns = (np.minimum(np.arange(0.0, size, step).astype(np.int64), size - 1) for size in shape)
     return rows, columns
 
 

@@ -139,7 +139,7 @@ class TileFitter:
         else:
             fit = self._into_result(out)
         threads = choose_num_threads(self._num_threads, frame.raw.size)
-        with announced((*self._compiled_for, frame.raw.dtype)):
+        with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
             run_in_ranges(fit(frame), self._grid[0], threads)
         return out
 
@@ -193,7 +193,7 @@ class TileFitter:
                 else:
                     frame = as_depth_frames(stack[first:last], self.camera)
                 fit = self._into({name: array[first:last] for name, array in arrays.items()})
-                with announced((*self._compiled_for, frame.raw.dtype)):
+                with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
                     fit(frame)(max(start - first * rows, 0), min(stop, last * rows) - first * rows)
 
         threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
@@ -257,7 +257,7 @@ class TileFitter:
         """Fit a frame in this thread."""
         arrays = self._arrays((), None)
         frame = as_depth_frame(depth, self.camera)
-        with announced((*self._compiled_for, frame.raw.dtype)):
+        with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
             self._into(arrays)(frame)(0, self._grid[0])
         return self._result(arrays)
 

@@ -283,6 +283,8 @@ def test_outlines_are_between_the_pixels_of_their_parts():
     down, across = ([line[0] for line in lines.get_segments()] for lines in tiles.plot(depth).axes[2].collections)
     assert np.array_equal(np.array(down)[:, 0], [23.5, 47.5])
     assert np.array_equal(np.array(across)[:, 1], [15.5, 31.5, 47.5])
+    camera = rp.Camera(width=640, height=80, fx=525.0, fy=525.0, cx=319.5, cy=39.5)
+    assert not rp.fit_tiles(np.ones(camera.shape), camera, (2, 40)).plot().axes[2].collections  # they would hide all
     windows = [[3, 5, 20, 30], [0, 0, 50, 68]]
     (outlines,) = rp.fit_windows(depth, tiles.camera, windows).plot(depth).axes[2].collections
     boxes = [path.get_extents().extents.tolist() for path in outlines.get_paths()]

@@ -91,6 +91,15 @@ def test_segments_show_themselves_as_large_as_tiles(tiles):
     assert np.array_equal(picture, np.rint(255 * label_image(found)[rows[:, None], columns]))
 
 
+@pytest.mark.parametrize(("width", "height"), [(448, 336), (348, 261), (736, 552), (321, 50)])
+def test_frames_of_any_size_show_themselves(width, height):
+    camera = rp.Camera(width=width, height=height, fx=400.0, fy=400.0, cx=200.0, cy=150.0, depth_scale=1000.0)
+    depth = np.full(camera.shape, 2000, np.uint16)
+    picture = picture_of(rp.segment(depth, camera)._repr_html_())
+    assert abs(picture.shape[0] * width / height - picture.shape[1]) <= width / height
+    assert picture_of(rp.fit_tiles(depth, camera)._repr_html_()).shape[0] == picture.shape[0]
+
+
 def test_tracked_segments_show_themselves_by_their_ids(tiles):
     depth = scenes.room().render(tiles.camera).measure(seed=2)
     first, second = rp.segment_sequence([depth[:, ::-1], depth], tiles.camera, memory=0)

@@ -133,11 +133,12 @@ def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.i
     least = _NUMBERED * labels.size / (640 * 480)
     points = 72.0 / axes.figure.dpi * np.array(axes.figure.bbox.size)
     high = _FONT * float(np.max(labels.shape[::-1] / points))  # height of the font in pixels of the frame
+    boxes = segmentation._boxes
     written: list[tuple[float, float, float]] = []
     for i in np.argsort(-segmentation.sizes, kind="stable"):
         if segmentation.sizes[i] < least:
             break
-        box = segmentation._boxes[i]
+        box = boxes[i]
         row, column = _middle(labels[box] == i + 1)
         x, y, text = float(box[1].start + column), float(box[0].start + row), str(numbers[i])
         half = (0.32 * len(text) + 0.3) * high

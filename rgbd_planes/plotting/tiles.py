@@ -198,7 +198,7 @@ def draw_legend_of_statuses(
 
 def _draw_outlines(panel: Axes, fits: PlacedFits) -> None:
     sides = (
-        np.array(fits.tile) if isinstance(fits, TilePlanes)
+        np.array([min(fits.tile)]) if isinstance(fits, TilePlanes)
         else fits.windows[:, 2:].min(axis=1) if isinstance(fits, WindowPlanes)
         else np.empty(0)
     )  # fmt: skip
