@@ -50,11 +50,16 @@ def main(argv: list[str] | None = None) -> int:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         subparser.set_defaults(run=command(subparser))
-    arguments, unknown = parser.parse_known_args(argv)
-    if unknown:
-        subparsers.choices[arguments.command].error(f"unrecognized arguments: {' '.join(unknown)}")
     status: int | None = 0
+    program = parser.prog
     try:
+        try:
+            arguments, unknown = parser.parse_known_args(argv)
+        finally:  # also if that ends here, with a help text
+            print(end="", flush=True)
+        program += f" {arguments.command}"
+        if unknown:
+            subparsers.choices[arguments.command].error(f"unrecognized arguments: {' '.join(unknown)}")
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # for a damaged file the error says enough
             warnings.showwarning = _show_each_once()
@@ -65,7 +70,7 @@ def main(argv: list[str] | None = None) -> int:
     except (CommandError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError, UserWarning) as error:
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # no more threads: of no own kind
             raise
-        print(f"rgbd-planes {arguments.command}: {one_line(error) or 'not enough memory'}", file=sys.stderr)
+        print(f"{program}: {one_line(error) or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
@@ -96,6 +97,13 @@ def test_demo_compares_tiles_that_end_before_their_middle_with_the_truth(tmp_pat
         assert float(re.search(r"^  all\s+\d+\s+[\d.]+°\s+([\d.]+) mm", out, re.M)[1]) < 1.0
 
 
+def test_demo_says_what_can_be_pasted(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["demo", "--out", "d\u00e9mo dir", "--tile", "40"]) == 0
+    command = capsys.readouterr().out.splitlines()[-1]
+    assert cli.main(shlex.split(command)[1:]) == 0
+
+
 def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
     assert cli.main(["demo", "--out", str(tmp_path), "--tile", "480x640"]) == 0
     assert "nothing to compare" in capsys.readouterr().out
@@ -166,6 +174,11 @@ def test_noise_skips_what_cannot_be_read(tmp_path, monkeypatch, capsys):
     assert "1.png: damaged" in err
     assert err.count("\n") == 1
     assert rp.Camera.load("with_noise.json").noise == rp.estimate_noise(frames[::2], camera)
+    images.write_png(damaged, frames[1][1:])
+    assert cli.main(["noise", "frames"]) == 1
+    out, err = capsys.readouterr()
+    assert "2 of 3 frames" in out
+    assert "skipped 1.png: expected a depth frame of shape (height, width) = (240, 320)" in err
     for i in range(3):
         (tmp_path / "frames" / f"{i}.png").write_bytes(b"")
     assert "2.png: not a PNG image, or damaged" in fails(capsys, "noise", "frames")
@@ -205,6 +218,10 @@ def test_noise_writes_over_no_file_of_the_folder_that_it_reads(folder, capsys, l
         for path in paths:
             message = fails(capsys, "noise", "seen", option, path)
             assert f"{path}: {option} would write over a file in seen, which is read" in message
+
+    for path in ("seen/noise.png", "seen/depth/noise.png"):  # which are new, and would be frames the next time
+        message = fails(capsys, "noise", "seen", "--figure", path)
+        assert f"{path}: --figure would be taken for a depth image of {os.path.dirname(path)}, which is read" in message
     assert {path: path.read_bytes() for path in folder.glob("*/**/*.*")} == before
     assert "flat windows" in fails(capsys, "noise", "seen", "--out", "seen/noise.json")  # which is new
 
@@ -344,7 +361,12 @@ def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
     out, err = capsys.readouterr()
     assert "20 TOO_FEW; 0.0 % of the pixels are measured." in out
     assert os.path.exists("p.png")
-    assert err == "rgbd-planes fit: depth.npy: no pixel is a measurement: the values are nan to nan\n"
+    assert err == "rgbd-planes fit: depth.npy: no pixel is a measurement: all values are NaN or infinite\n"
+    some = np.full((60, 80), np.nan)
+    some[3, 4] = -9.0
+    np.save("depth.npy", some)
+    assert cli.main(["fit", "depth.npy", "--camera", "camera.json"]) == 1
+    assert capsys.readouterr().err.endswith("no pixel is a measurement: the values are -9 to -9\n")
     replace(CAMERA, depth_range=(20.0, 30.0)).save("far.json")
     for command in ("segment", "normals"):
         assert cli.main([command, "depth.png", "--camera", "far.json"]) == 1
@@ -355,11 +377,12 @@ def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
 def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, monkeypatch):
     (folder / "p.png").write_bytes(b"old")
 
-    def fail(self, path, **options):
-        path.write_bytes(b"half")
-        raise OSError(28, "No space left on device", str(path))
+    def fail(self, content):
+        with open(self, "wb") as file:
+            file.write(content[:1000])
+        raise OSError(28, "No space left on device", str(self))
 
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    monkeypatch.setattr("pathlib.Path.write_bytes", fail)
     assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--figure", "p.png"]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert (folder / "p.png").read_bytes() == b"old"
@@ -368,7 +391,7 @@ def test_a_failure_in_the_middle_of_writing_leaves_the_old_file(folder, capsys, 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
 def test_a_full_disk_is_said_in_a_line(folder, capsys, link):
-    for option, name in (("--out", "full.npy"), ("--figure", "full.png")):
+    for option, name in (("--out", "full.npy"), *(("--figure", f"full.{kind}") for kind in ("png", "pdf", "svg"))):
         link(folder / name, "/dev/full")
         assert cli.main(["normals", "depth.png", "--camera", "camera.json", option, name]) == 2
         assert capsys.readouterr().err == f"rgbd-planes normals: {name}: No space left on device\n"
@@ -494,6 +517,18 @@ def test_a_batch_without_a_place_for_what_went_wrong(folder):
     ran = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
     assert ran.returncode == 1
     assert ran.stdout.startswith("1 of 2 frames, 20 rows")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="without a shell of POSIX")
+@pytest.mark.parametrize("option", ["--version", "fit --help"])
+def test_a_reader_of_help_that_leaves_early_is_no_error(option):
+    read, write = os.pipe()
+    os.close(read)
+    ran = subprocess.run(
+        [sys.executable, "-m", "rgbd_planes", *option.split()], stdout=write, stderr=subprocess.PIPE, text=True
+    )
+    os.close(write)
+    assert (ran.returncode, ran.stderr) == (0, "")
 
 
 def test_a_terminal_without_width(folder, capsys, monkeypatch):

@@ -186,6 +186,20 @@ def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
         figure.savefig(io.BytesIO())
 
 
+@pytest.mark.parametrize("shape", [(600, 60), (640, 160), (480, 640), (80, 1600)])
+def test_words_of_legends_do_not_cover_each_other(shape):
+    height, width = shape
+    camera = rp.Camera(width, height, 525.0, 525.0, (width - 1) / 2, (height - 1) / 2, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(seed=1)
+    figure = rp.fit_tiles(depth, camera, 8).plot(depth)
+    figure.draw_without_rendering()
+    (ball,) = (inner for axes in figure.axes for inner in axes.child_axes if inner.texts)
+    boxes = [text.get_window_extent() for text in ball.texts]
+    assert len(boxes) == 4
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    assert max(box.height for box in boxes) < 0.2 * ball.get_window_extent().height
+
+
 @pytest.mark.parametrize("shape", [(96, 1280), (480, 640), (640, 96)])
 def test_numbers_of_planes_do_not_cover_each_other(shape):
     height, width = shape

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import pickle
+import re
 import struct
 import subprocess
 import sys
@@ -418,6 +419,13 @@ def test_folder_of_images_needs_a_camera(tmp_path, frames):
     (tmp_path / "nested" / "depth.txt").write_text("0.5 depth/f10.npy\n1.5 depth/f9.png\n")
     times = rp.open_sequence(tmp_path / "nested")
     same(times, frames[[1, 0]], CAMERA, times=[0.5, 1.5])
+
+
+def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *arguments: False)
+    for open_one in (rp.open_sequence, sequences.tum, sequences.folder):
+        with pytest.raises(PermissionError, match=f"^{re.escape(str(tmp_path))}: permission denied$"):
+            open_one(tmp_path)
 
 
 def test_a_reader_without_a_frame_is_not_the_end_of_a_loop(frames):

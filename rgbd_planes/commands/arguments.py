@@ -1,6 +1,7 @@
 """Shared by the commands: arguments, checks of files to be written, and the summary of tiles."""
 
 import argparse
+import io
 import math
 import os
 import sys
@@ -95,9 +96,10 @@ def tile_size(text: str) -> tuple[int, int]:
 def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffixes: tuple[str, ...]) -> None:
     """Refuse, before the work, files that cannot be written, or that are read or written already.
 
-    In a folder that is read, no existing file is overwritten.
+    In a folder that is read, no existing file is overwritten, and beside its images none is put.
     """
     from rgbd_planes.files import check_writable
+    from rgbd_planes.images import DEPTH_SUFFIXES
 
     taken = {os.path.realpath(path) for path in read}
     # No format has frames deeper. Not "**", which does not follow links to folders.
@@ -113,6 +115,9 @@ def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffi
         for place, pattern in inside if path.exists() else ():
             if os.path.realpath(path) in map(os.path.realpath, place.glob(pattern)):
                 raise CommandError(f"{path}: --{name} would write over a file in {place}, which is read")
+        beside = {os.path.realpath(place / name) for place in read if place.is_dir() for name in (".", "depth")}
+        if path.suffix.lower() in DEPTH_SUFFIXES and os.path.realpath(path.parent) in beside:
+            raise CommandError(f"{path}: --{name} would be taken for a depth image of {path.parent}, which is read")
         taken.add(os.path.realpath(path))
         check_writable(path)
 
@@ -132,6 +137,8 @@ def add_frame(parser: argparse.ArgumentParser) -> None:
 
 def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, int]":
     """The depth image, the camera, and the exit status: 1, with a line on stderr, if nothing is measured."""
+    import numpy as np
+
     from rgbd_planes.camera import Camera
     from rgbd_planes.depth import as_depth_frame
     from rgbd_planes.distances import warn_of_distances
@@ -143,7 +150,8 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     if frame.valid.any():
         warn_of_distances(frame, camera)
         return depth, camera, 0
-    reason = f"the values are {depth.min():g} to {depth.max():g}"
+    known = depth[np.isfinite(depth)]
+    reason = f"the values are {known.min():g} to {known.max():g}" if known.size else "all values are NaN or infinite"
     if camera.depth_range is not None:
         nearest, farthest = camera.depth_range
         reason += f", the camera's depth_range is {nearest:g} to {farthest:g} m"
@@ -182,8 +190,10 @@ def write_figure(figure: Any, path: Path) -> None:
     """Write a Matplotlib figure, all of it or nothing."""
     from rgbd_planes.files import write_beside
 
+    content = io.BytesIO()  # of a disk that is full Matplotlib makes errors of its own
+    figure.savefig(content, dpi=120, format=path.suffix[1:].lower())
     with write_beside(path) as beside:
-        figure.savefig(beside, dpi=120, format=path.suffix[1:].lower())  # a device has no suffix
+        beside.write_bytes(content.getbuffer())
 
 
 def describe_tiles(tiles: "TilePlanes") -> str:
@@ -191,12 +201,12 @@ def describe_tiles(tiles: "TilePlanes") -> str:
     import numpy as np
 
     from rgbd_planes import TileStatus
-    from rgbd_planes.wording import percent
+    from rgbd_planes.wording import counted, percent
 
     height, width = tiles.tile
     counts = {status: np.count_nonzero(tiles.status == status) for status in TileStatus}
     found = ", ".join(f"{count} {status.name}" for status, count in counts.items() if count)
-    line = f"{tiles.status.size} tiles of {height} x {width} pixels by {tiles.method}: {found}"
+    line = f"{counted(tiles.status.size, 'tile')} of {height} x {width} pixels by {tiles.method}: {found}"
     if tiles.fitted.any():
         line += f"; median residual {1e3 * np.median(tiles.rmse_metric[tiles.fitted]):.1f} mm along the normal"
     else:

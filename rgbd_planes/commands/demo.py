@@ -1,6 +1,8 @@
 """``rgbd-planes demo``."""
 
 import argparse
+import os
+import shlex
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +70,8 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         print(f"See {picture}. The same from the files:")
         size = "x".join(map(str, tiles.tile))
         options = f"--tile {size} --figure planes.png"
-        print(f"  rgbd-planes fit {frame_file} --camera {camera_file} {options}")
+        frame_text, camera_text = (shlex.quote(os.fspath(file)) for file in (frame_file, camera_file))
+        print(f"  rgbd-planes fit {frame_text} --camera {camera_text} {options}")
 
     return run
 

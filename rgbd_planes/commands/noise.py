@@ -15,6 +15,7 @@ from rgbd_planes.commands.arguments import (
     read_sequence,
     write_figure,
 )
+from rgbd_planes.files import naming
 from rgbd_planes.wording import one_line
 
 if TYPE_CHECKING:
@@ -83,11 +84,16 @@ def noise(parser: argparse.ArgumentParser) -> Run:
 
 
 def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
-    """The chosen frames, without those that cannot be read, which are reported if there are others."""
+    """The chosen frames, without those that cannot be read or are not the camera's, which are reported."""
+    from rgbd_planes.depth import as_depth_frame
+
     frames, reasons = [], []
     for index in chosen:
         try:
-            frames.append(sequence[index])
+            frame = sequence[index]
+            with naming(frame.name):
+                as_depth_frame(frame.depth, frame.camera)
+            frames.append(frame)
         except (OSError, ValueError) as error:
             if not frames and index == chosen[-1]:
                 raise

@@ -99,7 +99,7 @@ def panels_with_legends(count: int, camera: Camera, figure: Figure | None) -> tu
     if figure is None:
         height = panel_height(PANEL_INCHES, camera) + _LEGEND_INCHES + 0.35
         figure = NotebookFigure((count * PANEL_INCHES, height), layout="constrained")
-    shares = [PANEL_INCHES * camera.height / camera.width, _LEGEND_INCHES]
+    shares = [panel_height(PANEL_INCHES, camera), _LEGEND_INCHES]
     rows = figure.subplots(
         2, count, squeeze=False, gridspec_kw={"height_ratios": shares, "hspace": 0.0, "wspace": 0.03}
     )

@@ -9,7 +9,7 @@ from rgbd_planes.checks import check_camera, check_choice
 from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
-from rgbd_planes.sequences.frames import FrameSequence, numbered
+from rgbd_planes.sequences.frames import FrameSequence, existing_folder, numbered
 from rgbd_planes.sequences.mkv import mkv
 from rgbd_planes.sequences.scannet import scannet, scannet_sens
 from rgbd_planes.sequences.seven_scenes import seven_scenes
@@ -90,6 +90,7 @@ def _recognise(path: Path, has_camera: bool) -> str:
         if suffix == ".mkv":
             return "mkv"
         raise ValueError(f"{path}: expected a folder, or a .sens, .bag, .mcap, .db3 or .mkv file")
+    existing_folder(path)
     for sign, format in _SIGNS.items():
         if any(path.glob(sign)):
             return format

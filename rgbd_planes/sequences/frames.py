@@ -178,6 +178,8 @@ def existing_folder(path: Any) -> Path:
     folder = Path(path).absolute()
     if not folder.is_dir():
         raise NotADirectoryError(f"{path}: expected a folder")
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise PermissionError(f"{path}: permission denied")
     return folder
 
 
