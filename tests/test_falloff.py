@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import real_data
 from scipy import stats
 from scipy.ndimage import gaussian_filter
 from test_noise_estimation import CAMERA as SEEING
@@ -397,3 +398,16 @@ def test_tiles_at_the_rim_of_a_fisheye(rng):
     assert len(p_value) > 200
     assert (p_value < 0.01).mean() < 0.06
     assert (p_value > 0.99).mean() < 0.12
+
+
+@pytest.mark.parametrize(("top", "left"), [(0, 0), (3, 0), (0, 3), (5, 5)])
+def test_where_a_real_frame_begins_does_not_decide(top, left):
+    folder = real_data.FOLDER / "azure_kinect_nfov"
+    if not folder.is_dir():
+        pytest.skip(real_data.REASON)
+    camera = rp.Camera.load(folder / "camera.json")
+    (path,) = (folder / "depth").glob("*.png")
+    depth = rp.images.read_depth(path)[top:, left:]
+    height, width = depth.shape
+    cut = replace(camera, height=height, width=width, cx=camera.cx - left, cy=camera.cy - top)
+    assert 4.0 < rp.estimate_noise(depth, cut).falloff < 6.0

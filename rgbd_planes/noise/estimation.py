@@ -10,6 +10,8 @@ How unequal the tiles are gives the spread.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
@@ -61,6 +63,7 @@ _UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real 
 _BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
 _PARTS = 6, 3  # parts of the image along either side: a falloff must show without each of them
+_STARTS = 0.0, 0.25, 0.5, 0.75  # where the first part begins, in parts: where it does must not decide
 _FRAMES = 4  # with this many or more, it must show without each of them, too
 _SURE = 3.0  # standard errors that a falloff must exceed
 _TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff; a relative change that counts as none
@@ -232,17 +235,20 @@ def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
     middles, first = np.unique([np.median(samples.q[some]) for some in bins], return_index=True)
     away = away - np.interp(samples.q, middles, [np.mean(away[bins[i]]) for i in first])
     frame, *place = samples.place
-    divided = [frame] if len(np.unique(frame)) >= _FRAMES else []
-    for many in _PARTS:
-        row, column = (many * (i - i.min()) // (np.ptp(i) + 1) for i in place)
-        divided.append(many * row + column)
-
     left = samples.left(model)
     slope = _slope(away, left)
-    for part in divided:
+
+    def variance(part: Any) -> float:
         without = [_slope(away[part != i], left[part != i]) for i in np.unique(part)]
-        if not slope > _SURE * np.sqrt(len(without) - 1.0) * np.std(without):
-            return model
+        return (len(without) - 1.0) * float(np.var(without))
+
+    of_parts = []
+    for many, start in itertools.product(_PARTS, _STARTS):
+        row, column = ((many * (i - i.min()) / (np.ptp(i) + 1) + start).astype(np.int64) for i in place)
+        of_parts.append(variance((many + 1) * row + column))
+    of_frames = variance(frame) if len(np.unique(frame)) >= _FRAMES else 0.0
+    if not slope > _SURE * math.sqrt(max(sum(of_parts) / len(of_parts), of_frames)):
+        return model
     for _ in range(_TURNS):
         model = _fit_depth(samples, replace(model, falloff=max(model.falloff + slope, 0.0)))
         # Of what is seen only this share grows: the lateral error and rounding do not.
