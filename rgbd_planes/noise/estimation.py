@@ -10,7 +10,6 @@ How unequal the tiles are gives the spread.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -62,7 +61,7 @@ _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: 
 _UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real sensors
 _BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
-_PARTS = 6, 3  # parts of the image along either side: a falloff must show without each of them
+_PARTS = 5  # of the image along either side: a falloff must show without each of them
 _STARTS = 0.0, 0.25, 0.5, 0.75  # where the first part begins, in parts: where it does must not decide
 _FRAMES = 4  # with this many or more, it must show without each of them, too
 _SURE = 3.0  # standard errors that a falloff must exceed
@@ -226,8 +225,7 @@ def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
     """How fast noise grows away from the optical axis, fitted in turns with how it changes with depth in ``model``.
 
     There is a falloff only if what depth leaves over grows by more than chance would make it, by the jackknife over
-    parts of the image, small and large, and over frames: a few noisy surfaces towards the edge, in however many frames,
-    make none.
+    parts of the image and over frames: a few noisy surfaces towards the edge, in however many frames, make none.
     """
     # The part of the angle that goes with depth, as on a floor, says nothing: depth may explain it as well.
     away = np.log(samples.growth(NoiseModel(falloff=1.0)))
@@ -239,15 +237,17 @@ def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
     slope = _slope(away, left)
 
     def variance(part: Any) -> float:
+        """Of the slope, from what it is without each part."""
         without = [_slope(away[part != i], left[part != i]) for i in np.unique(part)]
         return (len(without) - 1.0) * float(np.var(without))
 
+    variances = [variance(frame)] if len(np.unique(frame)) >= _FRAMES else []
     of_parts = []
-    for many, start in itertools.product(_PARTS, _STARTS):
-        row, column = ((many * (i - i.min()) / (np.ptp(i) + 1) + start).astype(np.int64) for i in place)
-        of_parts.append(variance((many + 1) * row + column))
-    of_frames = variance(frame) if len(np.unique(frame)) >= _FRAMES else 0.0
-    if not slope > _SURE * math.sqrt(max(sum(of_parts) / len(of_parts), of_frames)):
+    for start in _STARTS:
+        row, column = ((_PARTS * (i - i.min()) / (np.ptp(i) + 1) + start).astype(np.int64) for i in place)
+        of_parts.append(variance((_PARTS + 1) * row + column))
+    variances.append(sum(of_parts) / len(of_parts))
+    if not slope > _SURE * math.sqrt(max(variances)):
         return model
     for _ in range(_TURNS):
         model = _fit_depth(samples, replace(model, falloff=max(model.falloff + slope, 0.0)))
