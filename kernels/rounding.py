@@ -26,6 +26,19 @@ def is_left(step_square, sigma_square):
 
 
 @kernel(inline=True)
+def between_codes(step_square, sigma_square, u_steps, v_steps):
+    """By how much a pixel's residual variance exceeds σ² + Δ²/12 at most: where all lie half-way between two codes.
+
+    A pixel then is (m + 1/2)·Δ off with the probability that its error is between m·Δ and (m + 1)·Δ. What ``u_steps``
+    and ``v_steps``, which the fit spans, have of this variance is not in the residual.
+    """
+    root = math.sqrt(0.5 * step_square / sigma_square) if sigma_square > 0.0 else math.inf
+    rounded = 0.25 + 2.0 * math.erfc(root) + 4.0 * math.erfc(2.0 * root)
+    left = rounded - (1.0 + u_steps * u_steps + v_steps * v_steps) / 12.0
+    return max(left * step_square - sigma_square, 0.0)
+
+
+@kernel(inline=True)
 def on_mean(steps):
     """Amplitude left of a wave in the mean over ``steps`` wavelengths.
 
@@ -43,7 +56,7 @@ def on_slope(steps):
 
 
 @kernel(inline=True)
-def in_common(step_square, sigma_square, n, u_spread, v_spread):
+def in_common(step_square, sigma_square, n, u_steps, v_steps):
     """Variances of the rounding error that all n pixels of a part have in common.
 
     Parameters
@@ -53,8 +66,8 @@ def in_common(step_square, sigma_square, n, u_spread, v_spread):
     sigma_square : float
         σ², the variance of a pixel's other errors.
     n : float
-    u_spread, v_spread : float
-        Standard deviation of the surface's own values over the part, along its two sides.
+    u_steps, v_steps : float
+        Steps that the surface spans along the two sides of the part.
 
     Returns
     -------
@@ -64,9 +77,6 @@ def in_common(step_square, sigma_square, n, u_spread, v_spread):
     exponent = 4.0 * math.pi**2 * sigma_square / step_square
     first = math.exp(-exponent) if is_left(step_square, sigma_square) else 0.0
     variance = n * step_square * (FIRST_TERM * first + OTHER_TERMS * first**4)
-    # Values spread evenly along a side span √12 of their standard deviations.
-    scale = math.sqrt(12.0 / step_square)
-    u_steps, v_steps = scale * u_spread, scale * v_spread
     u_mean, v_mean = on_mean(u_steps), on_mean(v_steps)
     u, v, mean = on_slope(u_steps) * v_mean, on_slope(v_steps) * u_mean, u_mean * v_mean
     return variance * u * u, variance * v * v, variance * mean * mean

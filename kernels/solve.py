@@ -82,6 +82,25 @@ def explicit(moments, reference, total, count, solution, residual, lost):
 
 
 @kernel(inline=True)
+def centre(moments, reference, count):
+    """Move moments to the valid pixels' mean: about a point far away, rounding hides the steps to an eigenvalue."""
+    for i in range(count):
+        per_pixel = 1.0 / moments[0, i]
+        s_u, s_v, s_w = moments[1, i], moments[2, i], moments[3, i]
+        mean_u, mean_v, mean_w = s_u * per_pixel, s_v * per_pixel, s_w * per_pixel
+        moments[4, i] -= s_u * mean_u
+        moments[5, i] -= s_u * mean_v
+        moments[6, i] -= s_u * mean_w
+        moments[7, i] -= s_v * mean_v
+        moments[8, i] -= s_v * mean_w
+        moments[9, i] -= s_w * mean_w
+        moments[1, i] = moments[2, i] = moments[3, i] = 0.0
+        reference[0, i] += mean_u
+        reference[1, i] += mean_v
+        reference[2, i] += mean_w
+
+
+@kernel(inline=True)
 def range_planes(implicit, moments, reference, total, needed, count, work):
     """Solve q = α·m (eq. RGBD_space_plane_eq).
 
@@ -90,8 +109,8 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     implicit : True or None
         Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). With None Numba compiles none
         of this.
-    total
-        As in `explicit`.
+    moments, reference, total
+        As in `explicit`; the first two are overwritten if there are an ``implicit`` and a ``total``.
     needed : (N,) float64
         Number of valid pixels that a tile needs.
     work : (WORK, TILES) float64
@@ -103,6 +122,8 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     if implicit is not None:
         for i in range(count):
             own[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
+        if total is not None:
+            centre(moments, reference, count)
         secular.smallest_eigenvectors(moments, reference, count, solution, own)
         for i in range(count):
             a, b, c = solution[0, i], solution[1, i], solution[2, i]

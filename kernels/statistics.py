@@ -11,7 +11,7 @@ import numpy as np
 
 from . import chi_square, normal_distribution, variance_ratio
 from ._jit import kernel
-from .rounding import in_common, is_left
+from .rounding import between_codes, in_common, is_left
 from .sandwich import sandwich
 from .solve import ROUGH
 from .variances import (
@@ -40,7 +40,8 @@ POSITION, FOUND = P, P + 1
 LIMIT = P + 2
 LATERAL, SPREAD = PLANE, PLANE + 3
 ROUNDING, UNEVENNESS, WEIGHTED = 47, 48, 49
-ROWS = 54
+BETWEEN = 54
+ROWS = 55
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
 # Within a tile the variance of q along the ray is taken as a power of q, of at most STEEPEST: where the table is
@@ -112,6 +113,7 @@ def assess(
     tails = room[RATIO : RATIO + normal_distribution.WORK]
     tiles = status.shape[1]
     everything = results.shape[1] > 0
+    room[BETWEEN] = 0.0
     begin = start
     while begin < stop:
         frame, first = begin // tiles, begin % tiles
@@ -148,15 +150,21 @@ def assess(
         if of_pixels.shape[0] >= OF_LENS:
             load(of_pixels[:OF_LENS], first, last, room, LATERAL)
         independent_variance(of_pixels, noise, room)
-        if not uneven:
-            uneven = find_uneven(room)
-            if uneven:
-                if not everything:
-                    load(moments[frame], first, last, room, 0)
-                    load(reference[frame], first, last, room, U_0)
-                    ray_scatter(in_range_space, room)
-                uneven_variance(noise, last - first, room)
-                independent_variance(of_pixels, noise, room)
+        must_integrate = not uneven and find_uneven(room)
+        has_rounding = noise[DEPTH_STEP] + noise[DISPARITY_STEP] > 0.0
+        may_be_between = has_rounding and find_rounded(noise, room)
+        if (must_integrate or may_be_between) and not everything:
+            load(moments[frame], first, last, room, 0)
+            load(reference[frame], first, last, room, U_0)
+            ray_scatter(in_range_space, room)
+        if must_integrate:
+            uneven = True
+            uneven_variance(noise, last - first, room)
+            independent_variance(of_pixels, noise, room)
+        if may_be_between:
+            rounded_apart(noise, last - first, room)
+        elif has_rounding:
+            room[BETWEEN] = 0.0
         by_count(counts[frame, first:last], tables, room)
         residual_ratio(room)
         if uneven:
@@ -180,7 +188,7 @@ def assess(
             else:
                 chi_square.deviates(tails, TILES_AT_ONCE)
             normal_distribution.tails(tails, TILES_AT_ONCE)
-            if noise[DEPTH_STEP] + noise[DISPARITY_STEP] > 0.0:
+            if has_rounding:
                 rounded_alike(noise, last - first, room)
             covariances(room)
             if uneven:
@@ -357,7 +365,7 @@ def residual_ratio(room):
     """
     for i in range(TILES_AT_ONCE):
         n = room[0, i]
-        shared, independent = room[SHARED, i], room[INDEPENDENT, i]
+        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + room[BETWEEN, i]
         freedom = n - 3.0
         of_independent = independent * (freedom if freedom > 0.0 else 0.0)
         of_shared = shared * room[OF_COUNT, i]
@@ -417,19 +425,53 @@ def ray_scatter(in_range_space, room):
 
 
 @kernel(inline=True)
+def step_square_of(noise, i, room):
+    """Square of the step to which the inverse depths of tile ``i`` are rounded."""
+    square = room[MEAN_Q, i] * room[MEAN_Q, i]
+    return 12.0 * (noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP])
+
+
+@kernel(inline=True)
+def steps_across(step_square, i, room):
+    """Steps that the plane of tile ``i`` spans along its two sides: evenly spread, √12 of its standard deviations."""
+    scale = math.sqrt(12.0 / (step_square * room[0, i])) / room[D, i]
+    u_steps = abs(room[N_X, i]) * scale * math.sqrt(max(room[4, i], 0.0))
+    return u_steps, abs(room[N_Y, i]) * scale * math.sqrt(max(room[7, i], 0.0))
+
+
+@kernel(reduction=True, inline=True)
+def find_rounded(noise, room):
+    """Whether in some tile of the block errors are so small that rounding is not independent of them."""
+    number = 0.0
+    for i in range(TILES_AT_ONCE):
+        others = room[SHARED, i] + room[INDEPENDENT, i] - room[ROUNDING, i]
+        number += 1.0 if is_left(step_square_of(noise, i, room), others) else 0.0
+    return number > 0.0
+
+
+@kernel(inline=True)
+def rounded_apart(noise, count, room):
+    """Write what rounding may add to the variance of a tile's pixels if all lie near the limit between two codes."""
+    for i in range(count):
+        room[BETWEEN, i] = 0.0
+        step_square = step_square_of(noise, i, room)
+        others = room[SHARED, i] + room[INDEPENDENT, i] - room[ROUNDING, i]
+        if is_left(step_square, others):
+            u_steps, v_steps = steps_across(step_square, i, room)
+            room[BETWEEN, i] = between_codes(step_square, others, u_steps, v_steps)
+
+
+@kernel(inline=True)
 def rounded_alike(noise, count, room):
     """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share."""
     for i in range(count):
-        n, d = room[0, i], room[D, i]
-        rounding = noise[DEPTH_STEP] * room[MEAN_Q, i] ** 4 + noise[DISPARITY_STEP]
         lateral = room[INDEPENDENT, i] - room[ROUNDING, i]
         shared = max(room[SHARED, i], 1e-60)
-        step_square = 12.0 * rounding
+        step_square = step_square_of(noise, i, room)
         if not is_left(step_square, shared + lateral):
             continue
-        u_spread = abs(room[N_X, i]) / d * math.sqrt(max(room[4, i] / n, 0.0))
-        v_spread = abs(room[N_Y, i]) / d * math.sqrt(max(room[7, i] / n, 0.0))
-        of_u, of_v, of_mean = in_common(step_square, shared + lateral, n, u_spread, v_spread)
+        u_steps, v_steps = steps_across(step_square, i, room)
+        of_u, of_v, of_mean = in_common(step_square, shared + lateral, room[0, i], u_steps, v_steps)
         room[SHARED, i] = shared
         room[OF_COUNT + 2, i] += of_u / shared
         room[OF_COUNT + 4, i] += of_v / shared

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes.kernels.rounding import in_common
+from rgbd_planes.kernels.rounding import between_codes, in_common
 
 STEP = 1.0 / (525.0 * 0.075 * 8)  # 1/m: an eighth of a pixel of disparity
 CAMERA = rp.Camera(160, 128, 525.0, 525.0, 79.5, 63.5, disparity=(STEP, 0.0), invalid_values=(0,))
@@ -33,9 +33,54 @@ def test_mean_square_is_that_of_rounded_noise(sigma):
 
 
 def test_over_many_steps_hardly_anything_is_left():
-    few, many = (in_common(STEP**2, 0.0, 100.0, 0.0, steps * STEP / 12.0**0.5)[2] for steps in (0.0, 30.0))
+    few, many = (in_common(STEP**2, 0.0, 100.0, 0.0, steps)[2] for steps in (0.0, 30.0))
     assert many < 1e-3 * few
     assert in_common(STEP**2, STEP**2, 100.0, 0.0, 0.0) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.3, 0.5])
+def test_half_way_between_two_codes_the_variance_is_that_of_rounded_noise(sigma):
+    from scipy.stats import norm
+
+    levels = np.arange(-6, 7)
+    edges = np.array([levels - 1.0, levels]) / max(sigma, 1e-9)  # of what is rounded to 1/2 off, and so on
+    wanted = np.diff(norm.cdf(edges), axis=0)[0] @ (levels - 0.5) ** 2
+    found = between_codes(STEP**2, (sigma * STEP) ** 2, 0.0, 0.0) / STEP**2
+    assert found + sigma**2 + 1.0 / 12.0 == pytest.approx(wanted, abs=1e-3)
+    assert between_codes(STEP**2, (sigma * STEP) ** 2, 1.0, 1.1) == 0.0
+
+
+@pytest.mark.parametrize("unit", ["depth", "disparity"])
+@pytest.mark.parametrize("sigma", [0.05, 0.1, 0.2, 0.3, 0.6])
+def test_walls_that_face_the_camera_are_not_rough(sigma, unit, rng):
+    """Half-way between two codes, 20 to 100 % of the tiles were."""
+    camera = CAMERA if unit == "disparity" else replace(CAMERA, disparity=None, depth_scale=1000.0, invalid_values=())
+    of_error = rp.noise.NoiseModel((sigma * STEP,)) if unit == "disparity" else rp.noise.time_of_flight(sigma * 1e-3)
+    camera = replace(camera, noise=rp.noise.quantised(of_error, camera))
+    rejected = {"tile": [], "window": [], "label": []}
+    for codes in 200.0 + np.arange(24) / 24.0:
+        for slope in (0.0, 0.1, 0.4, 1.0):  # codes across a tile
+            exact = codes + slope * (np.arange(camera.width) - 80) / 16 + np.zeros(camera.shape)
+            raw = np.rint(exact + sigma * rng.standard_normal(exact.shape)).astype(np.uint16)
+            tiles = rp.fit_tiles(raw, camera, 16)
+            assert np.array_equal(tiles.status == rp.TileStatus.ROUGH, tiles.p_value < 0.01)
+            rejected["tile"].append(tiles.p_value < 0.01)
+            rejected["window"].append(rp.fit_windows(raw, camera, [[0, 0, 8, 8], [50, 60, 40, 20]]).p_value < 0.01)
+            label = (np.indices(raw.shape)[1] // 16 == 5).astype(int)
+            rejected["label"].append(rp.fit_labels(raw, camera, label).p_value < 0.01)
+    assert all(np.mean(which) <= (0.02 if name == "tile" else 0.04) for name, which in rejected.items())
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.2, 0.7])
+def test_offsets_of_segments_that_face_the_camera(sigma, rng):
+    """Without a noise model they were up to eight deviations off."""
+    camera = replace(CAMERA, disparity=None, depth_scale=1000.0, invalid_values=())
+    errors = []
+    for depth in 1.0 + np.arange(20) / 20e3:
+        raw = np.rint(1000.0 * depth + sigma * rng.standard_normal(camera.shape)).astype(np.uint16)
+        found = rp.segment(raw, camera)
+        errors.append((found.planes[0, 3] - depth) / found.offset_std[0])
+    assert np.sqrt(np.mean(np.square(errors))) < 1.2
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 5.0])

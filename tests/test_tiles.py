@@ -397,3 +397,15 @@ def test_real_frame_equals_oracle(real_frame, method):
         change = {"direct": 1e-12, "naive": 1e-9, "integral": 1e-8}[implementation]
         expected = oracle.fit_windows(depth, camera, windows[chosen], method, change=change)
         assert_equals_oracle(tiles, expected, chosen=chosen, rmse_floor=RMSE_FLOOR[implementation])
+
+
+@pytest.mark.parametrize("implementation", ["naive", "integral"])
+def test_small_tiles_of_large_frames_have_their_implicit_plane(implementation, rng):
+    """Of sums about the optical axis rounding left so little that one tile of 3 x 3 in fifteen had none."""
+    camera = rp.Camera(width=480, height=270, fx=1400.0, fy=1400.0, cx=959.5, cy=539.5)
+    depth = 1.0 / (1.0 / 3.0 + 1.425e-3 * rng.standard_normal(camera.shape))
+    expected = rp.fit_tiles(depth, camera, 3, "range_implicit")
+    found = rp.fit_tiles(depth, camera, 3, "range_implicit", implementation=implementation)
+    assert np.count_nonzero(found.fitted != expected.fitted) <= 3
+    both = found.fitted & expected.fitted
+    assert np.median(np.linalg.norm(found.planes[both] - expected.planes[both], axis=1)) < 1e-6

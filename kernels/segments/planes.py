@@ -3,7 +3,7 @@
 import math
 
 from .._jit import kernel
-from ..rounding import in_common
+from ..rounding import between_codes, in_common, is_left
 from ..sandwich import sandwich
 from .moments import fit
 from .noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
@@ -99,10 +99,13 @@ def describe_planes(
         step = step_at(moments[i, 3] / n, step_of_raw, scale, is_disparity)
         if step > 0.0:
             u, v = moments[i, 1] / n, moments[i, 2] / n
-            u_spread = abs(alpha[i, 0]) * math.sqrt(max(moments[i, 4] / n - u * u, 0.0))
-            v_spread = abs(alpha[i, 1]) * math.sqrt(max(moments[i, 7] / n - v * v, 0.0))
+            # Values spread evenly along a side span √12 of their standard deviations.
+            u_steps = abs(alpha[i, 0]) * math.sqrt(12.0 * max(moments[i, 4] / n - u * u, 0.0)) / step
+            v_steps = abs(alpha[i, 1]) * math.sqrt(12.0 * max(moments[i, 7] / n - v * v, 0.0)) / step
             others = max(min(seen, expected) - step**2 / 12.0, 0.0)
-            of_x, of_y, of_mean = in_common(step**2, others, n, u_spread, v_spread)
+            if is_left(step**2, others):  # then half-way between two codes rounding makes up to Δ²/4 of what is seen
+                others = max(others - between_codes(step**2, 0.0, u_steps, v_steps), 0.0)
+            of_x, of_y, of_mean = in_common(step**2, others, n, u_steps, v_steps)
         covariance_of(
             moments[i], weighted[i], max(variance, more * (of_model[0, i] + lateral)) + of_x,
             max(variance, more * (of_model[1, i] + lateral)) + of_y,
