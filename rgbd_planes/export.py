@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, real_array
+from rgbd_planes.checks import check_camera, plain_array, real_array
 from rgbd_planes.colours import in_image, normal_colours
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
@@ -181,7 +181,7 @@ def write_ply(
     header += [f"property {names[dtype]} {name}" for name, dtype, _ in columns]
     body = vertices.tobytes()
     if faces is not None:
-        corners = np.asarray(faces)
+        corners = plain_array("faces", faces)
         if corners.ndim != 2 or not 3 <= corners.shape[1] < 256 or corners.dtype.kind not in "iu":
             raise ValueError(f"faces must be (F, K) integers, K from 3 to 255, got {corners.shape} of {corners.dtype}")
         if corners.size and not 0 <= corners.min() <= corners.max() < len(xyz):
@@ -264,7 +264,7 @@ def points_to_open3d(depth: ArrayLike, camera: Camera) -> open3d.geometry.PointC
     return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[np.isfinite(points[:, 2])]))
 
 
-def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return a frame's planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray.
 
     Parameters
@@ -273,20 +273,20 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> 
         Of one frame.
     frame_id : str
         Name of the camera's optical frame.
-    stamp : float
-        Seconds.
+    stamp : float, or a message's stamp
+        Seconds; or an object or mapping with sec and nanosec, or ROS 1's secs and nsecs, which is kept exactly.
 
     Returns
     -------
     dict
         header and coefficients: for each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d]. The fields
-        of ROS 1 and 2, except the ``seq`` of ROS 1's header.
+        of ROS 2; ROS 1's header has a ``seq``, too, and its time secs and nsecs.
     """
     _check_one_frame(tiles)
     return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)
 
 
-def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the fitted tiles of a frame in the shape of jsk_recognition_msgs/PolygonArray.
 
     Parameters
@@ -303,7 +303,7 @@ def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: float = 0.0) -
     return ros_polygons(list(polygons), list(range(1, len(polygons) + 1)), frame_id, stamp)
 
 
-def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the points of a depth frame in the shape of sensor_msgs/PointCloud2, organised as the frame.
 
     Parameters
@@ -336,6 +336,7 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: f
 
 def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:
     """Four points for each polygon, with their normals and colours."""
+    _check_one_frame(tiles)
     normals = tiles.planes[exported(tiles)][:, :3]
     colours = normal_colours(in_image(normals, tiles.camera))
     return tile_polygons(tiles).reshape(-1, 3), normals.repeat(4, axis=0), colours.repeat(4, axis=0)

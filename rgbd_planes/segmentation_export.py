@@ -171,7 +171,7 @@ def to_open3d(polygons: Sequence[PlanePolygon]) -> open3d.geometry.TriangleMesh:
     return triangle_mesh(points, np.arange(len(points)).reshape(-1, 3), normals, colours)
 
 
-def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray.
 
     Parameters
@@ -179,8 +179,8 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
     segmentation : Segmentation
     frame_id : str
         Name of the camera's optical frame.
-    stamp : float
-        Seconds.
+    stamp : float, or a message's stamp
+        Seconds; or an object or mapping with sec and nanosec, or ROS 1's secs and nsecs, which is kept exactly.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: float =
     return ros_planes(segmentation.planes, frame_id, stamp)
 
 
-def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the outlines in the shape of jsk_recognition_msgs/PolygonArray.
 
     Parameters
@@ -215,7 +215,7 @@ def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp:
     return ros_polygons([ring for _, ring in parts], [label for label, _ in parts], frame_id, stamp)
 
 
-def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: float = 0.0) -> dict[str, Any]:
+def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the labels in the shape of sensor_msgs/Image, 32SC1; 0 is none.
 
     Parameters

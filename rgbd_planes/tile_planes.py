@@ -73,15 +73,15 @@ class TilePlanes(Savable, PlacedFits):
     def _growth(self) -> npt.NDArray[np.float64]:
         return growth_of_tiles(self.camera, self.tile)
 
-    def __getitem__(self, frame: int) -> TilePlanes:
-        """The planes of one frame of a batch, without copying.
+    def __getitem__(self, frame: int | slice) -> TilePlanes:
+        """The planes of one frame of a batch, or of a slice, without copying.
 
         Raises
         ------
         TypeError
-            The planes are those of a single frame, or there are several indices.
+            The planes are those of a single frame, or it is no whole number and no slice.
         """
-        if len(self.shape) != 3 or isinstance(frame, tuple):
+        if len(self.shape) != 3 or isinstance(frame, bool) or not isinstance(frame, (int, np.integer, slice)):
             raise TypeError(
                 "only the planes of a batch of frames can be indexed, by a frame; index an array, such as .planes"
             )
@@ -104,6 +104,9 @@ class TilePlanes(Savable, PlacedFits):
         batch = self.__dict__.get("_batch")
         asked = "_statistics" in self.__dict__ or (batch is not None and batch[0]._asked_for is not None)
         return self._statistics if asked else None
+
+    def __bool__(self) -> bool:
+        return True  # however many frames: Python would ask for their number
 
     def __len__(self) -> int:
         """Number of frames of a batch.

@@ -124,7 +124,8 @@ def point_distance(
     variance = _form(lever, covariance)
     if spread is not None:
         variance = variance + _form(plane[..., :3], spread)
-    return distance, np.sqrt(np.maximum(variance, 0.0))
+    distance, variance = np.broadcast_arrays(distance, variance)
+    return distance.copy(), np.sqrt(np.maximum(variance, 0.0))
 
 
 def angle_between(

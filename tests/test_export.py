@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -170,6 +171,26 @@ def test_open3d_gets_the_same_mesh_and_points(tiles, depth, tmp_path):
     assert len(read.triangles) == 2 * len(polygons)
     export.write_ply(tmp_path / "points.ply", points)
     assert len(open3d.io.read_point_cloud(str(tmp_path / "points.ply")).points) == len(cloud.points)
+
+
+def test_a_stamp_is_that_of_the_message(tiles):
+    exact = {"sec": 1_700_000_000, "nanosec": 123_456_789}
+    ros_1 = {"secs": exact["sec"], "nsecs": exact["nanosec"]}
+    for stamp in (exact, ros_1, SimpleNamespace(**exact), SimpleNamespace(**ros_1)):
+        assert export.to_ros_planes(tiles, "camera", stamp)["header"]["stamp"] == exact
+    for wrong in ({"sec": 1}, {"sec": 1.5, "nanosec": 0}, "now"):
+        with pytest.raises(TypeError, match="stamp"):
+            export.to_ros_planes(tiles, "camera", wrong)
+
+
+def test_what_is_no_tiles_is_refused(tmp_path, tiles):
+    for write in (lambda: export.write_tiles_ply(tiles, tmp_path / "t.ply"), lambda: export.to_open3d(None)):
+        with pytest.raises((TypeError, ImportError), match=r"expected TilePlanes, got|open3d"):
+            write()
+    masked = np.ma.array([[0, 1, 2]], mask=[[True, False, False]])
+    with pytest.raises(TypeError, match="faces"):
+        export.write_ply(tmp_path / "p.ply", np.ones((3, 3)), faces=masked)
+    assert not list(tmp_path.iterdir())
 
 
 def test_ros_messages_survive_serialisation(tiles, depth):

@@ -160,6 +160,11 @@ def test_batch_is_indexed_by_frame(rng):
     for made in (stack[0], stack):
         with pytest.raises(TypeError, match=r"batch of frames can be indexed, by a frame; .* such as \.planes"):
             made[0, 0]
+    for which in ([0, 1], np.array([True, False, True]), None, True, 1.0):
+        with pytest.raises(TypeError, match="by a frame"):
+            stack[which]
+    np.testing.assert_array_equal(stack[np.int64(1)].planes, stack.planes[1])
+    assert all([stack[0], stack])  # a result is not nothing, whatever its length
     with pytest.raises(TypeError, match="batch"):
         stack[0][0]
     with pytest.raises(TypeError, match="no length"):

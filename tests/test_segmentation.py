@@ -671,6 +671,21 @@ def test_a_model_counts_where_a_frame_shows_no_noise():
     assert repr(found).startswith("<Segmentation: 1 plane, ")
 
 
+def test_frames_of_few_pixels_do_not_pass_for_blurred():
+    """With half a pixel of lateral error, as few steep squares made it, a tenth was on planes that it did not fit."""
+    camera = Camera(54, 42, 50.0, 50.0, 26.5, 20.5)
+    off = labelled = 0
+    for seed in range(12):
+        eye, look = (0.37 - 0.05 * seed, -0.14, 0.01), (-0.22 + 0.1 * seed, -0.32, 2.26)
+        depth = scenes.room(eye, look).render(camera).measure(noise=1.425e-3, quantise=False, seed=seed)
+        found = segment(depth, camera, noise=kinect_v1())
+        error = np.abs(1.0 / depth - found.fitted_inverse_depth())
+        off += np.count_nonzero((found.labels > 0) & (error > 20.0 * 1.425e-3))
+        labelled += np.count_nonzero(found.labels)
+    assert labelled > 0.6 * 12 * 54 * 42
+    assert off < 0.01 * labelled
+
+
 @pytest.mark.parametrize("farthest", [2.0, 45.0])
 def test_noise_is_asked_for_where_it_is_known(farthest):
     asked = []

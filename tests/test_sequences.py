@@ -428,6 +428,11 @@ def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
             open_one(tmp_path)
 
 
+def test_of_no_frames_no_camera_is_known(frames):
+    with pytest.raises(IndexError, match="expected at least one frame"):
+        _ = FrameSequence([], frames.__getitem__).camera
+
+
 def test_a_reader_without_a_frame_is_not_the_end_of_a_loop(frames):
     entries = [FrameEntry(str(i), math.nan, CAMERA, i) for i in range(len(frames) + 2)]
     with pytest.raises(IndexError, match="out of bounds"):

@@ -674,6 +674,8 @@ def test_propagation_against_draws(two_planes, rng):
 
     point, point_covariance = np.array([0.3, -0.2, 1.7]), np.diag([1e-6, 4e-6, 2e-6])
     distance, std = rp.uncertainty.point_distance(point, plane, covariance)
+    alike = rp.uncertainty.point_distance(point, plane, np.stack([covariance, 4.0 * covariance]))
+    np.testing.assert_allclose(alike, [[distance, distance], [std, 2.0 * std]])
     assert distance == pytest.approx(plane[:3] @ point + plane[3])
     assert std == pytest.approx((draws[:, :3] @ point + draws[:, 3]).std(), rel=0.01)
     points = point + rng.standard_normal((200_000, 3)) * np.sqrt(np.diag(point_covariance))

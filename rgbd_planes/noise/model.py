@@ -169,7 +169,7 @@ class NoiseModel:
     def _along(self, q: Floats) -> Floats:
         """Standard deviation of q before rounding, on the optical axis."""
         if self.formula is not None:
-            sigma = for_each(self.formula(q), q)
+            sigma = for_each(self.formula(q.copy()), q)  # which may work in place
         elif self.samples is not None:
             sigma = np.interp(q, *np.array(self.samples).T)
         else:
