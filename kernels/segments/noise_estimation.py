@@ -218,7 +218,7 @@ def lateral_of(mean_square, slope_square, typical):
         if slope_square[i] > STEEP * typical:
             excess[count] = max(mean_square[i] - typical, 0.0) / slope_square[i]
             count += 1
-    if count <= FEWEST:
+    if count <= min(5 * FEWEST, max(FEWEST, len(mean_square) // 6)):  # a small frame has no more
         return MOST_LATERAL
     return min(max(math.sqrt(quantile(excess[:count], LOW)), LEAST_LATERAL), MOST_LATERAL)
 
