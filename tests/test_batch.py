@@ -909,3 +909,23 @@ def test_presets_do_for_a_benchmark_sequence(tmp_path):
     (root / "depth.txt").write_text("# timestamp filename\n1.5 depth/1.5.png\n")
     assert cli.main(["batch", str(root), "--out", str(tmp_path / "out")]) == 0
     check_rows(tmp_path / "out", rp.open_sequence(root))
+
+
+def test_command_passes_its_options_on(recording, tmp_path):
+    options = {"tile": (12, 16), "method": "standard_pca", "max_missing": 0.3, "max_error": 0.02}
+    words = ["--tile=12x16", "--method=standard_pca", "--max-missing=0.3", "--max-error=0.02"]
+    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "out"), *words]) == 0
+    check_rows(tmp_path / "out", rp.open_sequence(recording), **options)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ImportError("no libpng"), OSError(errno.ENFILE, "no more files")])
+def test_what_the_machine_lacks_is_no_fault_of_a_frame(recording, tmp_path, error):
+    """Otherwise the frame would be left out for good."""
+
+    def read(path):
+        raise error
+
+    sequence = FrameSequence(rp.open_sequence(recording).entries, read)
+    with pytest.raises(type(error)):
+        rp.fit_sequence(sequence, tmp_path / "out")
+    assert not list((tmp_path / "out").glob("part-*"))

@@ -747,3 +747,12 @@ def test_intrinsics_that_no_camera_has_are_doubted(change, words):
     # Wide lenses, narrow ones, and crops beside the principal point are no reason.
     for other in ({"fx": 90.0}, {"fx": 1e6}, {"cx": -1000.0}, {"cy": 1900.0}):
         Camera(**values | other)
+
+
+def test_a_region_that_binning_does_not_divide():
+    assert Camera.from_ros(camera_info(binning_x=7, binning_y=9, D=[])).shape == (480 // 9, 640 // 7)
+
+
+def test_a_depth_range_without_an_extent_is_refused():
+    with pytest.raises(ValueError, match="0 <= nearest < farthest"):
+        small(depth_range=(2.0, 2.0))

@@ -595,3 +595,27 @@ def test_fit_on_real_frames(tmp_path, monkeypatch, capsys, real_frame):
     assert (tiles.status == rp.TileStatus.OK).mean() > 0.5
     with Image.open("planes.png") as picture:
         assert picture.format == "PNG"
+
+
+def test_noise_refuses_frames_of_several_cameras(tmp_path, capsys):
+    """As those of a phone, which refocuses."""
+    for folder in ("lowres_depth", "lowres_wide_intrinsics"):
+        (tmp_path / folder).mkdir()
+    for time, focal in ((1.0, 65.0), (1.1, 66.0)):
+        images.write_png(tmp_path / "lowres_depth" / f"4_{time}.png", np.full((60, 80), 900, np.uint16))
+        (tmp_path / "lowres_wide_intrinsics" / f"4_{time}.pincam").write_text(f"80 60 {focal} 65 39.5 29.5\n")
+    assert "expected frames of one camera, got 2: give --camera" in fails(capsys, "noise", tmp_path)
+
+
+def test_fit_says_how_large_residuals_are(folder, capsys):
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json"]) == 0
+    tiles = rp.fit_tiles(images.read_depth("depth.png"), CAMERA)
+    median = 1e3 * np.median(tiles.rmse_metric[tiles.fitted])
+    assert median > 1.0
+    assert f"; median residual {median:.1f} mm along the normal.\n" in capsys.readouterr().out
+
+
+def test_demo_knows_before_the_work_that_it_cannot_write(tmp_path, capsys):
+    (tmp_path / "demo_camera.json").mkdir()
+    assert "demo_camera.json: it is a folder" in fails(capsys, "demo", "--out", tmp_path)
+    assert os.listdir(tmp_path) == ["demo_camera.json"]

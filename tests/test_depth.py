@@ -432,3 +432,20 @@ def test_metres_that_were_measured_have_no_step():
     flat[:, 100:] = 3.5
     for metres in (depth, depth.astype(np.float32), flat, np.zeros(CAMERA.shape)):
         assert step_of(as_depth_frame(metres, CAMERA)) == 0.0
+
+
+def test_a_few_numbers_of_16_bits_are_strays():
+    strewn = np.random.default_rng(0).random((480, 640))
+    cam = camera(strewn.shape, depth_scale=1000.0)
+    as_depth_frame(np.where(strewn < 0.004, 65535, 1500).astype(np.uint16), cam)  # warnings are errors here
+    with pytest.warns(UserWarning, match="many pixels are 65535"):
+        as_depth_frame(np.where(strewn < 0.04, 65535, 1500).astype(np.uint16), cam)
+
+
+def test_a_few_measurements_beside_what_a_fisheye_sees_are_strays():
+    cam = Camera(640, 480, 150.0, 150.0, 319.5, 239.5, distortion_model="fisheye")
+    beside = np.hypot(cam.tan_x_columns, cam.tan_y_rows[:, None]) >= np.radians(85.0)
+    strewn = np.random.default_rng(0).random(cam.shape)
+    as_depth_frame(np.where(beside & (strewn > 0.02), 0.0, 1.5), cam)  # warnings are errors here
+    with pytest.warns(UserWarning, match="where the fisheye lens has no ray"):
+        as_depth_frame(np.where(beside & (strewn > 0.2), 0.0, 1.5), cam)

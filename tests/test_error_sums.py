@@ -375,3 +375,45 @@ def test_tiles_unions_and_labels_nearer_than_the_table_of_the_noise_have_one_unc
         assert (other.offset_std > 0.0).all()
         np.testing.assert_allclose(other.offset_std, tiles.offset_std.ravel(), rtol=1e-3)
         np.testing.assert_allclose(other.p_value, tiles.p_value.ravel(), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["time of flight", "table"])
+def test_p_value_is_that_of_uneven_variances_beside_an_even_one(name, rng):
+    """The lateral error is the same all over a plane: the more there is of it, the less uneven are the pixels."""
+    noise = replace(NOISES[name], lateral=0.4)
+    camera = replace(CAMERA, noise=noise)
+    depth, seen = measured_floor(camera, 20, rng)
+    lateral = noise.lateral * FLOOR[1] / camera.fy
+    p_values = []
+    for frame in depth:
+        frame[seen] = 1.0 / (1.0 / frame[seen] + lateral * rng.standard_normal(np.count_nonzero(seen)))
+        fits = rp.fit_labels(frame, camera, seen)
+        n = fits.valid_count[0]
+        rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[seen]
+        slopes = fits.alpha[0, :2] / [camera.fx, camera.fy]
+        variance = noise.sigma(rays @ fits.alpha[0]) ** 2 + noise.lateral**2 * slopes @ slopes
+        expected = (1.0 - 3.0 / n) * variance.sum()
+        freedom = (n - 3.0) * variance.sum() ** 2 / (n * np.sum(variance**2))
+        p_values.append(stats.chi2.sf(freedom * n * fits.rmse[0] ** 2 / expected, freedom))
+        assert fits.p_value[0] == pytest.approx(p_values[-1], abs=0.01)
+    assert min(p_values) < 0.15 < 0.85 < max(p_values)
+
+
+def test_covariances_of_uneven_variances_grow_as_those_of_slopes_and_mean():
+    """What neighbours share of their errors raises the variances of both slopes and of the mean by a factor each."""
+    independent = rp.noise.time_of_flight(0.005)
+    shared = replace(independent, correlation=((0.5, 3.0),), floor=0.5)
+    q = 0.3 * CAMERA.tan_x + 0.7 * CAMERA.tan_y + 0.45
+    seen = q > 1.0 / 8.0
+    depth = np.where(seen, 1.0 / np.where(seen, q, 1.0), 0.0)
+    middle = np.eye(3)
+    middle[2, :2] = CAMERA.tan_x[seen].mean(), CAMERA.tan_y[seen].mean()
+    alone, together = (
+        middle @ rp.fit_labels(depth, replace(CAMERA, noise=noise), seen).alpha_covariance[0] @ middle.T
+        for noise in (independent, shared)
+    )
+    correlation = alone / np.sqrt(np.outer(np.diag(alone), np.diag(alone)))
+    assert np.abs(correlation[[0, 0, 1], [1, 2, 2]]).min() > 0.1
+    factors = np.diag(together) / np.diag(alone)
+    assert factors.min() > 2.0
+    np.testing.assert_allclose(together, alone * np.sqrt(np.outer(factors, factors)), rtol=1e-6)

@@ -320,3 +320,53 @@ def test_a_library_that_is_installed_and_broken(tiles, tmp_path, monkeypatch, er
     (tmp_path / "open3d.py").write_text(f"raise {error.__name__}('libusb-1.0.so.0: cannot open')")
     with pytest.raises(ImportError, match=r"needs open3d, which cannot be imported: libusb-1.0.so.0: cannot open$"):
         export.to_open3d(tiles)
+
+
+def test_rerun_recording_has_each_frames_camera_time_and_settings(tmp_path):
+    """A phone refocuses: each frame has a camera of its own."""
+    pytest.importorskip("rerun")
+    cameras = [rp.Camera(80, 60, fx, 66.0, 38.0, 31.0, depth_scale=1000.0) for fx in (65.0, 60.0)]
+    depths = [scenes.room().render(camera).measure(holes=0.2, seed=2) for camera in cameras]
+    entries = [FrameEntry(str(i), 100.5 + i, cameras[i], i) for i in range(2)]
+    options = {"method": "standard_pca", "max_missing": 0.2, "max_error": 0.02}
+    recording.record(FrameSequence(entries, depths.__getitem__), tmp_path / "planes.rrd", (12, 16), **options)
+    columns = columns_of(tmp_path / "planes.rrd")
+    assert [time.timestamp() for time in columns["/fitted", "time"]] == [100.5, 101.5]
+    assert columns["/camera/depth", "DepthImage:meter"] == [[1.0], [1.0]]
+    for i, camera in enumerate(cameras):
+        matrix = np.reshape(columns["/camera", "Pinhole:image_from_camera"][i], (3, 3)).T  # column by column
+        np.testing.assert_allclose(matrix, [[camera.fx, 0, 38], [0, 66, 31], [0, 0, 1]])
+        tiles = rp.fit_tiles(depths[i], camera, (12, 16), **options)
+        assert columns["/fitted", "Scalars:scalars"][i] == [np.count_nonzero(tiles.fitted)]
+        polygons = export.tile_polygons(tiles)
+        strips = np.array(columns["/planes/outlines", "LineStrips3D:strips"][i])
+        np.testing.assert_allclose(strips[:, :4], polygons, rtol=1e-5)
+        origins = columns["/planes/normals", "Arrows3D:origins"][i]
+        np.testing.assert_allclose(origins, polygons.mean(axis=1), rtol=1e-4, atol=1e-6)
+        vectors = np.array(columns["/planes/normals", "Arrows3D:vectors"][i])
+        normals = tiles.planes[export.exported(tiles)][:, :3]
+        np.testing.assert_allclose(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), normals, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "sec", "nanosec"), [(1.9999999999, 2, 0), (-0.25, -1, 750_000_000), (8.2, 8, 200_000_000)]
+)
+def test_stamps_are_whole_nanoseconds(stamp, sec, nanosec):
+    header = export.to_ros_points(np.ones((60, 80)), CAMERA, "camera", stamp)["header"]
+    assert header["stamp"] == {"sec": sec, "nanosec": nanosec}
+
+
+def test_points_without_holes_are_dense():
+    depth = np.ones((60, 80))
+    assert export.to_ros_points(depth, CAMERA)["is_dense"] is True
+    depth[2, 3] = 0.0
+    assert export.to_ros_points(depth, CAMERA)["is_dense"] is False
+
+
+def test_a_normal_of_which_a_number_is_missing_is_none(tmp_path):
+    plyfile = pytest.importorskip("plyfile")
+    normals = [[0.0, np.nan, -1.0], [np.inf, 0.0, 0.0], [0.0, 0.6, -0.8]]
+    export.write_ply(tmp_path / "points.ply", np.ones((3, 3)), normals=normals)
+    vertex = plyfile.PlyData.read(tmp_path / "points.ply")["vertex"]
+    read = np.stack([vertex["n" + name] for name in "xyz"], axis=-1)
+    np.testing.assert_allclose(read, [[0.0] * 3, [0.0] * 3, [0.0, 0.6, -0.8]], rtol=1e-6)

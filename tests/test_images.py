@@ -455,3 +455,28 @@ def test_places_that_cannot_be_written(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # for root everything is writable
     with pytest.raises(PermissionError, match="permission denied"):
         files.check_writable(tmp_path / "file.png")
+
+
+def test_threads_that_write_one_file_do_not_write_into_each_others(tmp_path):
+    together, errors = threading.Barrier(2), []
+
+    def write(text):
+        try:
+            with files.write_beside(tmp_path / "a.txt") as beside:
+                together.wait(60)
+                beside.write_text(text)
+                together.wait(60)
+                assert beside.read_text() == text
+                together.wait(60)
+        except BaseException as error:
+            errors.append(error)
+            together.abort()
+
+    threads = [threading.Thread(target=write, args=(text,)) for text in ("one", "another")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert errors == []
+    assert (tmp_path / "a.txt").read_text() in ("one", "another")
+    assert os.listdir(tmp_path) == ["a.txt"]

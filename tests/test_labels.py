@@ -167,3 +167,25 @@ def test_a_disparity_of_nothing_adds_nothing_to_a_union():
         union = rp.merge(tiles, np.ones(tiles.shape, int))
         assert np.isfinite(union.offset_std).all()
         assert np.isfinite(tiles._reference).all()
+
+
+def test_rough_by_significance_is_a_small_p_value_for_labels_and_unions(rng):
+    """As for tiles: no test at 0, and by default one in a hundred."""
+    camera = make_camera(depth_scale=None, noise=rp.noise.NoiseModel((2e-3,)))
+    depth = make_depth(camera, rng)
+    pieces = np.arange(12).reshape(3, 4) + 1
+    labels, tiles = np.kron(pieces, np.ones((16, 16), int)), rp.fit_tiles(depth, camera, 16, significance=0.0)
+    rough = []
+    for given_level, level in ((0.0, 0.0), (None, 0.01), (0.9, 0.9)):
+        for found in (
+            rp.fit_labels(depth, camera, labels, significance=given_level),
+            rp.merge(tiles, pieces, significance=given_level),
+        ):
+            np.testing.assert_array_equal(found.status == rp.TileStatus.ROUGH, found.p_value < level)
+        rough.append(np.count_nonzero(found.status == rp.TileStatus.ROUGH))
+    assert rough == sorted(set(rough))
+    plain = replace(camera, noise=None)
+    with pytest.raises(ValueError, match="significance needs a camera with a noise model"):
+        rp.fit_labels(depth, plain, labels, significance=0.0)
+    with pytest.raises(ValueError, match="significance needs a camera with a noise model"):
+        rp.merge(rp.fit_tiles(depth, plain), pieces, significance=0.0)

@@ -199,3 +199,24 @@ def test_plane_errors() -> None:
     assert errors.offset == pytest.approx([0.5, 0.0, 0.0])
     with pytest.raises(ValueError, match=r"must both be \(K, 4\)"):
         plane_errors([[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]])
+
+
+def test_detection_below_one_half_takes_the_best_of_as_many() -> None:
+    # Two pairs match either way: with 3 of 14 pixels each, or with 4 of 13.
+    truth = row((1, 10), (2, 10))
+    predicted = row((1, 3), (2, 4), (0, 3), (1, 4), (2, 3), (0, 3))
+    scores = compare_labels(predicted, truth).detection(0.2)
+    assert scores.pairs.tolist() == [[1, 2], [2, 1]]
+    assert scores.matched_iou == pytest.approx(4 / 13)
+
+
+@pytest.mark.parametrize("iou", [0.0, 1.01, float("nan")])
+def test_detection_refuses_other_thresholds(iou: float) -> None:
+    with pytest.raises(ValueError, match="iou must be above 0 and at most 1"):
+        compare_labels(row((1, 3)), row((1, 3))).detection(iou)
+
+
+def test_predicted_none_is_one_more_segment_where_the_truth_has_one() -> None:
+    comparison = compare_labels(row((5, 2), (0, 2), (5, 1), (0, 1)), row((1, 4), (0, 2)))
+    assert comparison.variation_of_information == pytest.approx(1.0)  # cut into halves
+    assert comparison.rand_index == pytest.approx(2 / 6)

@@ -469,3 +469,33 @@ def test_labels_of_the_curvature_are_legible(low, high):
     ]
     assert len(boxes) >= 2
     assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+
+
+def test_figure_has_the_curvature_of_the_same_windows(folder, monkeypatch):
+    figures = []
+    command = importlib.import_module("rgbd_planes.commands.normals")
+    monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
+    arguments = "normals depth.png --camera camera.json --window 9 --avoid-edges --max-missing 0.3 --figure n.png"
+    assert cli.main(arguments.split()) == 0
+    depth, camera = images.read_depth("depth.png"), rp.Camera.load("camera.json")
+    shown = np.ma.filled(figures[0].axes[2].get_images()[0].get_array(), np.nan)
+    np.testing.assert_array_equal(shown, rp.curvature(depth, camera, 9, avoid_edges=True, max_missing=0.3))
+
+
+def test_steps_of_metres_that_were_integers_are_no_edges_either():
+    camera = rp.Camera(1280, 40, 2320.0, 2320.0, 639.5, 19.5, depth_scale=250.0)
+    metres = rp.Camera(1280, 40, 2320.0, 2320.0, 639.5, 19.5)
+    raw = scenes.plane((0.3, 0.1, -1.0), 3.0).render(camera).measure(noise=0.0)
+    plain = rp.normals(raw, camera, 7)
+    for depth, same in ((raw, camera), ((raw / 250.0).astype(np.float32), metres), (raw / 250.0, metres)):
+        np.testing.assert_allclose(rp.normals(depth, same, 7, avoid_edges=True), plain, atol=1e-3)
+
+
+def test_avoiding_edges_gives_no_normal_away_from_the_camera(rng):
+    camera = rp.Camera(64, 48, 30.0, 30.0, 31.5, 23.5)
+    depth = rng.uniform(0.001, 1.0, camera.shape) ** -3.0
+    normals = rp.normals(depth, camera, 3, avoid_edges=True)
+    there = np.isfinite(normals[..., 0])
+    assert 0.95 < there.mean() < 1.0
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    assert ((normals * rays).sum(axis=-1)[there] < 0).all()

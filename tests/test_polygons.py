@@ -275,3 +275,20 @@ def test_bad_arguments_are_refused() -> None:
 
 def test_no_plane_no_polygon() -> None:
     assert plane_polygons(segment(np.zeros(CAMERA.shape), CAMERA)) == []
+
+
+def test_dictionary_has_the_hull_and_the_rectangle() -> None:
+    depth = np.full(CAMERA.shape, 2.0)
+    depth[:60, :80] = 1.0  # leaves an L of the wall, whose hull is no rectangle
+    board_, wall = plane_polygons(segment(depth, CAMERA))
+    for own, corners in ((board_, 4), (wall, 5)):
+        made = own.to_dict()
+        assert len(made["hull"]) == corners
+        np.testing.assert_array_equal(made["hull"], own.corners(own.hull))
+        np.testing.assert_array_equal(made["rectangle"], own.corners())
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_wall_along_the_optical_axis_has_its_first_axis_along_it(side: float) -> None:
+    own = seen((side, 0.0, 0.0), CAMERA)
+    np.testing.assert_allclose(own.axes, [[0.0, 0.0, side], [0.0, 1.0, 0.0]], atol=1e-6)

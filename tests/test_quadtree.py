@@ -225,3 +225,20 @@ def test_plots_without_a_frame():
     figure = rp.segment_quadtree(depth, camera).plot()
     figure.canvas.draw()
     assert figure.axes[0].get_title() == "Depth of the fitted planes"
+
+
+def test_a_square_whose_pixels_determine_no_plane_is_split():
+    camera = rp.Camera(32, 32, 30.0, 30.0, 15.5, 15.5)
+    depth = np.zeros(camera.shape)
+    depth[:, 3] = depth[16:, 16:] = 2.0
+    elements = rp.segment_quadtree(depth, camera, 16, max_missing=1.0).elements
+    degenerate = elements.status == rp.TileStatus.DEGENERATE
+    assert elements.level[degenerate].tolist() == [2] * 8  # along the column
+
+
+def test_other_seeds_begin_elsewhere():
+    """Of as many clusters as there are kinds of planes k-means may find others."""
+    camera = rp.presets.primesense()
+    depth = scenes.room().render(camera).measure(holes=0.05, seed=1)
+    labels = [rp.segment_quadtree(depth, camera, clusters=12, seed=seed).labels for seed in range(3)]
+    assert any((other != labels[0]).any() for other in labels[1:])

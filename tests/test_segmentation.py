@@ -1374,3 +1374,34 @@ def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):
     assert len(work.runs.start) > 1
     assert np.array_equal(found.labels, wanted.labels)
     assert np.array_equal(found.planes, wanted.planes)
+
+
+def test_a_plane_of_just_the_least_size_is_kept():
+    depth = np.full(CAMERA.shape, 2.0)
+    depth[60:100, 80:130] = 1.5
+    for least, sizes in ((2000, [320 * 240 - 2000, 2000]), (2001, [320 * 240 - 2000])):
+        assert segment(depth, CAMERA, min_size=least).sizes.tolist() == sizes
+
+
+def test_no_plane_loses_pixels_below_the_least_size():
+    """Pixels that stand alone lose their label, unless its plane would have too few."""
+    camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(holes=0.05, patches=0.1, seed=0)
+    sizes = segment(depth, camera).sizes.tolist()
+    for least in sorted({size + more for size in sizes for more in range(-3, 4)}):
+        assert segment(depth, camera, min_size=least).sizes.min(initial=least) >= least
+
+
+def test_a_small_plane_is_fitted_to_all_its_pixels():
+    """Of 6 x 6 those whose neighbours are also its are less than half; of 8 x 6 they are enough."""
+    camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
+    q = 0.5 + 1e-3 * np.random.default_rng(1).standard_normal(camera.shape)
+    for rows, rim in ((6, 0), (8, 1)):
+        seen = q.copy()
+        seen[60 : 60 + rows, 80:86] += 0.5 + 0.1 * camera.tan_x[60 : 60 + rows, 80:86]
+        found = segment(1.0 / seen, camera, min_size=20)
+        own = np.s_[60 + rim : 60 + rows - rim, 80 + rim : 86 - rim]
+        rays = np.dstack([camera.tan_x[own], camera.tan_y[own], np.ones(seen[own].shape)]).reshape(-1, 3)
+        expected = np.linalg.lstsq(rays, seen[own].ravel(), rcond=None)[0]
+        assert found.sizes.tolist() == [160 * 120 - 6 * rows, 6 * rows]
+        np.testing.assert_allclose(found.alpha[1], expected, atol=1e-4)

@@ -320,3 +320,12 @@ def test_labels_that_16_bits_cannot_hold(depth, tmp_path):
     with pytest.raises(ValueError, match="at most 65535 planes, which 16 bits can tell apart, got 65536"):
         segmentation_export.write_labels(tmp_path / "labels.png", many)
     assert not any(tmp_path.iterdir())
+
+
+def test_command_adds_outlines_only_where_they_are_asked_for(folder):
+    pytest.importorskip("shapely")
+    arguments = ["segment", "depth.png", "--camera", "camera.json", "--mesh", "planes.ply", "--out", "planes.json"]
+    for more in ([], ["--polygons"]):
+        assert cli.main([*arguments, *more]) == 0
+        planes = json.loads((folder / "planes.json").read_text())["planes"]
+        assert [("outline" in plane) for plane in planes] == [bool(more)] * len(planes)

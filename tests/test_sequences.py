@@ -724,3 +724,56 @@ def test_real_frames_in_the_form_of_7_scenes_and_of_the_tum_benchmark(tmp_path, 
     frame = rp.open_sequence(root)[0]
     assert frame.timestamp == 1305031103.027881
     assert rp.fit_tiles(frame.depth, frame.camera).fitted.mean() > 0.5
+
+
+def test_each_camera_of_a_sequence_gets_the_noise(tmp_path, frames):
+    write_arkitscenes(tmp_path, frames)
+    plain, noise = rp.open_sequence(tmp_path), rp.noise.kinect_v1()
+    noisy = plain.with_noise(noise)
+    assert len(noisy.cameras) == len(plain.cameras) == 2
+    assert noisy.entries == tuple(replace(e, camera=replace(e.camera, noise=noise)) for e in plain.entries)
+    assert noisy.with_noise(None).entries == plain.entries
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "mcap"])
+def test_rosbag_has_the_nearest_camera_info_of_several(tmp_path, frames, name):
+    """Farther up in the tree of names there may be that of another camera."""
+    pytest.importorskip("rosbags")
+    store, ros1 = type_store(tmp_path / name)
+    (depth, *_), info = messages(store, frames)
+    _, other = messages(store, frames)
+    setattr(other, "K" if ros1 else "k", np.array([9.0, 0, 3.5, 0, 9.5, 2.5, 0, 0, 1]))
+    topics = {"/camera/depth/image_raw": depth, "/camera/depth/camera_info": info}
+    topics |= {"/camera/camera_info": other, "/camera_info": other}
+    write_bag(tmp_path / name, {topic: [(1, message)] for topic, message in topics.items()})
+    assert sequences.rosbag(tmp_path / name).camera == RAW
+
+
+def test_scannet_is_in_the_units_that_it_states(tmp_path, frames):
+    write_sens(tmp_path / "a.sens", frames)
+    content = (tmp_path / "a.sens").read_bytes()
+    stated = struct.pack("<f", 1000.0)
+    assert content.count(stated) == 1
+    (tmp_path / "a.sens").write_bytes(content.replace(stated, struct.pack("<f", 4000.0)))
+    same(
+        rp.open_sequence(tmp_path / "a.sens"),
+        frames,
+        replace(CAMERA, depth_scale=4000.0),
+        times=[math.nan, 0.033, 0.066],
+    )
+    (tmp_path / "frame-000000.depth.pgm").write_bytes(b"P5\n8 6\n65535\n" + frames[0].astype(">u2").tobytes())
+    (tmp_path / "_info.txt").write_text(
+        "m_depthWidth = 8\nm_depthHeight = 6\nm_depthShift = 4000\n"
+        "m_calibrationDepthIntrinsic = 7 0 3.5 0 0 7.5 2.5 0 0 0 1 0 0 0 0 1 \n"
+    )
+    assert rp.open_sequence(tmp_path).camera == replace(CAMERA, depth_scale=4000.0)
+
+
+def test_names_may_end_in_capitals(tmp_path, frames):
+    write_sens(tmp_path / "A.SENS", frames)
+    assert rp.open_sequence(tmp_path / "A.SENS").camera == CAMERA
+    Image.fromarray(frames[0]).save(tmp_path / "1.PNG")
+    Image.fromarray(frames[1]).save(tmp_path / "2.Tiff")
+    with open(tmp_path / "3.NPY", "wb") as file:
+        np.save(file, frames[2])
+    same(sequences.folder(tmp_path, CAMERA), frames, CAMERA, ["1.PNG", "2.Tiff", "3.NPY"])

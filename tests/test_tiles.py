@@ -409,3 +409,52 @@ def test_small_tiles_of_large_frames_have_their_implicit_plane(implementation, r
     assert np.count_nonzero(found.fitted != expected.fitted) <= 3
     both = found.fitted & expected.fitted
     assert np.median(np.linalg.norm(found.planes[both] - expected.planes[both], axis=1)) < 1e-6
+
+
+def test_out_of_another_fitter_is_refused(rng):
+    """Even if it has as many tiles: it would say that its planes are of another camera, method or tile."""
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    fitter = rp.TileFitter(camera, 16)
+    out, batch = fitter.fit(depth), fitter.fit_batch([depth])
+    before = out.planes.copy()
+    for other in (
+        rp.TileFitter(replace(camera, fx=53.0), 16),
+        rp.TileFitter(camera, 16, "standard_pca"),
+        rp.TileFitter(camera, (17, 16)),
+    ):
+        assert other.fit(depth).shape == out.shape
+        with pytest.raises(ValueError, match="out must be a result of this fitter"):
+            other.fit(depth, out=out)
+        with pytest.raises(ValueError, match="out must be a result of this fitter"):
+            other.fit_batch([depth], out=batch)
+    np.testing.assert_array_equal(out.planes, before)
+
+
+@pytest.mark.parametrize("implementation", ["integral", "naive"])
+def test_out_of_another_implementation_is_as_good(implementation, rng):
+    """Its moments were about the middle of each tile; these are about the origin."""
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    fitter = rp.TileFitter(camera, 16, implementation=implementation)
+    out = rp.fit_tiles(depth, camera, 16)
+    np.testing.assert_array_equal(fitter.fit(depth, out=out).planes, fitter.fit(depth).planes)
+
+
+def test_a_share_of_missing_pixels_is_no_number_of_binary_digits():
+    """0.29 of 100 pixels are 29, although their product is less."""
+    camera = make_camera(width=10, height=10)
+    for missing, status in ((29, rp.TileStatus.OK), (30, rp.TileStatus.TOO_FEW)):
+        depth = np.ones(100)
+        depth[:missing] = 0.0
+        assert rp.fit_tiles(depth.reshape(10, 10), camera, 10, max_missing=0.29).status[0, 0] == status
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_range_without_a_raw_value_behind_a_lens(method):
+    camera = make_camera(DISTORTIONS["five"], depth_range=(70.0, 80.0))
+    depth = np.zeros(camera.shape, np.uint16)
+    depth[1::2], depth[:, ::3] = 1, 65535
+    tiles = rp.fit_tiles(depth, camera, (9, 16), method)
+    assert (tiles.valid_count == 0).all()
+    assert (tiles.status == rp.TileStatus.TOO_FEW).all()

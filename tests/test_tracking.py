@@ -211,3 +211,10 @@ def test_frames_are_read_one_at_a_time() -> None:
 def test_bad_arguments_are_an_error_before_any_frame(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         segment_sequence([], CAMERA, **arguments)
+
+
+@pytest.mark.parametrize(("depth", "ids"), [(0.54, [1]), (0.6, [2])])
+def test_how_far_a_wall_may_move_goes_with_its_distance(depth: float, ids: list[int]) -> None:
+    frames = [np.full(CAMERA.shape, 0.5), np.full(CAMERA.shape, depth)]
+    _, second = segment_sequence(frames, CAMERA)
+    assert second.ids.tolist() == ids

@@ -1066,3 +1066,20 @@ def test_bad_arguments_are_refused(make, error, message):
 
 
 CAMERA = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
+
+
+def test_angle_between_planes_that_coincide_has_its_largest_deviation():
+    plane = np.array([0.0, 0.0, -1.0, 2.0])
+    one, other = np.diag([9e-6, 1e-6, 0.0, 1e-6]), np.diag([7e-6, 3e-6, 0.0, 1e-6])
+    angle, std = rp.uncertainty.angle_between(plane, one, plane, other)
+    assert angle == 0.0
+    assert std == pytest.approx(np.degrees(4e-3))
+
+
+def test_rounding_is_added_to_the_rounding_that_there_is():
+    model = rp.noise.NoiseModel((1e-3,), step=3e-3, disparity_step=4e-3)
+    metres = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, depth_scale=250.0)
+    disparity = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, disparity=(-3e-3, 3.0))
+    for step, wanted in ((4e-3, (5e-3, 4e-3)), (metres, (5e-3, 4e-3)), (disparity, (3e-3, 5e-3))):
+        made = rp.noise.quantised(model, step)
+        assert (made.step, made.disparity_step) == pytest.approx(wanted)
