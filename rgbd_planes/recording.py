@@ -149,6 +149,8 @@ def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:
     stream.set_time("frame", sequence=index)
     if math.isfinite(frame.timestamp):
         stream.set_time("time", timestamp=frame.timestamp)
+    else:
+        stream.disable_timeline("time")  # which would stay at the frame before
     points = camera.points(frame.depth)
     if camera.distortion_model == "fisheye":  # rerun has no such camera
         measured = np.isfinite(points[..., 2])

@@ -380,7 +380,7 @@ def fit_tiles(
         the paper's norm mixes the normal with an offset: here it is the metre.
     implementation : {"direct", "integral", "naive"}
         Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes, up to
-        rounding, which sums over a whole frame leave more of: small tiles of large frames may be DEGENERATE by them.
+        rounding, which sums over a whole frame leave more of: by ``standard_`` methods small tiles may be DEGENERATE.
     max_missing : float
         Share of missing pixels above which a tile gets TOO_FEW; at 1 any pixels that determine a plane are fitted.
     max_error : float, optional

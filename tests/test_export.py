@@ -1,6 +1,7 @@
 """Exports, each read back with the tool that it is for."""
 
 import json
+import math
 import os
 import sys
 from types import SimpleNamespace
@@ -370,3 +371,12 @@ def test_a_normal_of_which_a_number_is_missing_is_none(tmp_path):
     vertex = plyfile.PlyData.read(tmp_path / "points.ply")["vertex"]
     read = np.stack([vertex["n" + name] for name in "xyz"], axis=-1)
     np.testing.assert_allclose(read, [[0.0] * 3, [0.0] * 3, [0.0, 0.6, -0.8]], rtol=1e-6)
+
+
+def test_rerun_has_no_time_of_a_frame_without_one(depth, tmp_path):
+    pytest.importorskip("rerun")
+    entries = [FrameEntry(str(time), time, CAMERA, 0) for time in (math.nan, 100.5, math.nan, 102.5)]
+    recording.record(FrameSequence(entries, [depth].__getitem__), tmp_path / "planes.rrd")
+    columns = columns_of(tmp_path / "planes.rrd")
+    assert sorted(columns["/fitted", "frame"]) == [0, 1, 2, 3]
+    assert [time.timestamp() for time in columns["/fitted", "time"]] == [100.5, 102.5]

@@ -364,8 +364,17 @@ def test_walls_that_differ_are_none(rng):
     assert [estimated(errors, 4, 0.0, rng).falloff for _ in range(8)] == [0.0] * 8
 
 
-@pytest.mark.parametrize("corners", [((0, 0), (2, 2)), ((0, 0), (2, 0)), ((2, 2),), ((2, 0), (2, 1), (2, 2))])
-def test_large_noisy_things_in_corners_are_none(corners, rng):
+@pytest.mark.parametrize(
+    ("corners", "most"),
+    [
+        (((0, 0), (2, 2)), 0.0),
+        (((0, 0), (2, 0)), 0.0),
+        (((2, 2),), 0.0),
+        (((2, 0), (2, 1), (2, 2)), 0.0),
+        (((0, 0), (0, 2), (2, 0)), 1.0),  # nearly what a falloff is: then it is no larger than they make it
+    ],
+)
+def test_large_noisy_things_in_corners_are_none(corners, most, rng):
     """Small parts of the image are each but little of them; without a large one, a whole thing, less is left."""
     row, column = np.indices(WIDE.shape) * 3 // np.reshape(WIDE.shape, (2, 1, 1))
     noisy = np.any([(row == y) & (column == x) for y, x in corners], axis=0)
@@ -375,7 +384,7 @@ def test_large_noisy_things_in_corners_are_none(corners, rng):
             q = 0.6 + tilt * WIDE.tan_x + 0.1 * WIDE.tan_y
             q += 1.4e-3 * np.where(noisy, 1.2, 1.0) * rng.standard_normal(q.shape)
             seen.append(1.0 / q)
-        assert rp.estimate_noise(seen, WIDE).falloff == 0.0
+        assert rp.estimate_noise(seen, WIDE).falloff <= most
 
 
 def test_tiles_at_the_rim_of_a_fisheye(rng):

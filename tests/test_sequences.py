@@ -273,7 +273,7 @@ def test_scannet_sens_frames_come_with_camera_and_times(tmp_path, frames, compre
     matrix = np.array([[7.0, 0, 3.5, 0], [0, 7.5, 2.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "<f4").tobytes()
     assert content.count(matrix) == 1
     path.write_bytes(content.replace(matrix, bytes(64)))
-    with pytest.raises(ValueError, match=r"a\.sens|00\.sens: expected"):
+    with pytest.raises(ValueError, match=r"00\.sens: expected camera_matrix"):
         rp.open_sequence(path)
     same(sequences.scannet_sens(path, presets.scannet()), frames, presets.scannet(), times=times)
 

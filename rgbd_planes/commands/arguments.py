@@ -104,6 +104,7 @@ def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffi
     taken = {os.path.realpath(path) for path in read}
     # No format has frames deeper. Not "**", which does not follow links to folders.
     inside = [(place, pattern) for place in read if place.is_dir() for pattern in ("*", "*/*")]
+    beside = {os.path.realpath(place / name) for place in read if place.is_dir() for name in (".", "depth")}
     for name, allowed in suffixes.items():
         path: Path | None = getattr(arguments, name)
         if path is None:
@@ -115,7 +116,6 @@ def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffi
         for place, pattern in inside if path.exists() else ():
             if os.path.realpath(path) in map(os.path.realpath, place.glob(pattern)):
                 raise CommandError(f"{path}: --{name} would write over a file in {place}, which is read")
-        beside = {os.path.realpath(place / name) for place in read if place.is_dir() for name in (".", "depth")}
         if path.suffix.lower() in DEPTH_SUFFIXES and os.path.realpath(path.parent) in beside:
             raise CommandError(f"{path}: --{name} would be taken for a depth image of {path.parent}, which is read")
         taken.add(os.path.realpath(path))
