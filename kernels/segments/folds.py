@@ -15,7 +15,8 @@ from .facets import turn_of_groups
 from .merge import keep_pairs_inside, merge
 from .moments import fit
 from .noise import variance, waviness
-from .shape import MARGIN, PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
+from .quadrics import PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
+from .shape import MARGIN
 
 # Share of the tolerances with which parts are joined anew.
 STRICT = 0.5

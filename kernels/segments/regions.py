@@ -15,8 +15,9 @@ from .moments import misfit
 from .noise import in_square
 from .pixels import own_pixels
 from .planes import deviations, fit_regions
+from .quadrics import owned_means
 from .records import Contacts, Planes, Shares
-from .shape import find_curved, owned_means
+from .shape import find_curved
 
 # The four blocks beside one.
 BESIDE_DOWN, BESIDE_RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)

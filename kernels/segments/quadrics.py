@@ -1,0 +1,285 @@
+"""Segmentation: the quadric that fits a region, q = α·(u, v, 1) + a u² + b uv + c v².
+
+It has as many parameters as two planes. The blocks' means are enough for it, so no pixel is touched.
+"""
+
+import math
+
+import numpy as np
+
+from .._jit import kernel
+from .blocks import MIXED, UNSEEN
+
+TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
+PLANE_TERMS = 3
+# A direction in which a region extends by less than this share (squared) of the others says nothing.
+SLIGHT = 1e-6
+SHAPE_BLOCKS = 256  # blocks that are enough to show a shape
+
+
+@kernel()
+def boxes(region, box):
+    """First row, row after the last, first column, column after the last of each region's blocks.
+
+    ``region`` is (R, C) int32, below 0 none; ``box`` (N, 4) int64 is written.
+    """
+    box[:, 0], box[:, 2] = region.shape[0], region.shape[1]
+    box[:, 1], box[:, 3] = 0, 0
+    rows, columns = region.shape
+    for row in range(rows):
+        start = 0
+        for column in range(1, columns + 1):
+            a = region[row, start]
+            if column < columns and region[row, column] == a:
+                continue
+            if a >= 0:
+                box[a, 0] = min(box[a, 0], row)
+                box[a, 1] = row + 1
+                box[a, 2] = min(box[a, 2], start)
+                box[a, 3] = max(box[a, 3], column)
+            start = column
+
+
+@kernel()
+def owned_means(owners, shares, number, region, pyramid):
+    """Number and mean (u, v, q) of the pixels of each block that its region owns.
+
+    Parameters
+    ----------
+    owners : Owners
+    shares : Shares
+    number : (N,) int64
+        What the regions in them became, below 0 for nothing.
+    region : (R, C) int32
+        Region of each block, below 0 for none.
+    pyramid : Pyramid
+
+    Returns
+    -------
+    (R, C, 4) float32
+        Written where there is a region.
+    """
+    moments = pyramid.moments
+    means = np.empty((*region.shape, 4), np.float32)
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            if a < 0:
+                continue
+            n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
+            i = row * region.shape[1] + column
+            if owners.block[row, column] >= 0 or owners.block[row, column] == UNSEEN:
+                n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
+            elif owners.block[row, column] == MIXED:
+                first = owners.first[row, column]
+                for s in range(first, first + owners.count[row, column]):
+                    if number[shares.region[s]] == a:
+                        n += shares.moments[s, 0]
+                        s_u += shares.moments[s, 1]
+                        s_v += shares.moments[s, 2]
+                        s_q += shares.moments[s, 3]
+            per_pixel = 1.0 / max(n, 1.0)
+            means[row, column, 0] = n
+            means[row, column, 1] = s_u * per_pixel
+            means[row, column, 2] = s_v * per_pixel
+            means[row, column, 3] = s_q * per_pixel
+    return means
+
+
+@kernel(inline=True)
+def first_from(start, step, least):
+    """The first of ``start``, ``start + step``, ... that is at least ``least``."""
+    return start + (max(least - start, 0) + step - 1) // step * step
+
+
+@kernel()
+def add_blocks(region, means, a, box, reference, deviation, window, step, centre, scale, products):
+    """Add the blocks of region ``a`` in a window to the sums of products that a fit needs.
+
+    Parameters
+    ----------
+    region, means : (R, C) int32, (R, C, 4) float32
+        See `owned_means`.
+    box : (N, 4) int64
+        See `boxes`.
+    reference : (3,) float64
+        α of the plane from which residuals are taken.
+    deviation : float
+        Their unit, 1/m.
+    window : (4,) int64
+        As in `boxes`; every ``step``-th row and column counts.
+    centre, scale
+        x = (u - centre[0]) / scale, y = (v - centre[1]) / scale.
+    products : (7, 7) float64, added to
+        Of 1, x, y, x², xy, y² and the residual, weighted by pixels.
+
+    Returns
+    -------
+    float
+        Pixels of the blocks that were added.
+    """
+    # Sums of n·xⁱ·yʲ, of n·xⁱ·yʲ·e, and of n·e² over the blocks: each of them once.
+    n_00 = n_10 = n_01 = n_20 = n_11 = n_02 = n_30 = n_21 = n_12 = n_03 = n_40 = n_31 = n_22 = n_13 = n_04 = 0.0
+    e_00 = e_10 = e_01 = e_20 = e_11 = e_02 = ee = 0.0
+    c_u, c_v, c_1 = reference[0], reference[1], reference[2]
+    u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
+    first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
+    for row in range(first_row, min(window[1], box[a, 1]), step):
+        for column in range(first_column, min(window[3], box[a, 3]), step):
+            r, c = np.uint64(row), np.uint64(column)  # unsigned indices: see `kernels`
+            n = np.float64(means[r, c, 0])
+            if region[r, c] != a or n == 0.0:
+                continue
+            u, v = means[r, c, 1], means[r, c, 2]
+            e = (means[r, c, 3] - (c_u * u + c_v * v + c_1)) * per_deviation
+            x, y = (u - u_0) * per_length, (v - v_0) * per_length
+            n_x, n_y, n_e = n * x, n * y, n * e
+            n_xx, n_xy, n_yy = n_x * x, n_x * y, n_y * y
+            n_00 += n
+            n_10 += n_x
+            n_01 += n_y
+            n_20 += n_xx
+            n_11 += n_xy
+            n_02 += n_yy
+            n_30 += n_xx * x
+            n_21 += n_xx * y
+            n_12 += n_yy * x
+            n_03 += n_yy * y
+            n_40 += n_xx * x * x
+            n_31 += n_xx * x * y
+            n_22 += n_xx * y * y
+            n_13 += n_xy * y * y
+            n_04 += n_yy * y * y
+            e_00 += n_e
+            e_10 += n_e * x
+            e_01 += n_e * y
+            e_20 += n_e * x * x
+            e_11 += n_e * x * y
+            e_02 += n_e * y * y
+            ee += n_e * e
+    add_row(products, 0, (n_00, n_10, n_01, n_20, n_11, n_02, e_00))
+    add_row(products, 1, (n_20, n_11, n_30, n_21, n_12, e_10))
+    add_row(products, 2, (n_02, n_21, n_12, n_03, e_01))
+    add_row(products, 3, (n_40, n_31, n_22, e_20))
+    add_row(products, 4, (n_22, n_13, e_11))
+    add_row(products, 5, (n_04, e_02))
+    products[6, 6] += ee
+    return n_00
+
+
+@kernel(inline=True)
+def add_row(products, row, values):
+    """Add to a row of the upper triangle."""
+    for k in range(len(values)):
+        products[row, row + k] += values[k]
+
+
+@kernel()
+def eliminate(products, first, stop):
+    """Regress the remainder on terms ``first`` to ``stop``; returns the sum of squares that is left.
+
+    Only the upper triangle is used. A term that the others already span is skipped.
+    """
+    last = TERMS
+    for k in range(first, stop):
+        pivot = products[k, k]
+        if not pivot > SLIGHT * products[0, 0] or (k > 0 and not pivot > 0.0):
+            products[k, k:] = 0.0
+            continue
+        for i in range(k + 1, last + 1):
+            factor = products[k, i] / pivot
+            for j in range(i, last + 1):
+                products[i, j] -= factor * products[k, j]
+    return max(products[last, last], 0.0)
+
+
+@kernel()
+def second_derivatives(products, scale, deviation):
+    """The quadric's second derivatives q_uu, q_uv, q_vv, after `eliminate`."""
+    c = np.zeros(TERMS)
+    for k in range(TERMS - 1, PLANE_TERMS - 1, -1):
+        if products[k, k] > 0.0:
+            total = products[k, TERMS]
+            for i in range(k + 1, TERMS):
+                total -= products[k, i] * c[i]
+            c[k] = total / products[k, k]
+    unit = deviation / (scale * scale)
+    return 2.0 * c[3] * unit, c[4] * unit, 2.0 * c[5] * unit
+
+
+@kernel()
+def extent(m):
+    """Root mean square distance of a region's pixels from their middle."""
+    n = m[0]
+    return math.sqrt(max(m[4] / n - (m[1] / n) ** 2 + m[7] / n - (m[2] / n) ** 2, 1e-30))
+
+
+@kernel()
+def turn(m, alpha, h):
+    """Mean squared angle, in radians, of a bent region's normals against the normal of its plane.
+
+    A step (du, dv) away from the middle the tangent plane is α + dα, dα = (g, -g·(u, v)) with g = H (du, dv);
+    the normal turns by the part of dα / ‖α‖ across α.
+    """
+    n = m[0]
+    u, v = m[1] / n, m[2] / n
+    uu, uv, vv = m[4] / n - u * u, m[5] / n - u * v, m[7] / n - v * v
+    square = alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2
+    # The columns of dα/d(u, v), and their parts along α.
+    a_u, b_u = h[0], h[1]
+    a_v, b_v = h[1], h[2]
+    c_u, c_v = -(a_u * u + b_u * v), -(a_v * u + b_v * v)
+    along_u = (a_u * alpha[0] + b_u * alpha[1] + c_u * alpha[2]) / math.sqrt(square)
+    along_v = (a_v * alpha[0] + b_v * alpha[1] + c_v * alpha[2]) / math.sqrt(square)
+    total = (
+        uu * (a_u * a_u + b_u * b_u + c_u * c_u - along_u * along_u)
+        + 2.0 * uv * (a_u * a_v + b_u * b_v + c_u * c_v - along_u * along_v)
+        + vv * (a_v * a_v + b_v * b_v + c_v * c_v - along_v * along_v)
+    )
+    return max(total, 0.0) / square
+
+
+@kernel()
+def step_of(window):
+    """Step between the rows, and the columns, of blocks that are enough."""
+    area = (window[1] - window[0]) * (window[3] - window[2])
+    return max(1, int(math.sqrt(area / SHAPE_BLOCKS)))
+
+
+@kernel()
+def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, products):
+    """How far the normals of a region turn within it: mean squared angle, 0 where noise explains it.
+
+    Parameters
+    ----------
+    region, means
+        See `owned_means`.
+    a : int
+        The region.
+    box : (N, 4) int64
+        See `boxes`.
+    m, alpha : (10,) and (3,) float64
+        Its moments and its plane.
+    variance, waviness_square : float
+        Of a pixel about the plane, without the waviness.
+    rules : Rules
+    products : (7, 7) float64
+        Room.
+
+    Returns
+    -------
+    float, bool
+        The latter: whether the region is bent by more than a sensor's bias.
+    """
+    deviation, scale, step = math.sqrt(variance), extent(m), step_of(box[a])
+    centre = m[1] / m[0], m[2] / m[0]
+    products[:] = 0.0
+    pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, products)
+    if pixels == 0.0:
+        return 0.0, False
+    flat = eliminate(products, 0, PLANE_TERMS)
+    drop = flat - eliminate(products, PLANE_TERMS, TERMS)
+    turned = 0.0
+    if drop * step * step > rules.region_spread * waviness_square:
+        turned = turn(m, alpha, second_derivatives(products, scale, deviation))
+    return turned, drop > rules.bent * waviness_square * pixels
