@@ -8,8 +8,8 @@ import pytest
 from bench import block_scenes
 from rgbd_planes import segment
 from rgbd_planes.kernels.segments import folds
-from rgbd_planes.kernels.segments.records import Noise
 from rgbd_planes.kernels.segments.quadrics import PLANE_TERMS, TERMS
+from rgbd_planes.kernels.segments.records import Noise
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
 

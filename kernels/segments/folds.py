@@ -15,7 +15,8 @@ from .facets import turn_of_groups
 from .merge import keep_pairs_inside, merge
 from .moments import fit
 from .noise import variance, waviness
-from .quadrics import PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
+from .quadrics import PLANE_TERMS, SURE, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
+from .records import Owned
 from .shape import MARGIN
 
 # Share of the tolerances with which parts are joined anew.
@@ -24,8 +25,6 @@ STRICT = 0.5
 FACE, FACE_SHARE = 100, 0.025
 # Root mean square angle by which the normals of faces turn, and those of the quadric that fits them best.
 TURNED = math.radians(4.0)
-# Variances by which each face must fit better, times the pixels that share an error: of χ²(3) one in fifty is 10.
-SURE = 10.0
 
 
 @kernel()
@@ -108,7 +107,7 @@ def keep_turned(labels, means, moments, noise, rules, chosen):
     labels : (R, C) int32
         The region of each block.
     means : (R, C, 4) float32
-        See `shape.owned_means`.
+        See `quadrics.owned_means`.
     moments : (N, 10) float64
     noise : Noise
     rules : Rules
@@ -122,7 +121,7 @@ def keep_turned(labels, means, moments, noise, rules, chosen):
             m = moments[a]
             fit(m, alpha)
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
+            turned, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
             chosen[a] = turned > TURNED**2
 
 
@@ -130,7 +129,7 @@ def keep_turned(labels, means, moments, noise, rules, chosen):
 def planes_fit_better(products):
     """By how much planes fit parts better than one quadric does, and than one plane: differences of sums of squares.
 
-    ``products`` (K, 7, 7) are those of `shape.add_blocks` for each part.
+    ``products`` (K, 7, 7) are those of `quadrics.add_blocks` for each part.
     """
     joint = np.zeros((TERMS + 1, TERMS + 1))
     planes = 0.0
@@ -186,8 +185,9 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     ----------
     region : (R, C) int32
         Region of each block before they were joined, or -1.
-    pyramid, owners, shares
-        See `shape.owned_means`.
+    pyramid : Pyramid
+    owners : Owners
+    shares : Shares
     moments : (N, 10) float64
         Of the joined regions; changed.
     first_moments : (N, 10) float64
@@ -210,7 +210,7 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     labels = np.empty_like(region)
     if any_of(several):
         label_blocks(region, parent, parent, several, labels)
-        keep_turned(labels, owned_means(owners, shares, parent, labels, pyramid), moments, noise, rules, several)
+        keep_turned(labels, owned_means(Owned(labels, parent, owners, shares), pyramid), moments, noise, rules, several)
     chosen = rough | several
     if not any_of(chosen):
         return False
@@ -218,7 +218,7 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     merge(first_moments, first, keep_pairs_inside(first, parent, chosen), noise, rules, STRICT, again)
     if any_of(several):
         label_blocks(region, again, parent, several, labels)
-        means = owned_means(owners, shares, again, labels, pyramid)
+        means = owned_means(Owned(labels, again, owners, shares), pyramid)
         keep_faces(labels, means, moments, first_moments, parent, again, noise, several)
     chosen = rough | several
     for a in range(len(parent)):

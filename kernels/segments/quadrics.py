@@ -1,6 +1,6 @@
 """Segmentation: the quadric that fits a region, q = α·(u, v, 1) + a u² + b uv + c v².
 
-It has as many parameters as two planes. The blocks' means are enough for it, so no pixel is touched.
+It has as many parameters as two planes. The blocks' means are enough for it; pixels are touched only of small regions.
 """
 
 import math
@@ -8,13 +8,16 @@ import math
 import numpy as np
 
 from .._jit import kernel
-from .blocks import MIXED, UNSEEN
+from .blocks import BLOCK, MIXED, UNSEEN
+from .moments import ray_of
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
 SHAPE_BLOCKS = 256  # blocks that are enough to show a shape
+# Variances that three more terms must gain, times the pixels that share an error: of χ²(3) one in fifty is 10.
+SURE = 10.0
 
 
 @kernel()
@@ -41,17 +44,12 @@ def boxes(region, box):
 
 
 @kernel()
-def owned_means(owners, shares, number, region, pyramid):
+def owned_means(owned, pyramid):
     """Number and mean (u, v, q) of the pixels of each block that its region owns.
 
     Parameters
     ----------
-    owners : Owners
-    shares : Shares
-    number : (N,) int64
-        What the regions in them became, below 0 for nothing.
-    region : (R, C) int32
-        Region of each block, below 0 for none.
+    owned : Owned
     pyramid : Pyramid
 
     Returns
@@ -59,6 +57,7 @@ def owned_means(owners, shares, number, region, pyramid):
     (R, C, 4) float32
         Written where there is a region.
     """
+    region, number, owners, shares = owned
     moments = pyramid.moments
     means = np.empty((*region.shape, 4), np.float32)
     for row in range(region.shape[0]):
@@ -84,6 +83,61 @@ def owned_means(owners, shares, number, region, pyramid):
             means[row, column, 2] = s_v * per_pixel
             means[row, column, 3] = s_q * per_pixel
     return means
+
+
+@kernel()
+def bits_of(owned, a, row, column):
+    """Which pixels of a block region ``a`` owns, as in `Shares`; -1 for all that are measured."""
+    region, number, owners, shares = owned
+    bits = 0
+    if region[row, column] != a:
+        return bits
+    if owners.block[row, column] >= 0 or owners.block[row, column] == UNSEEN:
+        bits = -1
+    elif owners.block[row, column] == MIXED:
+        first = owners.first[row, column]
+        for s in range(first, first + owners.count[row, column]):
+            if number[shares.region[s]] == a:
+                bits |= shares.pixels[s]
+    return bits
+
+
+@kernel()
+def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
+    """Write the pixels inside region ``a`` to ``pixels`` (K, 4), as `owned_means` does blocks; returns how many.
+
+    Those that are beside what is not the region's are left out, if they are less than half: a sensor's pixel may see
+    both. ``box`` (N, 4) int64 is that of `boxes`, ``inverse_depth`` (H, W) float32.
+    """
+    height, width = inverse_depth.shape
+    top, left = BLOCK * box[a, 0], BLOCK * box[a, 2]
+    rows, columns = min(BLOCK * box[a, 1], height) - top, min(BLOCK * box[a, 3], width) - left
+    own = np.zeros((rows + 2, columns + 2), np.bool_)  # with a rim
+    count = 0
+    for row in range(box[a, 0], box[a, 1]):
+        for column in range(box[a, 2], box[a, 3]):
+            bits = bits_of(owned, a, row, column)
+            for k in range(BLOCK * BLOCK):
+                y, x = BLOCK * row + k // BLOCK, BLOCK * column + k % BLOCK
+                if bits >> k & 1 and y < height and x < width and inverse_depth[y, x] > 0.0:
+                    own[y - top + 1, x - left + 1] = True
+                    count += 1
+    inside = np.zeros_like(own)
+    inner = 0
+    for y in range(1, rows + 1):
+        for x in range(1, columns + 1):
+            inside[y, x] = own[y, x] & own[y - 1, x] & own[y + 1, x] & own[y, x - 1] & own[y, x + 1]
+            inner += inside[y, x]
+    chosen = inside if 2 * inner >= count else own
+    count = 0
+    for y in range(rows):
+        for x in range(columns):
+            if chosen[y + 1, x + 1] and count < len(pixels):
+                u, v = ray_of(rays, top + y, left + x)
+                pixels[count, 0], pixels[count, 1], pixels[count, 2] = 1.0, u, v
+                pixels[count, 3] = inverse_depth[top + y, left + x]
+                count += 1
+    return count
 
 
 @kernel(inline=True)
@@ -268,18 +322,19 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
 
     Returns
     -------
-    float, bool
-        The latter: whether the region is bent by more than a sensor's bias.
+    turned : float
+    gain, rest : float
+        By how much the quadric lowers the mean squared residual of the plane, and what it leaves, in variances.
     """
     deviation, scale, step = math.sqrt(variance), extent(m), step_of(box[a])
     centre = m[1] / m[0], m[2] / m[0]
     products[:] = 0.0
     pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, products)
     if pixels == 0.0:
-        return 0.0, False
+        return 0.0, 0.0, 0.0
     flat = eliminate(products, 0, PLANE_TERMS)
-    drop = flat - eliminate(products, PLANE_TERMS, TERMS)
+    rest = eliminate(products, PLANE_TERMS, TERMS)
     turned = 0.0
-    if drop * step * step > rules.region_spread * waviness_square:
+    if (flat - rest) * step * step > rules.region_spread * waviness_square:
         turned = turn(m, alpha, second_derivatives(products, scale, deviation))
-    return turned, drop > rules.bent * waviness_square * pixels
+    return turned, (flat - rest) / pixels, rest / pixels

@@ -135,6 +135,15 @@ class Shares(NamedTuple):
     moments: Array  # (S, 10) float64
 
 
+class Owned(NamedTuple):
+    """Which pixels regions have that may have become others since."""
+
+    region: Array  # (R, C) int32: of each block now, or below 0
+    number: Array  # (M,) int64: what the regions in the following became, below 0 for nothing
+    owners: Owners
+    shares: Shares
+
+
 class Contended(NamedTuple):
     """Blocks that regions contend for; their number is passed separately."""
 

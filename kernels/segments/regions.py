@@ -15,8 +15,7 @@ from .moments import misfit
 from .noise import in_square
 from .pixels import own_pixels
 from .planes import deviations, fit_regions
-from .quadrics import owned_means
-from .records import Contacts, Planes, Shares
+from .records import Contacts, Owned, Planes, Shares
 from .shape import find_curved
 
 # The four blocks beside one.
@@ -178,9 +177,7 @@ def find_regions(inverse_depth, rays, pyramid, noise, rules, least, owners, cont
     planes = Planes(np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), rays.stretch)
     fit_regions(moments, noise, planes)
     curved, deviation = np.empty(count, np.bool_), np.empty(count)
-    find_curved(
-        region, owned_means(owners, shares, number, region, pyramid), moments, planes, noise.sigma, rules, rays,
-        contacts, contact_count, curved,
-    )  # fmt: skip
+    owned = Owned(region, number, owners, shares)
+    find_curved(owned, inverse_depth, rays, pyramid, moments, planes, noise, rules, contacts, contact_count, curved)
     deviations(moments, planes, noise.sigma, deviation)
     return shares, number, curved, deviation

@@ -14,13 +14,27 @@ from ..disjoint_sets import root_of, unite
 from .facets import find_faceted, turn_of_groups
 from .moments import jump_at
 from .noise import about_plane, sensor_variance
-from .quadrics import PLANE_TERMS, TERMS, add_blocks, boxes, eliminate, extent, own_turn, step_of
+from .quadrics import (
+    PLANE_TERMS,
+    SURE,
+    TERMS,
+    add_blocks,
+    boxes,
+    eliminate,
+    extent,
+    inner_pixels,
+    own_turn,
+    owned_means,
+    step_of,
+)  # fmt: skip
 
 # Of what two planes gain over one, a quadric gains 1/15 more on a parabola, and 1/16 less on an edge.
 MARGIN = 1.0 / 32.0
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
+# Pixels over which a sensor does not bend planes yet, and what, root mean square, normals of planes turn by there.
+SMALL, SLIGHTLY = 1024, math.radians(2.0)
 
 
 @kernel(inline=True)
@@ -31,7 +45,7 @@ def breadth(window):
 
 @kernel()
 def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent):
-    """How far the normals of each region turn within it, and whether it is bent: see `own_turn`.
+    """How far the normals of each region turn within it, see `own_turn`, and whether a sensor bends planes less.
 
     ``turned`` (N,) float64 and ``bent`` (N,) bool are written.
     """
@@ -44,7 +58,32 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
         if breadth(box[a]) < FEWEST_ACROSS or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
-        turned[a], bent[a] = own_turn(region, means, a, box, m, alpha[a], variance, waviness_square[a], rules, products)
+        waves = waviness_square[a]
+        turned[a], gain, _ = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
+        bent[a] = gain > rules.bent * waves
+
+
+@kernel()
+def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved):
+    """Mark the small regions of which a quadric takes away more than half of the squared residuals, beyond chance.
+
+    They have few blocks, and many pixels at their rim, which may be biased: the pixels inside tell. The arguments are
+    those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`.
+    """
+    alpha, slope_variance, waviness_square, stretch, _ = planes
+    products = np.empty((TERMS + 1, TERMS + 1))
+    # Pixels as if they were blocks, one beside the other, of one region.
+    pixels, region = np.empty((1, SMALL, 4), np.float32), np.zeros((1, SMALL), np.int32)
+    row = np.array([[0, 1, 0, 0]])
+    for a in range(len(curved)):
+        m, waves = region_moments[a], waviness_square[a]
+        if m[0] >= SMALL or not alpha[a, 0] < math.inf:
+            continue
+        variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
+        row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[0])
+        turned, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
+        is_sure = gain * m[0] > SURE * noise.together * waves
+        curved[a] |= is_sure and gain > rest and turned > SLIGHTLY**2
 
 
 @kernel()
@@ -92,36 +131,41 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
 
 
 @kernel()
-def find_curved(region, means, region_moments, planes, sigma, rules, rays, contacts, count, curved):
+def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noise, rules, contacts, count, curved):
     """Mark the regions that are part of a curved surface.
 
     Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread``
     variances, form groups. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square:
-    if by less, it is the sensor that bends a plane. Also curved are the groups of `facets.find_faceted`.
+    if by less, it is the sensor that bends a plane. Of small regions it is not: those with such a neighbour are curved
+    if they turn by more than SLIGHTLY. Also curved are those of `find_curled`, the groups of `facets.find_faceted`, and
+    smaller neighbours as which a curve goes on.
 
     Parameters
     ----------
-    region, means
-        See `owned_means`.
+    owned : Owned
+    inverse_depth : (H, W) float32
+    rays : Rays
+    pyramid : Pyramid
     region_moments : (N, 10) float64
     planes : Planes
-    sigma : see `noise.sensor_variance`
+    noise : Noise
     rules : Rules
-    rays : Rays
     contacts, count
         From `merge.neighbours`; overwritten.
     curved : (N,) bool, written
     """
-    alpha = planes.alpha
+    region, alpha, sigma = owned.region, planes.alpha, noise.sigma
     pairs, where, _ = contacts
     significant, sharp = rules.region_spread, math.radians(rules.sharp)
     regions = len(alpha)
     box = np.empty((regions, 4), np.int64)
     boxes(region, box)
+    means = owned_means(owned, pyramid)
     turned = np.empty(regions)
-    bent = np.empty(regions, np.bool_)
+    bent, goes_on = np.empty(regions, np.bool_), np.zeros(regions, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent)
     find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
+    find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved)
     parent = np.arange(regions)
     smooth = 0
     for i in range(count):
@@ -141,12 +185,13 @@ def find_curved(region, means, region_moments, planes, sigma, rules, rays, conta
         enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
         if enough and better > max(MARGIN * bend, significant * planes.waviness_square[a]):
             unite(parent, a, b)
-            bent[root_of(parent, a)] = True
+            bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
     turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
     for a in range(regions):
         root = root_of(parent, a)
         curved[a] |= bent[root] and turn_square[root] > sharp * sharp
+        curved[a] |= goes_on[a] and region_moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
     changed = True
     while changed:
         changed = False
