@@ -1,0 +1,157 @@
+"""Segmentation: small regions that bend are curved, and those that a sensor only seems to bend are planes."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from rgbd_planes import Camera, segment
+from rgbd_planes.kernels.segments.blocks import BLOCK, EMPTY, MIXED, UNSEEN
+from rgbd_planes.kernels.segments.planes import fit_regions
+from rgbd_planes.kernels.segments.quadrics import boxes, inner_pixels
+from rgbd_planes.kernels.segments.records import Noise, Owned, Owners, Planes, Rules, Shares
+from rgbd_planes.kernels.segments.shape import find_curled
+from rgbd_planes.segmentation.result import Reason
+from rgbd_planes.segmentation.workspace import rays_of
+
+CAMERA = Camera(90, 70, 131.0, 131.0, 44.5, 34.5)
+SIGMA = 1e-3
+
+
+def owned_of(labels, measured, rng):
+    """What says that the measured pixels of label i are region i's, whose number was another at first."""
+    regions = labels.max() + 1
+    was = rng.permutation(regions + 3)[:regions]
+    number = np.full(regions + 3, -1)
+    number[was] = np.arange(regions)
+    rows, columns = -(-labels.shape[0] // BLOCK), -(-labels.shape[1] // BLOCK)
+    region, block = np.full((rows, columns), -1, np.int32), np.full((rows, columns), EMPTY, np.int32)
+    first, count = np.zeros((rows, columns), np.int32), np.zeros((rows, columns), np.int32)
+    shares = []
+    for row, column in np.ndindex(rows, columns):
+        here = np.s_[BLOCK * row : BLOCK * (row + 1), BLOCK * column : BLOCK * (column + 1)]
+        its, seen = labels[here], measured[here]
+        found = np.unique(its[seen])
+        if not len(found):
+            continue
+        region[row, column] = rng.choice(found[found >= 0]) if (found >= 0).any() else -1
+        if len(found) == 1 and found[0] >= 0:
+            block[row, column] = rng.choice([was[found[0]], UNSEEN])
+            continue
+        block[row, column], first[row, column] = MIXED, len(shares)
+        for a in found[found >= 0]:
+            y, x = np.nonzero((its == a) & seen)
+            shares.append((was[a], (1 << (BLOCK * y + x)).sum()))
+        count[row, column] = len(shares) - first[row, column]
+    its, pixels = np.array(shares, np.int32).reshape(-1, 2).T.copy()
+    owners = Owners(block, first, count, np.zeros_like(first))
+    return Owned(region, number, owners, Shares(its, pixels, np.zeros((len(its), 10))))
+
+
+@pytest.mark.parametrize("holes", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("grain", [2.0, 5.0])
+def test_pixels_inside_a_region_are_those_of_numpy(grain, holes, rng):
+    noise = ndimage.gaussian_filter(rng.standard_normal(CAMERA.shape), grain)
+    labels = np.digitize(noise, np.quantile(noise, [0.2, 0.5, 0.8])) - 1
+    measured = rng.random(CAMERA.shape) >= holes
+    q = np.where(measured, rng.uniform(0.3, 2.0, CAMERA.shape), 0.0).astype(np.float32)
+    owned = owned_of(labels, measured, rng)
+    of_block = np.kron(owned.region, np.ones((BLOCK, BLOCK), int))[: CAMERA.height, : CAMERA.width]
+    box = np.empty((3, 4), np.int64)
+    boxes(owned.region, box)
+    u, v = np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y)
+    for a in range(3):
+        own = (labels == a) & (of_block == a) & measured
+        inside = ndimage.binary_erosion(own)
+        chosen = own if 2 * inside.sum() < own.sum() else inside
+        pixels = np.full((chosen.sum() + 5, 4), -1.0, np.float32)
+        count = inner_pixels(owned, a, box, q, rays_of(CAMERA), pixels)
+        assert count == chosen.sum() > 0
+        expected = np.stack([np.ones_like(u), u, v, q], axis=-1)[chosen]
+        np.testing.assert_array_equal(pixels[:count], expected.astype(np.float32))
+        assert (pixels[count:] == -1.0).all()
+        few = np.full((11, 4), -1.0, np.float32)  # more than there is room for are not written
+        assert inner_pixels(owned, a, box, q, rays_of(CAMERA), few[:10]) == 10
+        assert (few[10] == -1.0).all()
+
+
+def is_curled(q, shape, sigma=SIGMA, together=1.0):
+    """Whether a rectangle in the middle of the image, (rows, columns) large, is."""
+    rows, columns = shape
+    top, left = (CAMERA.height - rows) // 2, (CAMERA.width - columns) // 2
+    labels = np.full(CAMERA.shape, -1)
+    here = np.s_[top : top + rows, left : left + columns]
+    labels[here] = 0
+    depth = np.full(CAMERA.shape, 0.3)
+    depth[here] = q
+    owned = owned_of(labels, depth > 0.0, np.random.default_rng(0))
+    box = np.empty((1, 4), np.int64)
+    boxes(owned.region, box)
+    u, v = (a[here].ravel() for a in np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y))
+    terms = np.stack([np.ones_like(u), u, v, q.ravel()])
+    products = terms @ terms.T
+    moments = products[np.triu_indices(4)][None].copy()
+    noise = Noise(np.array([10.0, sigma, sigma, sigma]), 0.0, 0.0, 0.0, np.zeros((2, 0)), np.ones(3), together)
+    planes = Planes(np.empty((1, 3)), np.empty(1), np.empty(1), np.empty(1), np.ones(1))
+    fit_regions(moments, noise, planes)
+    curved = np.zeros(1, np.bool_)
+    find_curled(owned, box, depth.astype(np.float32), rays_of(CAMERA), moments, planes, noise, Rules(), curved)
+    return curved[0]
+
+
+def parabola(shape, height, rng, sigma=SIGMA):
+    """A part of a cylinder that is as high as ``height`` standard deviations, and its noise."""
+    x = np.linspace(-1.0, 1.0, shape[1])
+    return 1.0 + sigma * (height * x * x + rng.standard_normal(shape))
+
+
+def test_small_regions_that_bend_are_curved(rng):
+    shape = 40, 12
+    for _ in range(20):
+        assert not is_curled(parabola(shape, 0.0, rng), shape)
+        assert not is_curled(parabola(shape, 3.0, rng), shape)  # a quadric takes a third
+        assert is_curled(parabola(shape, 7.0, rng), shape)
+        # Noise that was overestimated is no reason to keep it.
+        assert is_curled(parabola(shape, 7.0, rng), shape, sigma=2.0 * SIGMA)
+
+
+def test_what_may_be_the_sensors_is_no_curve(rng):
+    shape = 24, 28
+    bent = parabola(shape, 6.0, rng)
+    assert is_curled(bent, shape)
+    assert not is_curled(bent, shape, together=250.0)  # errors of 16 pixels each way are one
+    fine = parabola(shape, 6.0, rng, sigma=1e-4)
+    assert not is_curled(fine, shape, sigma=1e-4)  # by less than two degrees
+    large = 34, 34
+    assert not is_curled(parabola(large, 6.0, rng), large)
+
+
+@pytest.mark.parametrize("off", [-6.0, 6.0])
+def test_a_biased_rim_is_no_curve(off, rng):
+    """Sensors smooth over edges, or see what is behind."""
+    shape = 10, 10
+    seen = parabola(shape, 0.0, rng)
+    rim = ~ndimage.binary_erosion(np.ones(shape, bool))
+    seen[rim] += off * SIGMA
+    assert not is_curled(seen, shape)
+
+
+def test_narrow_regions_are_judged_by_all_their_pixels(rng):
+    shape = 3, 60
+    assert is_curled(parabola(shape, 12.0, rng), shape)
+    assert not is_curled(parabola(shape, 0.0, rng), shape)
+
+
+def test_a_small_thing_that_bends_is_no_plane():
+    camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
+    x = camera.tan_x[0, 66:94]
+    a, b, c = x * x + 1.0, 2.15, 2.15**2 - 1.15**2  # 28 pixels of a column of 1.15 m, one metre away
+    q = np.full(camera.shape, 0.5)
+    for shape, wanted in (((b + np.sqrt(b * b - a * c)) / c, True), (np.ones_like(x), False)):
+        q[46:74, 66:94] = shape
+        curved = []
+        for seed in range(8):
+            noise = SIGMA * np.random.default_rng(seed).standard_normal(camera.shape)
+            found = segment(1.0 / (q + noise), camera)
+            curved.append((found.reason[46:74, 66:94] == Reason.CURVED).mean() > 0.9)
+            assert (found.labels[:40] > 0).all()
+        assert any(curved) == wanted
