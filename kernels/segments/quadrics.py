@@ -110,34 +110,38 @@ def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
     both. ``box`` (N, 4) int64 is that of `boxes`, ``inverse_depth`` (H, W) float32.
     """
     height, width = inverse_depth.shape
-    top, left = BLOCK * box[a, 0], BLOCK * box[a, 2]
-    rows, columns = min(BLOCK * box[a, 1], height) - top, min(BLOCK * box[a, 3], width) - left
-    own = np.zeros((rows + 2, columns + 2), np.bool_)  # with a rim
+    top, left = BLOCK * box[a, 0] - 1, BLOCK * box[a, 2] - 1  # with a rim
+    own = np.zeros((BLOCK * box[a, 1] - top + 1, BLOCK * box[a, 3] - left + 1), np.bool_)
+    places = np.empty((len(pixels), 2), np.int32)
     count = 0
     for row in range(box[a, 0], box[a, 1]):
         for column in range(box[a, 2], box[a, 3]):
             bits = bits_of(owned, a, row, column)
-            for k in range(BLOCK * BLOCK):
-                y, x = BLOCK * row + k // BLOCK, BLOCK * column + k % BLOCK
-                if bits >> k & 1 and y < height and x < width and inverse_depth[y, x] > 0.0:
-                    own[y - top + 1, x - left + 1] = True
-                    count += 1
-    inside = np.zeros_like(own)
+            if bits == 0:
+                continue
+            for y in range(BLOCK * row, min(BLOCK * row + BLOCK, height)):
+                for x in range(BLOCK * column, min(BLOCK * column + BLOCK, width)):
+                    is_own = bits >> (BLOCK * (y % BLOCK) + x % BLOCK) & 1 and inverse_depth[y, x] > 0.0
+                    if is_own and count < len(pixels):
+                        own[y - top, x - left] = True
+                        places[count, 0], places[count, 1] = y - top, x - left
+                        count += 1
+    inside = np.empty(count, np.bool_)
     inner = 0
-    for y in range(1, rows + 1):
-        for x in range(1, columns + 1):
-            inside[y, x] = own[y, x] & own[y - 1, x] & own[y + 1, x] & own[y, x - 1] & own[y, x + 1]
-            inner += inside[y, x]
-    chosen = inside if 2 * inner >= count else own
-    count = 0
-    for y in range(rows):
-        for x in range(columns):
-            if chosen[y + 1, x + 1] and count < len(pixels):
-                u, v = ray_of(rays, top + y, left + x)
-                pixels[count, 0], pixels[count, 1], pixels[count, 2] = 1.0, u, v
-                pixels[count, 3] = inverse_depth[top + y, left + x]
-                count += 1
-    return count
+    for i in range(count):
+        y, x = places[i, 0], places[i, 1]
+        inside[i] = own[y - 1, x] & own[y + 1, x] & own[y, x - 1] & own[y, x + 1]
+        inner += inside[i]
+    everything = 2 * inner < count
+    chosen = 0
+    for i in range(count):
+        if inside[i] or everything:
+            y, x = top + places[i, 0], left + places[i, 1]
+            u, v = ray_of(rays, y, x)
+            pixels[chosen, 0], pixels[chosen, 1], pixels[chosen, 2] = 1.0, u, v
+            pixels[chosen, 3] = inverse_depth[y, x]
+            chosen += 1
+    return chosen
 
 
 @kernel(inline=True)
