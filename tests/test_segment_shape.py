@@ -75,7 +75,7 @@ def test_pixels_inside_a_region_are_those_of_numpy(grain, holes, rng):
         assert (few[10] == -1.0).all()
 
 
-def is_curled(q, shape, sigma=SIGMA, together=1.0):
+def is_curled(q, shape, sigma=SIGMA, together=1.0, has_blocks=True):
     """Whether a rectangle in the middle of the image, (rows, columns) large, is."""
     rows, columns = shape
     top, left = (CAMERA.height - rows) // 2, (CAMERA.width - columns) // 2
@@ -85,6 +85,8 @@ def is_curled(q, shape, sigma=SIGMA, together=1.0):
     depth = np.full(CAMERA.shape, 0.3)
     depth[here] = q
     owned = owned_of(labels, depth > 0.0, np.random.default_rng(0))
+    if not has_blocks:
+        owned.region[:] = -1
     box = np.empty((1, 4), np.int64)
     boxes(owned.region, box)
     u, v = (a[here].ravel() for a in np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y))
@@ -140,6 +142,12 @@ def test_narrow_regions_are_judged_by_all_their_pixels(rng):
     shape = 3, 60
     assert is_curled(parabola(shape, 12.0, rng), shape)
     assert not is_curled(parabola(shape, 0.0, rng), shape)
+
+
+def test_a_region_that_has_only_parts_of_others_blocks(rng):
+    """Nothing is said of it."""
+    shape = 24, 28
+    assert not is_curled(parabola(shape, 6.0, rng), shape, has_blocks=False)
 
 
 def test_a_small_thing_that_bends_is_no_plane():

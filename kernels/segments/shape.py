@@ -77,7 +77,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
     row = np.array([[0, 1, 0, 0]])
     for a in range(len(curved)):
         m, waves = region_moments[a], waviness_square[a]
-        if m[0] >= SMALL or not alpha[a, 0] < math.inf:
+        if m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[0])
