@@ -68,7 +68,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
     """Mark the small regions of which a quadric takes away more than half of the squared residuals, beyond chance.
 
     They have few blocks, and many pixels at their rim, which may be biased: the pixels inside tell. The arguments are
-    those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`.
+    those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`; ``curved`` says which are marked already.
     """
     alpha, slope_variance, waviness_square, stretch, _ = planes
     products = np.empty((TERMS + 1, TERMS + 1))
@@ -77,13 +77,13 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
     row = np.array([[0, 1, 0, 0]])
     for a in range(len(curved)):
         m, waves = region_moments[a], waviness_square[a]
-        if m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
+        if curved[a] or m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[0])
         turned, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
-        curved[a] |= is_sure and gain > rest and turned > SLIGHTLY**2
+        curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
 
 
 @kernel()
@@ -165,7 +165,6 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
     bent, goes_on = np.empty(regions, np.bool_), np.zeros(regions, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent)
     find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
-    find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved)
     parent = np.arange(regions)
     smooth = 0
     for i in range(count):
@@ -192,6 +191,7 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
         root = root_of(parent, a)
         curved[a] |= bent[root] and turn_square[root] > sharp * sharp
         curved[a] |= goes_on[a] and region_moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
+    find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved)
     changed = True
     while changed:
         changed = False
