@@ -151,7 +151,7 @@ def test_a_region_that_has_only_parts_of_others_blocks(rng):
 
 
 def on_column(radius, side):
-    """A square before a wall, part of a column one metre away: where it is, and how often segment says it is curved."""
+    """How much of a square before a wall, part of a column one metre away, is curved, in eight noisy frames."""
     camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
     rows, columns = (np.s_[(n - side) // 2 : (n + side) // 2] for n in camera.shape)
     x, far = camera.tan_x[0, columns], 1.0 + radius

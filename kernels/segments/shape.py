@@ -26,7 +26,7 @@ from .quadrics import (
     own_turn,
     owned_means,
     step_of,
-)  # fmt: skip
+)
 
 # Of what two planes gain over one, a quadric gains 1/15 more on a parabola, and 1/16 less on an edge.
 MARGIN = 1.0 / 32.0
