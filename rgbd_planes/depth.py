@@ -168,7 +168,7 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     )
     largest = raw.dtype.type(_LARGEST if kind in "ui" else 1e-3 * _LARGEST)
     if disparity is None and lowest <= largest <= highest and largest not in holes:
-        _warn_of_the_largest(samples, largest)
+        _warn_of_the_largest(samples, largest.item())
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:
         invalid.append(camera._without_ray)
@@ -271,14 +271,11 @@ def _warn_of_the_nearest(
     )
 
 
-def _warn_of_the_largest(samples: NDArray[Any], largest: Any) -> None:
+def _warn_of_the_largest(samples: NDArray[Any], largest: float) -> None:
     """Warn of a number that most likely means missing, and would count as a far plane; in metres, as millimetres."""
-    # Mostly there are none, which an eighth of the samples shows.
-    found = samples[:, ::8] == largest
-    if not found.any():
-        return
-    for sample in samples[found.any(axis=1)]:
-        if np.count_nonzero(sample == largest) > 10:  # a hundredth
+    for sample in samples:
+        # Mostly there are none, which an eighth of the samples shows, and for so few Python is faster than NumPy.
+        if largest in sample[::8].tolist() and np.count_nonzero(sample == largest) > 10:  # a hundredth
             millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
             warn_caller(
                 f"many pixels are {largest:g}{millimetres}, the largest number of 16 bits: are they missing? A camera "

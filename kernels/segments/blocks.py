@@ -15,8 +15,8 @@ BLOCK = 4
 # Owner of a block: EMPTY where no pixel is measured; MIXED where regions have shares of it, or nobody has any; UNSEEN
 # before the first round.
 EMPTY, MIXED, UNSEEN = -1, -2, -3
-# Blocks of a row that are processed together.
-CHUNK = 84
+# Blocks of a row that are processed together: half of 640 pixels, and whole vectors.
+CHUNK = 80
 
 
 @kernel(inline=True)
@@ -171,6 +171,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     height, width = raw.shape
     tan_x, tan_y = rays.tan_x, rays.tan_y
     values, inverse = raw.reshape(-1), inverse_depth.reshape(-1)  # one row after the other
+    bits = inverse.view(np.int32)  # of numbers from 0 on, in the same order
     moments, rss, slope_square = pyramid.moments, pyramid.rss, pyramid.slope_square
     rows, columns = pyramid.shapes[0]
     # Of fixed sizes: see `kernels`.
@@ -178,12 +179,24 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     u, v = np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
     along = np.empty((10, CHUNK * BLOCK))
     sums = np.empty((10, CHUNK))
-    largest = np.zeros(CHUNK * BLOCK, np.float32)
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     row_v = np.zeros(BLOCK)
     of_columns, u_columns = np.zeros((BLOCK, CHUNK * BLOCK), np.float32), np.zeros(CHUNK * BLOCK)
+    largest = np.zeros(1, np.int32)
     for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
+        # A band of rows is in one piece in memory.
+        begin, end = np.uint64(min(top, bottom) * width), np.uint64(bottom * width)
+        if is_disparity:  # two loops: in one, the compiler would work out both
+            for i in range(begin, end):
+                inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, True)
+        else:
+            for i in range(begin, end):
+                inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, False)
+        nearest = largest[0]
+        for i in range(begin, end):
+            nearest = max(nearest, bits[i])
+        largest[0] = nearest
         for start in range(0, columns, CHUNK):
             count = min(CHUNK, columns - start)
             left = start * BLOCK
@@ -192,16 +205,8 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
                 q[:] = 0.0
             for y in range(top, bottom):
                 k = y - top
-                begin = np.uint64(y * width + left)
-                if is_disparity:  # two loops: in one, the compiler would work out both
-                    for x in range(np.uint64(right - left)):
-                        inverse[begin + x] = inverse_of(values[begin + x], lowest, highest, scale, offset, True)
-                else:
-                    for x in range(np.uint64(right - left)):
-                        inverse[begin + x] = inverse_of(values[begin + x], lowest, highest, scale, offset, False)
-                for x in range(np.uint64(right - left)):
-                    q[k, x] = inverse[begin + x]
-                    largest[x] = q[k, x] if q[k, x] > largest[x] else largest[x]
+                here = y * width + left
+                copy(inverse[here : here + right - left], q[k, : right - left])
                 if separable:
                     row_v[k] = tan_y[y, 0]
                 else:
@@ -222,7 +227,4 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])
     sum_by_fours(pyramid, rays)
-    nearest = largest[0]
-    for x in range(1, len(largest)):
-        nearest = max(nearest, largest[x])
-    return nearest
+    return largest.view(np.float32)[0]

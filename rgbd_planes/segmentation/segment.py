@@ -21,7 +21,7 @@ from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
 from rgbd_planes.segmentation.noise import Given, noise_of
 from rgbd_planes.segmentation.result import Reason, Segmentation
-from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
+from rgbd_planes.segmentation.workspace import Workspace, aligned, rays_of, workspaces
 
 if TYPE_CHECKING:
     from rgbd_planes.noise.model import NoiseModel
@@ -141,7 +141,7 @@ def _segment(
     step_of_raw = step_of(frame)
     noise, about_noise = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
     rules = rules.tolerating(about_noise.tolerance)
-    labels, reason = np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)
+    labels, reason = aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8)
     room, enough = 0, False
     while not enough:  # again if there are more edges than in any frame before
         work.make_room(room)
@@ -154,8 +154,10 @@ def _segment(
     moments, deviation = work.found.moments[:found], work.found.deviation[:found]
     inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
     fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
-    together = as_planes_show(noise.together, given.at_large, work.pyramid, labels, work.inverse_depth)
-    noise = noise._replace(together=together)
+    together = noise.together
+    if given.at_large and together > 1.0:
+        together = as_planes_show(together, work.pyramid, labels, work.inverse_depth)
+        noise = noise._replace(together=together)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     describe_planes(
         inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, together), step_of_raw,
