@@ -6,8 +6,9 @@ from ._jit import kernel
 @kernel(inline="compiled")
 def root_of(parent, i):
     """Root of the tree that ``i`` is in."""
-    while parent[i] != i:
-        i = parent[i]
+    above = parent[i]
+    while above != i:
+        i, above = above, parent[above]
     return i
 
 

@@ -100,17 +100,23 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     """Copy q, tanθx and tanθy of a block and its rim to lane ``n``; outside the image nothing is measured.
 
     ``q``, ``u`` and ``v`` (AREA, LANES) float32 are written; of tanθx only the first row, and of tanθy the first
-    column, where the others are the same: see `repeat_rays`.
+    column, where the others are the same: see `steps_of`.
     """
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     top, left = row * BLOCK - 1, column * BLOCK - 1
-    for i in range(SIDE):
-        y = top + i
-        for j in range(SIDE):
-            x = left + j
-            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-            q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
+    if (top >= 0) & (left >= 0) & (top + SIDE <= height) & (left + SIDE <= width):
+        for i in range(SIDE):
+            line = inverse_depth[top + i]
+            for j in range(SIDE):
+                q[i * SIDE + j, n] = line[np.uint64(left + j)]
+    else:
+        for i in range(SIDE):
+            y = top + i
+            for j in range(SIDE):
+                x = left + j
+                inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+                q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
     for i in range(1 if separable else SIDE):
         y = 0 if separable else min(max(top + i, 0), height - 1)
         for j in range(SIDE):
@@ -122,14 +128,15 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
 
 
 @kernel(inline=True)
-def repeat_rays(u, v):
-    """Give all rows the tanθx of the first one, and all columns the tanθy of the first one."""
-    for i in range(SIDE):
-        for j in range(SIDE):
-            for n in range(LANES):
-                u[i * SIDE + j, n] = u[j, n]
-            for n in range(LANES):
-                v[i * SIDE + j, n] = v[i * SIDE, n]
+def steps_of(separable):
+    """Rows from one row of a block to the next in an array of tanθx, and from a column to the next in one of tanθy."""
+    return (0, 0) if separable else (SIDE, 1)
+
+
+@kernel(inline=True)
+def of_ray(i, j, steps):
+    """Where tanθx and tanθy of pixel (i, j) of a block with its rim are, by `steps_of`."""
+    return i * steps[0] + j, i * SIDE + j * steps[1]
 
 
 @kernel(inline=True)
@@ -149,7 +156,7 @@ def line_between(a, b, alpha, centre, i, j):
 
 
 @kernel(inline=True)
-def misfits(q, u, v, plane, k, limit, square):
+def misfits(q, u, v, steps, plane, k, limit, square):
     """Squared residuals of blocks and their rims against the planes of contender ``k``, in variances.
 
     They are written to rows k·AREA and following of ``square``, cut off at ``limit``, so that pixels beyond a depth
@@ -157,8 +164,9 @@ def misfits(q, u, v, plane, k, limit, square):
     over the standard deviation of each contender.
     """
     for p in range(AREA):
+        x, y = of_ray(p // SIDE, p % SIDE, steps)
         for n in range(LANES):
-            e = q[p, n] - (plane[4 * k, n] * u[p, n] + plane[4 * k + 1, n] * v[p, n] + plane[4 * k + 2, n])
+            e = q[p, n] - (plane[4 * k, n] * u[x, n] + plane[4 * k + 1, n] * v[y, n] + plane[4 * k + 2, n])
             e *= plane[4 * k + 3, n]
             square[k * AREA + p, n] = min(e * e, limit) if q[p, n] > 0.0 else np.float32(0.0)
 
@@ -179,7 +187,7 @@ def sums_of_nine(values, first, sums, k, down):
 
 
 @kernel(inline=True)
-def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner):
+def contend(i, j, pair, q, u, v, steps, square, line, sums, penalty, limit, close, winner):
     """Let contender ``j`` contend for the pixels that ``i`` holds.
 
     The first BLOCK² rows of ``sums`` hold the number of measured pixels around each pixel, the next ones the sums of
@@ -188,13 +196,14 @@ def contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winn
     for y in range(BLOCK):
         for x in range(BLOCK):
             k, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
+            of_u, of_v = of_ray(y + 1, x + 1, steps)
             own, other = (i + 1) * BLOCK * BLOCK + k, (j + 1) * BLOCK * BLOCK + k
             for n in range(LANES):
                 within = (square[j * AREA + p, n] < limit) & (q[p, n] > 0.0)
                 a, b, c = line[3 * pair, n], line[3 * pair + 1, n], line[3 * pair + 2, n]
                 meet = (a != 0.0) | (b != 0.0) | (c != 0.0)
                 by_side = meet & (sums[own, n] < close * sums[k, n]) & (sums[other, n] < close * sums[k, n])
-                beyond = a * u[p, n] + b * v[p, n] + c > 0.0
+                beyond = a * u[of_u, n] + b * v[of_v, n] + c > 0.0
                 cheaper = sums[other, n] + penalty[j, n] * sums[k, n] < sums[own, n] + penalty[i, n] * sums[k, n]
                 wins = (winner[k, n] == i) & within & ((by_side & beyond) | (cheaper & ~by_side))
                 winner[k, n] = j if wins else winner[k, n]
@@ -211,7 +220,7 @@ def take_rest(j, q, square, limit, winner):
 
 
 @kernel(inline=True)
-def sum_owned(k, winner, q, u, v, owned, pixels):
+def sum_owned(k, winner, q, u, v, steps, owned, pixels):
     """Sum up the pixels that contender ``k`` has, as in `Shares`, and mark them.
 
     Written to rows 10·k and following of ``owned``, and row k of ``pixels``.
@@ -229,8 +238,9 @@ def sum_owned(k, winner, q, u, v, owned, pixels):
             s_vv, s_vq, s_qq = owned[o + 7, n], owned[o + 8, n], owned[o + 9, n]
             for x in range(BLOCK):  # a row at a time: sums stay in the processor's registers, and loops vectorise
                 i, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
+                of_u, of_v = of_ray(y + 1, x + 1, steps)
                 w = 1.0 if winner[i, n] == k else 0.0
-                u_p, v_p, q_p = np.float64(u[p, n]), np.float64(v[p, n]), np.float64(q[p, n])
+                u_p, v_p, q_p = np.float64(u[of_u, n]), np.float64(v[of_v, n]), np.float64(q[p, n])
                 w_u, w_v, w_q = w * u_p, w * v_p, w * q_p
                 s_n += w
                 s_u += w_u
@@ -262,13 +272,15 @@ def measured_pixels(q, pixels):
 
 
 @kernel(inline=True)
-def share_out(contending, space, plane, penalty, line, limit, close, square, sums, winner, owned, pixels):
+def share_out(contending, space, steps, plane, penalty, line, limit, close, square, sums, winner, owned, pixels):
     """Share out the pixels of LANES blocks among their contenders, of which each block has ``contending``.
 
     Parameters
     ----------
     space : (ROOM, LANES) float32
         q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room.
+    steps
+        See `steps_of`.
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
         α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
     limit, close : float32
@@ -295,13 +307,13 @@ def share_out(contending, space, plane, penalty, line, limit, close, square, sum
             winner[k, n] = -1
     pair = 0
     for j in range(contending):
-        misfits(q, u, v, plane, j, limit, square)
+        misfits(q, u, v, steps, plane, j, limit, square)
         if contending > 1:
             sums_of_nine(square, j * AREA, sums, j + 1, down)
         for i in range(j):
-            contend(i, j, pair, q, u, v, square, line, sums, penalty, limit, close, winner)
+            contend(i, j, pair, q, u, v, steps, square, line, sums, penalty, limit, close, winner)
             pair += 1
         take_rest(j, q, square, limit, winner)
     measured_pixels(q, pixels)
     for j in range(contending):
-        sum_owned(j, winner, q, u, v, owned, pixels)
+        sum_owned(j, winner, q, u, v, steps, owned, pixels)

@@ -8,11 +8,9 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import root_of
+from .marked import WORD, list_marked
 from .merge import describe
 from .moments import residual_of_two
-
-# Steps to the block on the right, and to the one below.
-NEXT_DOWN, NEXT_RIGHT = (0, 1), (1, 0)
 
 
 @kernel()
@@ -41,35 +39,39 @@ def grow_together(region, moments, noise, rules, parent):
     for a in range(regions):
         parent[a] = a
     most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
-    last_a = np.full(len(NEXT_DOWN), -1, np.int64)  # the last pair refused, in each direction
-    last_b = np.full(len(NEXT_DOWN), -1, np.int64)
+    last_a, last_b = np.full(2, -1), np.full(2, -1)  # the last pair refused, in each direction
+    # For each block of a row, and each direction: whether there is another region.
+    touching = np.zeros(-(-2 * columns // WORD) * WORD, np.bool_)
+    touches = np.empty(len(touching) + 1, np.uint32)
     for row in range(rows):
-        for column in range(columns):
-            here = region[row, column]
-            if here < 0:
+        own, below = region[row], region[min(row + 1, rows - 1)]
+        for c in range(columns - 1):
+            touching[2 * c] = (own[c] >= 0) & (own[c + 1] >= 0) & (own[c] != own[c + 1])
+        for c in range(columns):
+            touching[2 * c + 1] = (own[c] >= 0) & (below[c] >= 0) & (own[c] != below[c])
+        for n in range(list_marked(touching, touches)):
+            # Unsigned: see `kernels`.
+            side, c = np.uint32(touches[n] & np.uint32(1)), touches[n] >> np.uint32(1)
+            here, there = own[c], below[c] if side == 1 else own[c + np.uint32(1)]
+            a, b = root_of(parent, here), root_of(parent, there)
+            parent[here], parent[there] = a, b  # so that no way is long
+            if a == b or (a == last_a[side] and b == last_b[side]):
                 continue
-            for side in range(len(NEXT_DOWN)):
-                r, c = row + NEXT_DOWN[side], column + NEXT_RIGHT[side]
-                if r == rows or c == columns or region[r, c] < 0 or region[r, c] == here:
-                    continue
-                a, b = root_of(parent, here), root_of(parent, region[r, c])
-                if a == b or (a == last_a[side] and b == last_b[side]):
-                    continue
-                together, joined = 0.0, False
-                if moments[a, 0] + moments[b, 0] <= most:
-                    together = residual_of_two(moments, a, b)
-                    calm, smaller = (min(waviness_square[a], waviness_square[b]), min(moments[a, 0], moments[b, 0]))
-                    allowed = min(variances[a], variances[b]) * (floor * calm * smaller + spread)
-                    joined = together - rss[a] - rss[b] <= allowed
-                if not joined:
-                    last_a[side], last_b[side] = a, b
-                    continue
-                a, b = min(a, b), max(a, b)
-                parent[b] = a
-                for j in range(10):
-                    moments[a, j] += moments[b, j]
-                rss[a] = together
-                variances[a] = min(variances[a], variances[b])
-                waviness_square[a] = max(waviness_square[a], waviness_square[b])
+            together, joined = 0.0, False
+            if moments[a, 0] + moments[b, 0] <= most:
+                together = residual_of_two(moments, a, b)
+                calm, smaller = (min(waviness_square[a], waviness_square[b]), min(moments[a, 0], moments[b, 0]))
+                allowed = min(variances[a], variances[b]) * (floor * calm * smaller + spread)
+                joined = together - rss[a] - rss[b] <= allowed
+            if not joined:
+                last_a[side], last_b[side] = a, b
+                continue
+            a, b = min(a, b), max(a, b)
+            parent[b] = a
+            for j in range(10):
+                moments[a, j] += moments[b, j]
+            rss[a] = together
+            variances[a] = min(variances[a], variances[b])
+            waviness_square[a] = max(waviness_square[a], waviness_square[b])
     for a in range(regions):
         parent[a] = root_of(parent, a)

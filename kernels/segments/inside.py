@@ -9,7 +9,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from .merge import WORD
+from .marked import WORD, list_marked
 from .moments import add, ray_of, residual
 from .planes import fit_planes
 from .unevenness import weigh_rays
@@ -62,19 +62,12 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     most[0] = most[-1] = BELOW
     least[0] = least[-1] = ABOVE
     edge = np.zeros(-(-width // WORD) * WORD, np.bool_)
-    words, of_row = edge.view(np.uint64), edge[:width]
+    of_row = edge[:width]
     columns = np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
         find_edges(label, inverse_depth, y, most, least, of_row)
-        count = 0
-        for i in range(len(words)):
-            if words[i] == 0:
-                continue
-            for x in range(i * WORD, (i + 1) * WORD):
-                columns[np.uint32(count)] = x
-                count += edge[x]
-        for i in range(count):
+        for i in range(list_marked(edge, columns)):
             x = columns[i]
             u, v = ray_of(rays, y, x)
             add(inside[np.uint32(label[y, x] - 1)], u, v, inverse_depth[y, x])

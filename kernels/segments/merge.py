@@ -12,6 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
+from .marked import WORD, list_marked
 from .moments import difference, rise, solve
 from .noise import sensor_variance, variance, waviness
 
@@ -23,10 +24,8 @@ TOGETHER = 64
 # χ²(3).
 CHANCE = 7.8
 FEW_SLOTS = 1 << 12
-# Flags that are tested together.
-WORD = 8
 # Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
-DOWN, RIGHT = (0, 1, 1, 1), (1, 0, 1, -1)
+DOWN, RIGHT = np.array([0, 1, 1, 1]), np.array([1, 0, 1, -1])
 
 
 @kernel(inline="compiled")
@@ -48,7 +47,8 @@ def row_of(a, b, pairs, count, table, size):
     """
     # Unsigned: see `kernels`.
     mask, end = np.uint64(size - 1), np.uint64(count)
-    slot = scrambled(np.int64(a) * 0x100000001 + b) & mask
+    mixed = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b) * np.uint64(0xBF58476D1CE4E5B9)
+    slot = (mixed >> np.uint64(40)) & mask  # upper bits depend on all lower ones
     while True:
         row = np.uint64(table[slot])
         if row >= end or np.uint64(pairs[row, 2]) != slot:
@@ -89,9 +89,8 @@ def neighbours(region, rays, contacts):
     flat = around.reshape(-1)
     # For each block of a row and each direction: whether there is another region.
     touching = np.zeros(-(-len(DOWN) * columns // WORD) * WORD, np.bool_)
-    words = touching.view(np.uint64)
     touches = np.empty(len(touching) + 1, np.uint32)
-    steps = 1, width, width + 1, width - 1  # of ``flat``, for DOWN and RIGHT
+    steps = DOWN * width + RIGHT  # of ``flat``
     size = min(FEW_SLOTS, len(table))
     count = 0
     for row in range(rows):
@@ -113,39 +112,30 @@ def neighbours(region, rays, contacts):
                 size = min(4 * size, len(table))
             for i in range(count):
                 row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
-        number = 0
-        for w in range(len(words)):
-            if words[w] == 0:
-                continue
-            for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
-                touches[number] = k
-                number += touching[k]
-        i = 0
-        for n in range(number):
-            touch = np.int64(touches[np.uint32(n)])
-            column, k = touch >> 2, touch & 3
-            here = row * width + column + 2
-            own = flat[np.uint64(here)]
-            far = flat[np.uint64(here + steps[k])] < 0
-            there = here + 2 * steps[k] if far else here + steps[k]
-            b = flat[np.uint64(there)]
+        for n in range(list_marked(touching, touches)):
+            touch = np.uint64(touches[np.uint32(n)])
+            k, c = touch & np.uint64(3), touch >> np.uint64(2)
+            step = steps[k]
+            here = np.int64(c) + row * width + 2
+            far = np.int64(flat[np.uint64(here + step)] < 0)
+            own, b = flat[np.uint64(here)], flat[np.uint64(here + step + far * step)]
             a, b = min(own, b), max(own, b)
-            if i >= count or pairs[np.uint64(i), 0] != a or pairs[np.uint64(i), 1] != b:
-                i = row_of(a, b, pairs, count, table, size)  # else it is the same pair as just before, as mostly
-                if i == count:
-                    pairs[i, 0] = a
-                    pairs[i, 1] = b
-                    where[i, 0] = where[i, 1] = where[i, 2] = 0.0
-                    count += 1
-            r = row + (2 * DOWN[k] if far else DOWN[k])
-            c = column + (2 * RIGHT[k] if far else RIGHT[k])
+            i = row_of(a, b, pairs, count, table, size)
+            if i == count:
+                pairs[i, 0] = a
+                pairs[i, 1] = b
+                where[i, 0] = where[i, 1] = where[i, 2] = 0.0
+                count += 1
+            y = row + DOWN[k] + far * DOWN[k]
+            x = np.int64(c) + RIGHT[k] + far * RIGHT[k]
             pair = np.uint64(i)
             where[pair, 0] += 1.0
             where[pair, 1] += 0.5 * (
-                centre_u[np.uint64(row * step_v), np.uint64(column)] + centre_u[np.uint64(r * step_v), np.uint64(c)]
+                centre_u[np.uint64(row * step_v), c] + centre_u[np.uint64(y * step_v), np.uint64(x)]
             )
             where[pair, 2] += 0.5 * (
-                centre_v[np.uint64(row), np.uint64(column * step_u)] + centre_v[np.uint64(r), np.uint64(c * step_u)]
+                centre_v[np.uint64(row), np.uint64(np.int64(c) * step_u)]
+                + centre_v[np.uint64(y), np.uint64(x * step_u)]
             )
     return count
 

@@ -18,10 +18,10 @@ from .contest import (
     gather,
     is_undisputed,
     line_between,
-    repeat_rays,
     share_out,
+    steps_of,
 )
-from .merge import WORD
+from .marked import WORD
 from .moments import misfit
 from .noise import grown_variance
 from .records import Shares
@@ -252,7 +252,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
     share_region, share_pixels, share_moments = shares
     block, many, first, candidate, centre = contended
     limit, close = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
-    separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
+    steps = steps_of(tan_x.shape[0] == 1 and tan_y.shape[1] == 1)
     # Of fixed sizes: see `kernels`.
     space = np.empty((ROOM, LANES), np.float32)
     q, u, v = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA]
@@ -294,9 +294,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
             for n in range(lanes, LANES):
                 for p in range(AREA):
                     q[p, n] = 0.0
-            if separable:
-                repeat_rays(u, v)
-            share_out(contending, space, plane, penalty, line, limit, close, square, sums, winner, owned, pixels)
+            share_out(contending, space, steps, plane, penalty, line, limit, close, square, sums, winner, owned, pixels)
             for n in range(lanes):
                 c = listed[n]
                 row, column = place(block[c], columns)
