@@ -43,24 +43,40 @@ def join_blocks(pyramid, noise, rules, sensor, state):
         variance[i] += lateral_variance * slope_square[i]
     floor, spread = rules.square_floor**2, rules.square_spread
     for level in range(1, shapes.shape[0]):
-        rows, columns = shapes[level, 0], shapes[level, 1]
-        for row in range(rows):
-            first = offsets[level - 1] + 4 * row * columns
-            for column in range(columns):
-                parent = offsets[level] + row * columns + column
-                planar = rough_ones = 0
-                total, smallest = 0.0, math.inf
-                for k in range(4):
-                    child = first + 2 * column + (k & 1) + (2 * columns if k > 1 else 0)
-                    is_planar = state[child] == 1
-                    rough_ones += state[child] == 0
-                    planar += is_planar
-                    total += rss[child] if is_planar else 0.0
-                    smallest = min(smallest, variance[child] if is_planar else math.inf)
-                allowed = smallest * (floor * pixels[parent] + spread)
-                one = (planar > 0) & (rss[parent] >= 0.0) & (rss[parent] - total <= allowed)
-                unknown = 2 if planar == 0 else np.int64(one)
-                state[parent] = 0 if rough_ones > 0 else unknown
+        columns = shapes[level, 1]
+        for row in range(shapes[level, 0]):
+            here = offsets[level] + row * columns
+            upper = offsets[level - 1] + 4 * row * columns
+            lower, end = upper + 2 * columns, upper + 4 * columns
+            join_squares(
+                state[upper:lower], state[lower:end], rss[upper:lower], rss[lower:end], variance[upper:lower],
+                variance[lower:end], pixels[here : here + columns], rss[here : here + columns], floor, spread,
+                state[here : here + columns],
+            )  # fmt: skip
+
+
+@kernel(inline="compiled")
+def join_squares(
+    upper_state, lower_state, upper_rss, lower_rss, upper_variance, lower_variance, pixels, rss, floor, spread, state
+):  # fmt: skip
+    """Write the ``state`` of a row of squares from those of the two rows of squares that they are made of."""
+    for c in range(len(state)):
+        k = np.uint64(2 * c)
+        one, two, three, four = upper_state[k], upper_state[k + 1], lower_state[k], lower_state[k + 1]
+        rss_1, rss_2, rss_3, rss_4 = upper_rss[k], upper_rss[k + 1], lower_rss[k], lower_rss[k + 1]
+        of_1, of_2, of_3, of_4 = upper_variance[k], upper_variance[k + 1], lower_variance[k], lower_variance[k + 1]
+        total = (
+            (rss_1 if one == 1 else 0.0) + (rss_2 if two == 1 else 0.0)
+            + (rss_3 if three == 1 else 0.0) + (rss_4 if four == 1 else 0.0)
+        )  # fmt: skip
+        smallest = min(
+            min(of_1 if one == 1 else math.inf, of_2 if two == 1 else math.inf),
+            min(of_3 if three == 1 else math.inf, of_4 if four == 1 else math.inf),
+        )
+        planar = (one == 1) | (two == 1) | (three == 1) | (four == 1)
+        rough = (one == 0) | (two == 0) | (three == 0) | (four == 0)
+        joined = (rss[c] >= 0.0) & (rss[c] - total <= smallest * (floor * pixels[c] + spread))
+        state[c] = 0 if rough else 2 if not planar else 1 if joined else 0
 
 
 @kernel()

@@ -16,6 +16,7 @@ PLANE_TERMS = 3
 # A direction in which a region extends by less than this share (squared) of the others says nothing.
 SLIGHT = 1e-6
 SHAPE_BLOCKS = 256  # blocks that are enough to show a shape
+TOGETHER = 256  # blocks that are summed up together
 # Variances that three more terms must gain, times the pixels that share an error: of χ²(3) one in fifty is 10.
 SURE = 10.0
 
@@ -58,30 +59,36 @@ def owned_means(owned, pyramid):
         Written where there is a region.
     """
     region, number, owners, shares = owned
+    rows, columns = region.shape
+    first, shares_of, share_region, share_moments = owners.first, owners.count, shares.region, shares.moments
     moments = pyramid.moments
-    means = np.empty((*region.shape, 4), np.float32)
-    for row in range(region.shape[0]):
-        for column in range(region.shape[1]):
-            a = region[row, column]
-            if a < 0:
+    means = np.empty((rows, columns, 4), np.float32)
+    values = means.reshape(-1)
+    for row in range(rows):
+        here = slice(row * columns, row * columns + columns)
+        n, s_u, s_v, s_q = moments[0, here], moments[1, here], moments[2, here], moments[3, here]
+        begin = np.uint64(4 * row * columns)
+        for c in range(np.uint64(columns)):  # of all pixels, as is right for most blocks
+            per_pixel, i = 1.0 / max(n[c], 1.0), begin + np.uint64(4) * c
+            values[i] = n[c]
+            values[i + np.uint64(1)] = s_u[c] * per_pixel
+            values[i + np.uint64(2)] = s_v[c] * per_pixel
+            values[i + np.uint64(3)] = s_q[c] * per_pixel
+        a, owner = region[row], owners.block[row]
+        for c in range(columns):
+            if a[c] < 0 or owner[c] >= 0 or owner[c] == UNSEEN:
                 continue
-            n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
-            i = row * region.shape[1] + column
-            if owners.block[row, column] >= 0 or owners.block[row, column] == UNSEEN:
-                n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
-            elif owners.block[row, column] == MIXED:
-                first = owners.first[row, column]
-                for s in range(first, first + owners.count[row, column]):
-                    if number[shares.region[s]] == a:
-                        n += shares.moments[s, 0]
-                        s_u += shares.moments[s, 1]
-                        s_v += shares.moments[s, 2]
-                        s_q += shares.moments[s, 3]
-            per_pixel = 1.0 / max(n, 1.0)
-            means[row, column, 0] = n
-            means[row, column, 1] = s_u * per_pixel
-            means[row, column, 2] = s_v * per_pixel
-            means[row, column, 3] = s_q * per_pixel
+            m_n, m_u, m_v, m_q = 0.0, 0.0, 0.0, 0.0
+            if owner[c] == MIXED:
+                for s in range(first[row, c], first[row, c] + shares_of[row, c]):
+                    if number[share_region[s]] == a[c]:
+                        m_n += share_moments[s, 0]
+                        m_u += share_moments[s, 1]
+                        m_v += share_moments[s, 2]
+                        m_q += share_moments[s, 3]
+            per_pixel = 1.0 / max(m_n, 1.0)
+            means[row, c, 0], means[row, c, 1] = m_n, m_u * per_pixel
+            means[row, c, 2], means[row, c, 3] = m_v * per_pixel, m_q * per_pixel
     return means
 
 
@@ -176,45 +183,60 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
     float
         Pixels of the blocks that were added.
     """
+    chosen = np.empty((4, TOGETHER), np.float32)
+    count, pixels = 0, 0.0
+    first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
+    for row in range(first_row, min(window[1], box[a, 1]), step):
+        of_row, mean = region[row], means[row]
+        for column in range(first_column, min(window[3], box[a, 3]), step):
+            c, k = np.uint64(column), np.uint64(count)  # unsigned indices: see `kernels`
+            if of_row[c] != a:
+                continue
+            chosen[0, k], chosen[1, k], chosen[2, k], chosen[3, k] = mean[c, 0], mean[c, 1], mean[c, 2], mean[c, 3]
+            count += 1
+            if count == TOGETHER:
+                pixels += add_products(chosen, count, reference, deviation, centre, scale, products)
+                count = 0
+    return pixels + add_products(chosen, count, reference, deviation, centre, scale, products)
+
+
+@kernel(reduction=True)
+def add_products(chosen, count, reference, deviation, centre, scale, products):
+    """Add n, u, v and q of the first ``count`` of the ``chosen`` blocks, as `add_blocks` does; returns the sum of n."""
     # Sums of n·xⁱ·yʲ, of n·xⁱ·yʲ·e, and of n·e² over the blocks: each of them once.
     n_00 = n_10 = n_01 = n_20 = n_11 = n_02 = n_30 = n_21 = n_12 = n_03 = n_40 = n_31 = n_22 = n_13 = n_04 = 0.0
     e_00 = e_10 = e_01 = e_20 = e_11 = e_02 = ee = 0.0
     c_u, c_v, c_1 = reference[0], reference[1], reference[2]
     u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
-    first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
-    for row in range(first_row, min(window[1], box[a, 1]), step):
-        for column in range(first_column, min(window[3], box[a, 3]), step):
-            r, c = np.uint64(row), np.uint64(column)  # unsigned indices: see `kernels`
-            n = np.float64(means[r, c, 0])
-            if region[r, c] != a or n == 0.0:
-                continue
-            u, v = means[r, c, 1], means[r, c, 2]
-            e = (means[r, c, 3] - (c_u * u + c_v * v + c_1)) * per_deviation
-            x, y = (u - u_0) * per_length, (v - v_0) * per_length
-            n_x, n_y, n_e = n * x, n * y, n * e
-            n_xx, n_xy, n_yy = n_x * x, n_x * y, n_y * y
-            n_00 += n
-            n_10 += n_x
-            n_01 += n_y
-            n_20 += n_xx
-            n_11 += n_xy
-            n_02 += n_yy
-            n_30 += n_xx * x
-            n_21 += n_xx * y
-            n_12 += n_yy * x
-            n_03 += n_yy * y
-            n_40 += n_xx * x * x
-            n_31 += n_xx * x * y
-            n_22 += n_xx * y * y
-            n_13 += n_xy * y * y
-            n_04 += n_yy * y * y
-            e_00 += n_e
-            e_10 += n_e * x
-            e_01 += n_e * y
-            e_20 += n_e * x * x
-            e_11 += n_e * x * y
-            e_02 += n_e * y * y
-            ee += n_e * e
+    of_n, of_u, of_v, of_q = chosen[0], chosen[1], chosen[2], chosen[3]
+    for i in range(count):
+        n, u, v = np.float64(of_n[i]), np.float64(of_u[i]), np.float64(of_v[i])
+        e = (of_q[i] - (c_u * u + c_v * v + c_1)) * per_deviation
+        x, y = (u - u_0) * per_length, (v - v_0) * per_length
+        n_x, n_y, n_e = n * x, n * y, n * e
+        n_xx, n_xy, n_yy = n_x * x, n_x * y, n_y * y
+        n_00 += n
+        n_10 += n_x
+        n_01 += n_y
+        n_20 += n_xx
+        n_11 += n_xy
+        n_02 += n_yy
+        n_30 += n_xx * x
+        n_21 += n_xx * y
+        n_12 += n_yy * x
+        n_03 += n_yy * y
+        n_40 += n_xx * x * x
+        n_31 += n_xx * x * y
+        n_22 += n_xx * y * y
+        n_13 += n_xy * y * y
+        n_04 += n_yy * y * y
+        e_00 += n_e
+        e_10 += n_e * x
+        e_01 += n_e * y
+        e_20 += n_e * x * x
+        e_11 += n_e * x * y
+        e_02 += n_e * y * y
+        ee += n_e * e
     add_row(products, 0, (n_00, n_10, n_01, n_20, n_11, n_02, e_00))
     add_row(products, 1, (n_20, n_11, n_30, n_21, n_12, e_10))
     add_row(products, 2, (n_02, n_21, n_12, n_03, e_01))
