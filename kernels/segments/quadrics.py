@@ -44,6 +44,12 @@ def boxes(region, box):
             start = column
 
 
+@kernel(inline="compiled")
+def is_whole(owner):
+    """Whether one region has all measured pixels of a block, by its `Owners`: all had, before the first round."""
+    return owner >= 0 or owner == UNSEEN
+
+
 @kernel()
 def owned_means(owned, pyramid):
     """Number and mean (u, v, q) of the pixels of each block that its region owns.
@@ -59,36 +65,30 @@ def owned_means(owned, pyramid):
         Written where there is a region.
     """
     region, number, owners, shares = owned
-    rows, columns = region.shape
-    first, shares_of, share_region, share_moments = owners.first, owners.count, shares.region, shares.moments
     moments = pyramid.moments
-    means = np.empty((rows, columns, 4), np.float32)
-    values = means.reshape(-1)
-    for row in range(rows):
-        here = slice(row * columns, row * columns + columns)
-        n, s_u, s_v, s_q = moments[0, here], moments[1, here], moments[2, here], moments[3, here]
-        begin = np.uint64(4 * row * columns)
-        for c in range(np.uint64(columns)):  # of all pixels, as is right for most blocks
-            per_pixel, i = 1.0 / max(n[c], 1.0), begin + np.uint64(4) * c
-            values[i] = n[c]
-            values[i + np.uint64(1)] = s_u[c] * per_pixel
-            values[i + np.uint64(2)] = s_v[c] * per_pixel
-            values[i + np.uint64(3)] = s_q[c] * per_pixel
-        a, owner = region[row], owners.block[row]
-        for c in range(columns):
-            if a[c] < 0 or owner[c] >= 0 or owner[c] == UNSEEN:
+    means = np.empty((*region.shape, 4), np.float32)
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            if a < 0:
                 continue
-            m_n, m_u, m_v, m_q = 0.0, 0.0, 0.0, 0.0
-            if owner[c] == MIXED:
-                for s in range(first[row, c], first[row, c] + shares_of[row, c]):
-                    if number[share_region[s]] == a[c]:
-                        m_n += share_moments[s, 0]
-                        m_u += share_moments[s, 1]
-                        m_v += share_moments[s, 2]
-                        m_q += share_moments[s, 3]
-            per_pixel = 1.0 / max(m_n, 1.0)
-            means[row, c, 0], means[row, c, 1] = m_n, m_u * per_pixel
-            means[row, c, 2], means[row, c, 3] = m_v * per_pixel, m_q * per_pixel
+            n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
+            i = row * region.shape[1] + column
+            if is_whole(owners.block[row, column]):
+                n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
+            elif owners.block[row, column] == MIXED:
+                first = owners.first[row, column]
+                for s in range(first, first + owners.count[row, column]):
+                    if number[shares.region[s]] == a:
+                        n += shares.moments[s, 0]
+                        s_u += shares.moments[s, 1]
+                        s_v += shares.moments[s, 2]
+                        s_q += shares.moments[s, 3]
+            per_pixel = 1.0 / max(n, 1.0)
+            means[row, column, 0] = n
+            means[row, column, 1] = s_u * per_pixel
+            means[row, column, 2] = s_v * per_pixel
+            means[row, column, 3] = s_q * per_pixel
     return means
 
 
@@ -99,7 +99,7 @@ def bits_of(owned, a, row, column):
     bits = 0
     if region[row, column] != a:
         return bits
-    if owners.block[row, column] >= 0 or owners.block[row, column] == UNSEEN:
+    if is_whole(owners.block[row, column]):
         bits = -1
     elif owners.block[row, column] == MIXED:
         first = owners.first[row, column]
