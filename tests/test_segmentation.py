@@ -823,6 +823,29 @@ def test_a_frame_leaves_nothing_behind_for_the_next(room):
     assert ((after.reason == Reason.MISSING) == (half == 0)).all()
 
 
+@pytest.mark.parametrize("degrees", [30.0, 90.0])
+def test_a_camera_that_is_rolled_sees_the_same_planes(room, monkeypatch, degrees):
+    """Rays that depend on both row and column, by far more than any lens's do."""
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+
+    def rolled(camera):
+        rays = rays_of(camera)
+        x, y = np.broadcast_arrays(rays.tan_x, rays.tan_y)
+        u, v = np.broadcast_arrays(rays.centre_u, rays.centre_v)
+        return rays._replace(
+            tan_x=cosine * x - sine * y, tan_y=sine * x + cosine * y,
+            centre_u=cosine * u - sine * v, centre_v=sine * u + cosine * v,
+        )  # fmt: skip
+
+    _, depth = room
+    upright = segment(depth, CAMERA)
+    monkeypatch.setattr("rgbd_planes.segmentation.segment.rays_of", rolled)
+    tilted = segment(depth, CAMERA)
+    assert (tilted.labels == upright.labels).mean() > 0.9999
+    assert tilted.sizes == pytest.approx(upright.sizes, abs=3)
+    assert tilted.alpha[:, 2] == pytest.approx(upright.alpha[:, 2], rel=1e-4)
+
+
 def test_rays_of_every_pixel_do_as_rays_of_rows_and_columns(room):
     # Next to no distortion: another way through the kernels to the same planes.
     _, depth = room
