@@ -22,6 +22,8 @@ from rgbd_planes.kernels.segments.blocks import BLOCK, block_moments
 from rgbd_planes.kernels.segments.frame_noise import tolerance
 from rgbd_planes.kernels.segments.gaps import find_coplanar, label_boxes
 from rgbd_planes.kernels.segments.inside import inside_moments
+from rgbd_planes.kernels.segments.joining import join_blocks
+from rgbd_planes.kernels.segments.merge import neighbours
 from rgbd_planes.kernels.segments.noise_estimation import estimate_noise as estimate_frame_noise
 from rgbd_planes.kernels.segments.noise_estimation import is_of_depth, varied_squares
 from rgbd_planes.kernels.segments.records import Planes, Rays, Rules, Runs
@@ -1075,6 +1077,72 @@ def blocks_and_squares(depth, camera):
     work = Workspace(camera)
     nearest = block_moments(*frame.values, rays, work.inverse_depth, work.pyramid)
     return work.inverse_depth, work.pyramid, nearest
+
+
+@pytest.mark.parametrize("holes", [0.05, 0.6])
+def test_four_squares_are_one_plane_if_joining_them_adds_little(holes):
+    rays, work, rules = rays_of(CAMERA), Workspace(CAMERA), Rules()
+    frame = as_depth_frame(scenes.room().render(CAMERA).measure(holes=holes, seed=3), CAMERA)
+    nearest = read_frame(*frame.values, rays, work.inverse_depth, work.pyramid)
+    noise, _ = noise_of(frame, 1.0, rays, work.pyramid, nearest, _given(None))
+    moments, rss, slope_square, offsets, shapes = work.pyramid
+    sensor, state = np.empty(offsets[1]), np.empty(len(rss), np.int8)
+    join_blocks(work.pyramid, noise, rules, sensor, state)
+
+    n, entries = moments[0], noise.sigma[1:]
+    q = moments[3] / np.maximum(n, 1.0)
+    variance = np.interp(q, noise.sigma[0] * np.arange(len(entries)), entries) ** 2
+    lateral = noise.lateral_variance * slope_square
+    allowed = (n - 3.0) * (rules.rough_block**2 * variance + rules.steep_block**2 * lateral)
+    expected = np.where((n < 6.0) | (rss < 0.0), 2, rss <= allowed)
+    of_square = variance + lateral
+    for level in range(1, len(shapes)):
+        rows, columns = shapes[level]
+        for i in range(rows * columns):
+            row, column = divmod(i, columns)
+            first, below = offsets[level - 1] + 4 * row * columns + 2 * column, 2 * columns
+            parts = np.array([first, first + 1, first + below, first + below + 1])
+            planar, k = parts[expected[parts] == 1], offsets[level] + i
+            if (expected[parts] == 0).any():
+                expected[k] = 0
+            elif len(planar) == 0:
+                expected[k] = 2
+            else:
+                most = of_square[planar].min() * (rules.square_floor**2 * n[k] + rules.square_spread)
+                expected[k] = rss[k] >= 0.0 and rss[k] - rss[planar].sum() <= most
+    assert sensor == pytest.approx(variance[: offsets[1]])
+    assert (state == expected).all()
+    assert {*state} == {0, 1, 2}
+
+
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
+@pytest.mark.parametrize("regions", [2, 3, 40, 4000])
+def test_regions_touch_at_sides_and_corners_and_over_a_gap_of_one_block(regions, distortion):
+    camera = Camera(**{**CAMERA.to_dict(), "distortion": distortion})
+    rays, work = rays_of(camera), Workspace(camera)
+    rows, columns = work.blocks
+    region = np.random.default_rng(regions).integers(-1, regions, (rows, columns)).astype(np.int32)
+    region[5:20, 30:60] = -1
+    region[25:32, 10:18] = 1
+    count = neighbours(region, rays, work.contacts)
+
+    u, v = (np.broadcast_to(of, region.shape) for of in (rays.centre_u, rays.centre_v))
+    expected: dict[tuple[int, int], np.ndarray] = {}
+    for row, column in np.ndindex(rows, columns):
+        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            for far in (1, 2):
+                r, c = row + far * down, column + far * right
+                if not (0 <= r < rows and 0 <= c < columns) or region[r, c] >= 0:
+                    break
+            if not (0 <= r < rows and 0 <= c < columns) or min(region[row, column], region[r, c]) < 0:
+                continue
+            a, b = sorted((region[row, column], region[r, c]))
+            if a != b:
+                middle = 1.0, (u[row, column] + u[r, c]) / 2.0, (v[row, column] + v[r, c]) / 2.0
+                expected[a, b] = expected.get((a, b), 0.0) + np.array(middle)
+    pairs = work.contacts.pairs[:count, :2]
+    assert [(a, b) for a, b in pairs] == list(expected)
+    assert work.contacts.where[:count] == pytest.approx(np.array(list(expected.values())))
 
 
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
