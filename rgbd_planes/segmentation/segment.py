@@ -154,10 +154,8 @@ def _segment(
     moments, deviation = work.found.moments[:found], work.found.deviation[:found]
     inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
     fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
-    together = noise.together
-    if given.at_large and together > 1.0:
-        together = as_planes_show(together, work.pyramid, labels, work.inverse_depth)
-        noise = noise._replace(together=together)
+    together = as_planes_show(noise.together, given.at_large, work.pyramid, labels, work.inverse_depth)
+    noise = noise._replace(together=together)
     planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
     describe_planes(
         inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, together), step_of_raw,
