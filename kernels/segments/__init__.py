@@ -6,5 +6,5 @@
   `settled` and `contest`, and `shape` with `facets`; with `parts`, which uses `runs`; with `gaps`, `labels` and `rims`
 - `inside` fits the planes, with `unevenness`; `planes` describes them; `labels` settles strays
 
-`records` holds what they hand on; many use `moments` and `noise`, and `folds` and `shape` use `quadrics`.
+`records` holds what they hand on; many use `moments`, `noise` and `marked`, and `folds` and `shape` use `quadrics`.
 """
