@@ -825,6 +825,16 @@ def test_a_frame_leaves_nothing_behind_for_the_next(room):
     assert ((after.reason == Reason.MISSING) == (half == 0)).all()
 
 
+def test_large_arrays_begin_with_a_line_of_the_cache(room):
+    """For whole vectors: the processor reads one that lies in two lines as two."""
+    found = segment(room[1], CAMERA)
+    work = Workspace(CAMERA)
+    for values in (found.labels, found.reason, work.inverse_depth, work.pyramid.moments):
+        assert values.ctypes.data % 64 == 0
+        assert values.flags.c_contiguous
+        assert values.flags.writeable
+
+
 @pytest.mark.parametrize("degrees", [30.0, 90.0])
 def test_a_camera_that_is_rolled_sees_the_same_planes(room, monkeypatch, degrees):
     """Rays that depend on both row and column, by far more than any lens's do."""
