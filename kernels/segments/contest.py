@@ -105,7 +105,7 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     top, left = row * BLOCK - 1, column * BLOCK - 1
-    if (top >= 0) & (left >= 0) & (top + SIDE <= height) & (left + SIDE <= width):
+    if (top >= 0) & (left >= 0) & (top + SIDE <= height) & (left + SIDE <= width):  # as nearly always
         for i in range(SIDE):
             line = inverse_depth[top + i]
             for j in range(SIDE):
