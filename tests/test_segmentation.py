@@ -1157,7 +1157,7 @@ def test_regions_touch_at_sides_and_corners_and_over_a_gap_of_one_block(regions,
 
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
 def test_moments_of_blocks_and_squares(distortion):
-    # 83 blocks in a row: the second stretch that is worked on together lies beyond the frame.
+    # 83 blocks in a row: the second stretch that is worked on together ends beyond the frame.
     camera = Camera(330, 37, 300.0, 310.0, 160.0, 20.0, distortion, depth_scale=1000.0)
     rng = np.random.default_rng(2)
     depth = np.where(rng.random(camera.shape) < 0.2, 0, rng.integers(500, 4000, camera.shape)).astype(np.uint16)

@@ -15,7 +15,8 @@ BLOCK = 4
 # Owner of a block: EMPTY where no pixel is measured; MIXED where regions have shares of it, or nobody has any; UNSEEN
 # before the first round.
 EMPTY, MIXED, UNSEEN = -1, -2, -3
-# Blocks of a row that are processed together: half of 640 pixels, and whole vectors.
+# Blocks of a row that are processed together: half of 640 pixels, whole vectors, and whole squares of 8 blocks, so that
+# none begins beyond the frame.
 CHUNK = 80
 
 
@@ -182,7 +183,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     row_v = np.zeros(BLOCK)
     of_columns, u_columns = np.zeros((BLOCK, CHUNK * BLOCK), np.float32), np.zeros(CHUNK * BLOCK)
-    largest = np.zeros(1, np.int32)
+    nearest = np.int32(0)
     for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
         # A band of rows is in one piece in memory.
@@ -193,14 +194,12 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
         else:
             for i in range(begin, end):
                 inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, False)
-        nearest = largest[0]
         for i in range(begin, end):
             nearest = max(nearest, bits[i])
-        largest[0] = nearest
         for start in range(0, columns, CHUNK):
             count = min(CHUNK, columns - start)
             left = start * BLOCK
-            right = max(left, min((start + count) * BLOCK, width))
+            right = min((start + count) * BLOCK, width)
             if bottom - top < BLOCK or right - left < count * BLOCK:
                 q[:] = 0.0
             for y in range(top, bottom):
@@ -227,4 +226,5 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
             for k in range(10):
                 copy(sums[k], moments[k, i : i + count])
     sum_by_fours(pyramid, rays)
+    largest = np.full(1, nearest)
     return largest.view(np.float32)[0]

@@ -105,18 +105,12 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     top, left = row * BLOCK - 1, column * BLOCK - 1
-    if (top >= 0) & (left >= 0) & (top + SIDE <= height) & (left + SIDE <= width):  # as nearly always
-        for i in range(SIDE):
-            line = inverse_depth[top + i]
-            for j in range(SIDE):
-                q[i * SIDE + j, n] = line[np.uint64(left + j)]
-    else:
-        for i in range(SIDE):
-            y = top + i
-            for j in range(SIDE):
-                x = left + j
-                inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-                q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
+    for i in range(SIDE):
+        y = top + i
+        for j in range(SIDE):
+            x = left + j
+            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+            q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
     for i in range(1 if separable else SIDE):
         y = 0 if separable else min(max(top + i, 0), height - 1)
         for j in range(SIDE):

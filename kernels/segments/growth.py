@@ -8,7 +8,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import root_of
-from .marked import WORD, list_marked
+from .marked import in_words, list_marked
 from .merge import describe
 from .moments import residual_of_two
 
@@ -41,7 +41,7 @@ def grow_together(region, moments, noise, rules, parent):
     most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
     last_a, last_b = np.full(2, -1), np.full(2, -1)  # the last pair refused, in each direction
     # For each block of a row, and each direction: whether there is another region.
-    touching = np.zeros(-(-2 * columns // WORD) * WORD, np.bool_)
+    touching = np.zeros(in_words(2 * columns), np.bool_)
     touches = np.empty(len(touching) + 1, np.uint32)
     for row in range(rows):
         own, below = region[row], region[min(row + 1, rows - 1)]
@@ -49,7 +49,7 @@ def grow_together(region, moments, noise, rules, parent):
             touching[2 * c] = (own[c] >= 0) & (own[c + 1] >= 0) & (own[c] != own[c + 1])
         for c in range(columns):
             touching[2 * c + 1] = (own[c] >= 0) & (below[c] >= 0) & (own[c] != below[c])
-        for n in range(list_marked(touching, touches)):
+        for n in range(list_marked(touching, True, touches)):
             # Unsigned: see `kernels`.
             side, c = np.uint32(touches[n] & np.uint32(1)), touches[n] >> np.uint32(1)
             here, there = own[c], below[c] if side == 1 else own[c + np.uint32(1)]

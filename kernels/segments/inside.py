@@ -9,7 +9,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from .marked import WORD, list_marked
+from .marked import in_words, list_marked
 from .moments import add, ray_of, residual
 from .planes import fit_planes
 from .unevenness import weigh_rays
@@ -61,13 +61,13 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     most, least = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
     most[0] = most[-1] = BELOW
     least[0] = least[-1] = ABOVE
-    edge = np.zeros(-(-width // WORD) * WORD, np.bool_)
+    edge = np.zeros(in_words(width), np.bool_)
     of_row = edge[:width]
     columns = np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
         find_edges(label, inverse_depth, y, most, least, of_row)
-        for i in range(list_marked(edge, columns)):
+        for i in range(list_marked(edge, True, columns)):
             x = columns[i]
             u, v = ray_of(rays, y, x)
             add(inside[np.uint32(label[y, x] - 1)], u, v, inverse_depth[y, x])

@@ -9,17 +9,23 @@ WORD = 8
 
 
 @kernel(inline="compiled")
-def list_marked(marked, where):
-    """Write the indices of what is ``marked``, (K,) bool that fill whole words; returns how many there are.
+def in_words(count):
+    """``count``, or as many more as fill whole words."""
+    return -(-count // WORD) * WORD
+
+
+@kernel(inline="compiled")
+def list_marked(marks, mark, where):
+    """Write where ``marks``, (K,) of one byte that fill whole words, are ``mark``, not 0; returns how many are.
 
     ``where`` has room for K + 1: the place after the last is written to, too.
     """
-    words = marked.view(np.uint64)
+    words = marks.view(np.uint64)
     count = 0
     for w in range(len(words)):
         if words[w] == 0:
             continue
         for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
-            where[count] = k
-            count += marked[k]
+            where[np.uint32(count)] = k
+            count += marks[k] == mark
     return count

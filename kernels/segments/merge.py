@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
-from .marked import WORD, list_marked
+from .marked import in_words, list_marked
 from .moments import difference, rise, solve
 from .noise import sensor_variance, variance, waviness
 
@@ -24,6 +24,8 @@ TOGETHER = 64
 # χ²(3).
 CHANCE = 7.8
 FEW_SLOTS = 1 << 12
+# Odd numbers, whose multiples look random.
+ODD, OTHER_ODD = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
 # Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
 DOWN, RIGHT = np.array([0, 1, 1, 1]), np.array([1, 0, 1, -1])
 
@@ -31,9 +33,9 @@ DOWN, RIGHT = np.array([0, 1, 1, 1]), np.array([1, 0, 1, -1])
 @kernel(inline="compiled")
 def scrambled(x):
     """A fixed pseudo-random order of the integers, so that ties do not make long chains."""
-    y = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
+    y = np.uint64(x) * ODD
     y ^= y >> np.uint64(29)
-    y *= np.uint64(0xBF58476D1CE4E5B9)
+    y *= OTHER_ODD
     return y ^ (y >> np.uint64(32))
 
 
@@ -47,7 +49,7 @@ def row_of(a, b, pairs, count, table, size):
     """
     # Unsigned: see `kernels`.
     mask, end = np.uint64(size - 1), np.uint64(count)
-    mixed = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = np.uint64(a) * ODD + np.uint64(b) * OTHER_ODD
     slot = (mixed >> np.uint64(40)) & mask  # upper bits depend on all lower ones
     while True:
         row = np.uint64(table[slot])
@@ -88,7 +90,7 @@ def neighbours(region, rays, contacts):
         copy(region[row], around[row, 2 : columns + 2])
     flat = around.reshape(-1)
     # For each block of a row and each direction: whether there is another region.
-    touching = np.zeros(-(-len(DOWN) * columns // WORD) * WORD, np.bool_)
+    touching = np.zeros(in_words(len(DOWN) * columns), np.bool_)
     touches = np.empty(len(touching) + 1, np.uint32)
     steps = DOWN * width + RIGHT  # of ``flat``
     size = min(FEW_SLOTS, len(table))
@@ -112,7 +114,7 @@ def neighbours(region, rays, contacts):
                 size = min(4 * size, len(table))
             for i in range(count):
                 row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
-        for n in range(list_marked(touching, touches)):
+        for n in range(list_marked(touching, True, touches)):
             touch = np.uint64(touches[np.uint32(n)])
             k, c = touch & np.uint64(3), touch >> np.uint64(2)
             step = steps[k]

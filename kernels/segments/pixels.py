@@ -21,7 +21,7 @@ from .contest import (
     share_out,
     steps_of,
 )
-from .marked import WORD
+from .marked import in_words, list_marked
 from .moments import misfit
 from .noise import grown_variance
 from .records import Shares
@@ -74,7 +74,7 @@ def own_pixels(
         Of this round.
     """
     rows, columns = region.shape
-    tasks = np.zeros(-(-rows * columns // WORD) * WORD, np.int8)
+    tasks = np.zeros(in_words(rows * columns), np.int8)  # DONE beyond the last block
     task = tasks[: rows * columns].reshape(rows, columns)
     look_around(region, owners.block, task)
     if not is_first:
@@ -84,7 +84,7 @@ def own_pixels(
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
     # One place more than there are blocks: the one after the last is written to, too.
     opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
-    open_count, same_count = list_blocks(tasks, opened, same)
+    open_count, same_count = list_marked(tasks, OPEN, opened), list_marked(tasks, SAME, same)
     sparse_count, count, listed = decide(
         opened[:open_count], rays, before, pyramid, sensor, planes, rules, region, owners, contended
     )
@@ -100,24 +100,6 @@ def own_pixels(
     )
     add_up(pyramid, owners, new, put, region_moments)
     return new
-
-
-@kernel()
-def list_blocks(tasks, opened, same):
-    """Write which blocks are OPEN, and which are the SAME; returns the number of each.
-
-    ``tasks`` (K,) int8 fills whole words, with DONE after the last block.
-    """
-    words = tasks.view(np.uint64)
-    open_count = same_count = 0
-    for w in range(len(words)):
-        if words[w] == 0:
-            continue
-        for i in range(w * WORD, (w + 1) * WORD):
-            opened[open_count] = same[same_count] = i
-            open_count += tasks[i] == OPEN
-            same_count += tasks[i] == SAME
-    return open_count, same_count
 
 
 @kernel()

@@ -56,16 +56,16 @@ def _shapes(camera: Camera) -> list[tuple[int, int]]:
     return [(rows << level, columns << level) for level in reversed(range(LEVELS))]
 
 
-def aligned(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+def aligned(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """An empty array that begins where a line of the processor's cache does, as NumPy's large ones do not.
 
     Otherwise each of its vectors would lie in two lines, and take twice the time.
     """
     dtype = np.dtype(dtype)
-    size = math.prod(shape) if isinstance(shape, tuple) else shape
-    room = np.empty(size * dtype.itemsize + CACHE_LINE, np.uint8)
+    size = math.prod(shape) * dtype.itemsize
+    room = np.empty(size + CACHE_LINE, np.uint8)
     first = -room.ctypes.data % CACHE_LINE
-    return room[first : first + size * dtype.itemsize].view(dtype).reshape(shape)
+    return room[first : first + size].view(dtype).reshape(shape)
 
 
 class Workspace:
@@ -79,7 +79,7 @@ class Workspace:
         self.blocks = _shapes(camera)[0]  # rows and columns of blocks
         blocks, squares = int(offsets[1]), int(offsets[-1])
         self.inverse_depth = aligned(camera.shape, np.float32)
-        self.pyramid = Pyramid(aligned((10, squares)), aligned(squares), aligned(squares), offsets, shapes)
+        self.pyramid = Pyramid(aligned((10, squares)), aligned((squares,)), aligned((squares,)), offsets, shapes)
         self.owners = Owners(*np.empty((4, *self.blocks), np.int32))
         self.contended = Contended(
             np.empty(blocks, np.int32),
