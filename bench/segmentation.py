@@ -305,13 +305,7 @@ def _by_rules(frame: Frame, rules: Rules) -> Scores:
     return score(found.labels, frame)
 
 
-STAGES = {
-    "read, blocks": "read_frame",
-    "noise": "noise_of",
-    "planes and labels": "find_planes",
-    "inside": "fit_inside",
-    "strays": "settle_strays",
-}
+STAGES = {"read, blocks": "read_frame", "noise": "noise_of", "planes and labels": "find_planes"}
 
 
 def timing(frames: Sequence[Frame], vga: Frame, rounds: int = 40) -> dict[str, Any]:

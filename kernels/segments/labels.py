@@ -9,6 +9,8 @@ from .runs import WHOLE, first_of, in_squares
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
 COMPANY = 3
+# Of eight neighbours, how many of one label give it to a pixel without.
+FILLED = 5
 
 
 @kernel()
@@ -147,24 +149,22 @@ def is_lone(labels, inverse_depth, here, a):
 
 
 @kernel(inline=True)
-def label_around(a, b, c, d, e, f, g, h, needed):
-    """The label that at least ``needed`` of eight have, more than half of them; or 0."""
+def label_around(a, b, c, d, e, f, g, h):
+    """The label that at least FILLED of eight have, or 0."""
     found = np.int32(0)
-    for k in range(4):  # more than half of eight must include one of the first four
+    for k in range(4):  # FILLED are more than half of eight: they include one of the first four
         own = a if k == 0 else b if k == 1 else c if k == 2 else d
         n = (
             np.int32(a == own) + np.int32(b == own) + np.int32(c == own) + np.int32(d == own)
             + np.int32(e == own) + np.int32(f == own) + np.int32(g == own) + np.int32(h == own)
         )  # fmt: skip
-        found = own if n >= needed and own > 0 else found
+        found = own if n >= FILLED and own > 0 else found
     return found
 
 
 @kernel()
-def settle_strays(
-    runs, inverse_depth, unclaimed, least, needed, loose, loose_count, label, reason, sizes
-):  # fmt: skip
-    """Take the label from pixels that stand alone, and give loose ones the label of those around them.
+def settle_strays(runs, inverse_depth, unclaimed, least, loose, loose_count, label, reason, sizes):
+    """Take the label from pixels that stand alone, and give loose ones that of FILLED pixels around them.
 
     Parameters
     ----------
@@ -175,8 +175,6 @@ def settle_strays(
         Reason of pixels that lose their label.
     least : int
         Pixels that a label keeps at least.
-    needed : int
-        A loose pixel takes a label that at least this many of its eight neighbours have.
     loose, loose_count
         From `write_labels`; pixels that lose their label are added.
     label, reason : (H, W) int32 and uint8, changed
@@ -231,7 +229,7 @@ def settle_strays(
                 above, below = here - line, here + line
                 found[i] = label_around(
                     labels[above - one], labels[above], labels[above + one], labels[here - one], labels[here + one],
-                    labels[below - one], labels[below], labels[below + one], needed,
+                    labels[below - one], labels[below], labels[below + one],
                 )  # fmt: skip
         for i in range(loose_count):
             if found[i] > 0:

@@ -3,6 +3,7 @@
 import math
 
 from .._jit import kernel
+from ..copying import copy
 from ..rounding import between_codes, in_common, is_left
 from ..sandwich import sandwich
 from .moments import fit
@@ -63,34 +64,39 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
 
 @kernel()
 def describe_planes(
-    moments, weighted, alpha, rss, deviation, noise, modelled, step_of_raw, scale, is_disparity, planes, covariance,
-    rmse,
-):  # fmt: skip
+    found, noise, together, modelled, step_of_raw, scale, is_disparity, planes, alpha, covariance, rmse, sizes
+):
     """Planes, their covariances and their residuals.
 
     Parameters
     ----------
-    moments, weighted, alpha, rss, deviation : (N, 10), (N, 5), (N, 3), (N,), (N,) float64
-        ``weighted`` comes from `unevenness.weigh_rays`.
+    found : Found
     noise : Noise
+    together : float
+        See `reach.as_planes_show`.
     modelled : Modelled
     step_of_raw, scale, is_disparity
         See `noise.step_at`.
-    planes : (N, 4) float64, written
-        nx, ny, nz, d.
+    planes, alpha : (N, 4) and (N, 3) float64, written
+        nx, ny, nz, d; and α.
     covariance : (N, 3, 3) float64, written
         Of α: from the residual or the noise, whichever is larger, and from the rounding error that all pixels have in
         common. A noise model that is believed gives its own, larger if the residual is larger than by the model;
         another one is a lower bound.
     rmse : (N,) float64, written
+    sizes : (N,) int32, written
+        Pixels of each label.
     """
+    moments, rss, weighted, deviation = found.inside, found.rss, found.weighted, found.deviation
     of_model = modelled.variances
-    for i in range(len(moments)):
+    for i in range(len(planes)):
+        sizes[i] = found.size[i + 1]
+        copy(found.alpha[i], alpha[i])
         n = moments[i, 0]
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
         seen = rss[i] / max(n - 3.0, 1.0)
         expected = deviation[i] ** 2
-        variance, lateral, more = noise.together * max(seen, expected), 0.0, 1.0
+        variance, lateral, more = together * max(seen, expected), 0.0, 1.0
         if modelled.is_believed and of_model[3, i] > 0.0:
             lateral = slope_variance(moments[i], alpha[i], noise) if modelled.has_lateral else 0.0
             expected = of_model[3, i] + lateral

@@ -192,10 +192,15 @@ class Parts(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What `search.find_planes` finds: of the parts, and of those that are planes, each in the first rows."""
+    """What `search.find_planes` finds: of the P parts, and of those that are planes, each in the first rows."""
 
     number: Array  # (P,) int32: label, 1, 2, ... for planes in the order of their first pixels, 0 for other parts
     why: Array  # (P,) uint8: reason
     stray: Array  # (P,) bool: see `parts.judge_parts`
     moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
     deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region
+    inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, see `inside.inside_moments`
+    alpha: Array  # (N, 3) float64: so fitted
+    rss: Array  # (N,) float64: sum of squared residuals of these pixels
+    weighted: Array  # (N, 5) float64: see `unevenness.weigh_rays`
+    size: Array  # (N + 1,) int32: pixels of each label

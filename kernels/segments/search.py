@@ -5,9 +5,11 @@ import numpy as np
 from .._jit import kernel
 from .blocks import block_moments
 from .gaps import join_across_gaps
-from .labels import leave_out, write_labels
+from .inside import fit_inside
+from .labels import leave_out, settle_strays, write_labels
 from .noise_estimation import nearest_surface
 from .parts import find_parts
+from .reach import as_planes_show
 from .regions import find_regions
 from .rims import let_go
 from .runs import PIECES
@@ -25,10 +27,10 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
 
 @kernel()
 def find_planes(
-    inverse_depth, rays, pyramid, noise, rules, least, min_size, reasons, owners, contended, contacts, region_moments,
-    runs, loose, found, label, reason,
+    inverse_depth, rays, pyramid, noise, is_modelled, rules, least, min_size, reasons, owners, contended, contacts,
+    region_moments, runs, loose, found, label, reason,
 ):  # fmt: skip
-    """Find the regions of a frame, and those of their parts that are planes, and label their pixels.
+    """Find the regions of a frame, and those of their parts that are planes; fit these, and label their pixels.
 
     Parameters
     ----------
@@ -37,6 +39,8 @@ def find_planes(
     rays : Rays
     pyramid : Pyramid
     noise : Noise
+    is_modelled : bool
+        See `reach.as_planes_show`.
     rules : Rules
     least, min_size : int
         Pixels that a plane must have while they are found, and in the end.
@@ -54,15 +58,17 @@ def find_planes(
     -------
     needed : int
         Runs that there may be. If there is no room for so many, nothing else is found.
-    planes, loose_count : int
-        Their number, and that of the loose pixels: see `labels.write_labels`.
+    planes : int
+        Their number.
+    together : float
+        See `reach.as_planes_show`.
     """
     shares, region_number, curved, deviation = find_regions(
         inverse_depth, rays, pyramid, noise, rules, float(least), owners, contended, contacts, region_moments
     )
     needed = owners.block.size + PIECES * len(shares.region)
     if needed > len(runs.start):
-        return needed, 0, 0
+        return needed, 0, 1.0
     planes, parts, loose_count = find_parts(
         inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons,
         region_moments, runs, loose, found,
@@ -73,9 +79,15 @@ def find_planes(
         found.deviation[:planes],
     )  # fmt: skip
     planes = leave_out(planes, min_size, reasons.small, runs, number, why, found.moments, found.deviation)
+    moments, inside, alpha = found.moments[:planes], found.inside[:planes], found.alpha[:planes]
     loose_count = write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason)
     let_go(
-        inverse_depth, rays, noise.growth, rules.off, min_size, reasons.unclaimed, shares, runs,
-        found.moments[:planes], found.deviation[:planes], loose[loose_count:], label, reason,
+        inverse_depth, rays, noise.growth, rules.off, min_size, reasons.unclaimed, shares, runs, moments,
+        found.deviation[:planes], loose[loose_count:], label, reason,
     )  # fmt: skip
-    return needed, planes, loose_count
+    fit_inside(label, inverse_depth, rays, pyramid, moments, inside, alpha, found.rss, found.weighted[:planes])
+    together = as_planes_show(noise.together, is_modelled, pyramid, label, inverse_depth)
+    for k in range(planes):
+        found.size[k + 1] = moments[k, 0]
+    settle_strays(runs, inverse_depth, reasons.unclaimed, min_size, loose, loose_count, label, reason, found.size)
+    return needed, planes, together

@@ -13,10 +13,7 @@ from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, num
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.kernels.segments.inside import fit_inside
-from rgbd_planes.kernels.segments.labels import settle_strays
 from rgbd_planes.kernels.segments.planes import describe_planes
-from rgbd_planes.kernels.segments.reach import as_planes_show
 from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
 from rgbd_planes.segmentation.noise import Given, noise_of
@@ -29,7 +26,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SMALLEST = 60  # pixels of a region, unless the caller says otherwise
-FILLED = 5  # of eight neighbours, how many of one label give it to a stray pixel
 
 
 _REASONS = Reasons(*(np.uint8(Reason[name.upper()]) for name in Reasons._fields))
@@ -142,30 +138,22 @@ def _segment(
     noise, about_noise = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
     rules = rules.tolerating(about_noise.tolerance)
     labels, reason = aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8)
-    room, enough = 0, False
+    runs = count = 0
+    enough = False
     while not enough:  # again if there are more edges than in any frame before
-        work.make_room(room)
-        room, found, loose_count = find_planes(
-            work.inverse_depth, rays, work.pyramid, noise, rules, min(min_size, SMALLEST), min_size, _REASONS,
-            work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose, work.found, labels,
-            reason,
+        work.make_room(runs)
+        runs, count, together = find_planes(
+            work.inverse_depth, rays, work.pyramid, noise, given.at_large, rules, min(min_size, SMALLEST), min_size,
+            _REASONS, work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose,
+            work.found, labels, reason,
         )  # fmt: skip
-        enough = room <= len(work.runs.start)
-    moments, deviation = work.found.moments[:found], work.found.deviation[:found]
-    inside, alpha, rss, weighted = np.empty((found, 10)), np.empty((found, 3)), np.empty(found), np.empty((found, 5))
-    fit_inside(labels, work.inverse_depth, rays, work.pyramid, moments, inside, alpha, rss, weighted)
-    together = as_planes_show(noise.together, given.at_large, work.pyramid, labels, work.inverse_depth)
-    noise = noise._replace(together=together)
-    planes, covariance, rmse = np.empty((found, 4)), np.empty((found, 3, 3)), np.empty(found)
+        enough = runs <= len(work.runs.start)
+    planes, alpha, covariance = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3, 3))
+    rmse, sizes = np.empty(count), np.empty(count, np.int32)
+    modelled = given.of_planes(work.found.inside[:count], camera, together)
     describe_planes(
-        inside, weighted, alpha, rss, deviation, noise, given.of_planes(inside, camera, together), step_of_raw,
-        frame.scale, frame.is_disparity, planes, covariance, rmse,
-    )  # fmt: skip
-    sizes = np.zeros(found + 1, np.int32)
-    sizes[1:] = moments[:, 0]
-    settle_strays(
-        work.runs, work.inverse_depth, _REASONS.unclaimed, min_size, FILLED, work.loose, loose_count, labels, reason,
-        sizes,
+        work.found, noise, together, modelled, step_of_raw, frame.scale, frame.is_disparity, planes, alpha, covariance,
+        rmse, sizes,
     )  # fmt: skip
     if about_noise.is_rougher and sizes.sum() < 0.5 * np.count_nonzero(work.inverse_depth):
         warn_caller(
@@ -181,7 +169,7 @@ def _segment(
         planes=planes,
         alpha=alpha,
         alpha_covariance=covariance,
-        sizes=sizes[1:],
+        sizes=sizes,
         rmse=rmse,
         reason=reason,
         sigma=about_noise.typical_sigma,

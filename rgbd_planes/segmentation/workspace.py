@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.kernels.cache_lines import CACHE_LINE, to_next_line
 from rgbd_planes.kernels.segments.blocks import BLOCK
 from rgbd_planes.kernels.segments.contest import NEIGHBOURS
 from rgbd_planes.kernels.segments.noise import stretches as write_stretches
 from rgbd_planes.kernels.segments.records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs
 from rgbd_planes.ray_pitch import lens_by_angle
 
-CACHE_LINE = 64  # bytes
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
 
 
@@ -61,11 +61,8 @@ def aligned(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[An
 
     Otherwise each of its vectors would lie in two lines, and take twice the time.
     """
-    dtype = np.dtype(dtype)
-    size = math.prod(shape) * dtype.itemsize
-    room = np.empty(size + CACHE_LINE, np.uint8)
-    first = -room.ctypes.data % CACHE_LINE
-    return room[first : first + size].view(dtype).reshape(shape)
+    room = np.empty(math.prod(shape) * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
+    return np.ndarray(shape, dtype, room, to_next_line(room))
 
 
 class Workspace:
@@ -111,6 +108,11 @@ class Workspace:
                 stray=np.empty(runs, np.bool_),
                 moments=np.empty((runs, 10)),
                 deviation=np.empty(runs),
+                inside=np.empty((runs, 10)),
+                alpha=np.empty((runs, 3)),
+                rss=np.empty(runs),
+                weighted=np.empty((runs, 5)),
+                size=np.empty(runs + 1, np.int32),
             ),
         )
 
