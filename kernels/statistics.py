@@ -36,7 +36,7 @@ OF_COUNT, TABLE_COLUMNS = 22, 6
 # What is written in the end; until then the covariances' rows are used for other things.
 P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
 RATIO, ROOT = P, P + 1
-POSITION, FOUND = P, P + 1
+POSITION, FOUND, STEP = P, P + 1, P + 2
 LIMIT = P + 2
 LATERAL, SPREAD = PLANE, PLANE + 3
 ROUNDING, UNEVENNESS, WEIGHTED = 47, 48, 49
@@ -144,9 +144,10 @@ def assess(
         else:
             pixel_variance(noise, last - first, room)
             if growth.shape[1] > 0:
+                of_variance, of_logarithm = growth[0, first:last], growth[1, first:last]
                 for i in range(last - first):
-                    room[SHARED, i] *= growth[0, first + i]
-                    room[UNEVENNESS, i] += growth[1, first + i]
+                    room[SHARED, i] *= of_variance[i]
+                    room[UNEVENNESS, i] += of_logarithm[i]
         if of_pixels.shape[0] >= OF_LENS:
             load(of_pixels[:OF_LENS], first, last, room, LATERAL)
         independent_variance(of_pixels, noise, room)
@@ -247,15 +248,12 @@ def pixel_variance(noise, count, room):
             inside = inside if inside < last else last
             room[SHARED, i] = np.floor(inside)
             room[POSITION, i] = position
-        # Neighbours in the table stay neighbours here: one load and one store for both.
-        found = room[FOUND : FOUND + 2].reshape(2 * TILES_AT_ONCE)
         for i in range(count):
             k = VARIANCES + np.uintp(room[SHARED, i])
-            below, above = noise[k], noise[k + ONE]
-            found[2 * i] = below
-            found[2 * i + 1] = above
+            below = noise[k]
+            room[FOUND, i], room[STEP, i] = below, noise[k + ONE] - below
         for i in range(TILES_AT_ONCE):
-            variance, step = found[2 * i], found[2 * i + 1] - found[2 * i]
+            variance, step = room[FOUND, i], room[STEP, i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
             # Averaged over the tile, as this power of q.
