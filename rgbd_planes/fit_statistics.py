@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels import statistics, variances
@@ -54,7 +55,7 @@ class FitStatistics:
             )
         dimensions = len(fits.shape) - fits._cell_dimensions
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
-        self.rows = np.empty((*frames, statistics.RESULTS, *cells))
+        self.rows = aligned((*frames, statistics.RESULTS, *cells))
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
         assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
         # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
 from bench import block_scenes
-from rgbd_planes import Camera, estimate_noise, fit_labels, scenes, segment
+from rgbd_planes import Camera, estimate_noise, fit_labels, fit_tiles, scenes, segment
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.quantiles import quantile
 from rgbd_planes.kernels.segments.blocks import BLOCK, block_moments
@@ -829,7 +829,8 @@ def test_large_arrays_begin_with_a_line_of_the_cache(room):
     """For whole vectors: the processor reads one that lies in two lines as two."""
     found = segment(room[1], CAMERA)
     work = Workspace(CAMERA)
-    for values in (found.labels, found.reason, work.inverse_depth, work.pyramid.moments):
+    statistics = fit_tiles(room[1], replace(CAMERA, noise=kinect_v1()), tile=16)._statistics
+    for values in (found.labels, found.reason, work.inverse_depth, work.pyramid.moments, statistics.rows):
         assert values.ctypes.data % 64 == 0
         assert values.flags.c_contiguous
         assert values.flags.writeable

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, number, warn_caller
 from rgbd_planes.compilation import announced
@@ -18,7 +19,7 @@ from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
 from rgbd_planes.segmentation.noise import Given, noise_of
 from rgbd_planes.segmentation.result import Reason, Segmentation
-from rgbd_planes.segmentation.workspace import Workspace, aligned, rays_of, workspaces
+from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 
 if TYPE_CHECKING:
     from rgbd_planes.noise.model import NoiseModel

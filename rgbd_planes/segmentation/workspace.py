@@ -2,16 +2,13 @@
 
 import contextlib
 import functools
-import math
 import threading
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
 
+from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
-from rgbd_planes.kernels.cache_lines import CACHE_LINE, to_next_line
 from rgbd_planes.kernels.segments.blocks import BLOCK
 from rgbd_planes.kernels.segments.contest import NEIGHBOURS
 from rgbd_planes.kernels.segments.noise import stretches as write_stretches
@@ -54,15 +51,6 @@ def _shapes(camera: Camera) -> list[tuple[int, int]]:
     largest = BLOCK << (LEVELS - 1)
     rows, columns = -(-camera.height // largest), -(-camera.width // largest)
     return [(rows << level, columns << level) for level in reversed(range(LEVELS))]
-
-
-def aligned(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """An empty array that begins where a line of the processor's cache does, as NumPy's large ones do not.
-
-    Otherwise each of its vectors would lie in two lines, and take twice the time.
-    """
-    room = np.empty(math.prod(shape) * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
-    return np.ndarray(shape, dtype, room, to_next_line(room))
 
 
 class Workspace:
