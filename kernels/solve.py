@@ -38,7 +38,8 @@ WORK = OWN + eigen4.WORK
 def explicit(moments, reference, total, count, solution, residual, lost):
     """Least squares of w on (u, v, 1): the paper's eq. explicit_fit_std and eq. RGBD_explicit_fit.
 
-    Centred on the valid pixels' mean, MᵀM leaves a 2x2 system.
+    Of the normal equations MᵀMα = Mᵀb (eq. derivative of error-1), centred on the valid pixels' mean, a 2x2 system is
+    left.
 
     Parameters
     ----------

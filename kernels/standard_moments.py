@@ -1,7 +1,7 @@
 """Moments of the tiles of a grid in the standard form, in one pass over the frame: the ``direct`` implementation.
 
-As `range_moments`, but a pixel is the point (X, Y, Z) and a tile's moments are [n, ΣX, ΣY, ΣZ, ΣXX, ΣXY, ΣXZ, ΣYY, ΣYZ,
-ΣZZ], all of which depend on the frame.
+As `range_moments`, but a pixel is the point (X, Y, Z) of the paper's eq. RGBD_reconstruction-1-1, and a tile's moments
+are [n, ΣX, ΣY, ΣZ, ΣXX, ΣXY, ΣXZ, ΣYY, ΣYZ, ΣZZ], all of which depend on the frame.
 """
 
 import numpy as np
