@@ -20,6 +20,7 @@ from bench import (
     uncertainty_real,
     user_tasks,
 )
+from bench.paper import processor
 from bench.readme import README, with_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "measured.md"
@@ -36,16 +37,26 @@ SECTIONS = {
 }
 
 
+# Sections whose tables show times without saying where they were taken.
+TIMED = ("tasks", "first", "batch", "segments")
+
+
 def page_of(text: str, results: dict[str, Any]) -> str:
     """The page with the tables of these results between its markers."""
     for name, section in SECTIONS.items():
-        text = with_table(text, section.table(results[name]), name)
+        where = measured_on(results[name]) if name in TIMED else ""
+        text = with_table(text, section.table(results[name]) + where, name)
     return text
 
 
 def readme_of(text: str, results: dict[str, Any]) -> str:
     """The README with the table of these results between its markers."""
-    return with_table(text, user_tasks.short_table(results["tasks"]), "tasks")
+    return with_table(text, user_tasks.short_table(results["tasks"]) + measured_on(results["tasks"]), "tasks")
+
+
+def measured_on(result: dict[str, Any]) -> str:
+    """A paragraph that names the processor, if it is known."""
+    return f"\n\nMeasured on {result['processor']}." if "processor" in result else ""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -60,7 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
     results = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     for name in () if options.page else options.sections or SECTIONS:
         print(f"{name} ...", flush=True)
-        results[name] = SECTIONS[name].measure()
+        results[name] = SECTIONS[name].measure() | {"processor": processor()}
         RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
         if name == "roofline":
             roofline.figure(results[name])

@@ -25,7 +25,7 @@ def warmup(
 ) -> None:
     """Compile the kernels that fit tiles, or load them from the cache, so that the first frame is as fast as the next.
 
-    On a new installation this takes some seconds, once, and with ``segment`` about a minute; in later processes
+    On a new installation this takes some seconds, once, and with ``segment`` a minute or two; in later processes
     a fraction of a second. `normals`, `fit_labels`, `fit_windows`, `estimate_noise` and others compile what they need
     when they are first called, which takes some seconds: if nothing can be written later, call them, too, on any frame
     of the camera.

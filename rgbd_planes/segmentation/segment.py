@@ -88,7 +88,7 @@ def segment(
     """
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
-    with announced(("segment", frame.raw.dtype), "about a minute"):
+    with announced(("segment", frame.raw.dtype), "a minute or two"):
         return segment_frame(frame, camera, given, min_size, Rules())
 
 
