@@ -24,6 +24,8 @@ ROOM = 70_000
 
 is_compiling = False
 """Whether a kernel is being compiled, not only loaded from the disk."""
+compiled = 0
+"""Kernels that were compiled in this process, for each kind of arguments."""
 
 if hasattr(os, "register_at_fork"):
     # A fork waits for a thread that compiles: its child, without that thread, would wait for Numba's lock for ever.
@@ -50,15 +52,19 @@ def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(compiler)
     def compile_alone(*args: Any) -> Any:
-        global is_compiling
+        global is_compiling, compiled
         if is_compiling:
-            return compiler(*args)
+            result = compiler(*args)
+            compiled += 1
+            return result
         before, *others = gc.get_threshold()
         is_compiling = True
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
-            return _with_room(compiler, *args)
+            result = _with_room(compiler, *args)
+            compiled += 1
+            return result
         finally:
             is_compiling = False
             now, *others = gc.get_threshold()

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from rgbd_planes.kernels import _compiling, _jit
 
 SECONDS_BEFORE_NOTICE = 1.0
+SECONDS_BETWEEN_NOTICES = 20.0
 
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
@@ -16,7 +17,7 @@ _NOTHING = nullcontext()
 
 
 def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextManager[None]:
-    """Log one line if the first call for ``key`` takes long; later calls cost nothing.
+    """Log a line if the first call for ``key`` takes long, and now and then how far it is; later calls cost nothing.
 
     Once in a process for all calls of the same ``takes``, and only while kernels are compiled: those that Numba's cache
     on disk holds are loaded, which takes more than a second, too, where processes start together.
@@ -39,16 +40,25 @@ def _first_call(key: Hashable, takes: str) -> Iterator[None]:
 def _watch(done: threading.Event, takes: str) -> None:
     while not done.wait(SECONDS_BEFORE_NOTICE):
         if _compiling.is_compiling:
-            _announce(takes)
+            if _announce(takes):
+                _report_until(done)
             return
 
 
-def _announce(takes: str) -> None:
+def _report_until(done: threading.Event) -> None:
+    while not done.wait(SECONDS_BETWEEN_NOTICES):
+        if _compiling.is_compiling:
+            _logger.warning(f"still compiling kernels: {_compiling.compiled} are done")
+
+
+def _announce(takes: str) -> bool:
+    """Say it, unless another thread has; returns whether this one did."""
     # Threads that begin together wait for the same kernels: the first says so. No lock, which a fork might copy held.
     token = object()
     if _announced.setdefault(takes, token) is not token:
-        return
+        return False
     often = "once for this installation and each kind of frame and camera"
     if not _jit.has_cache:
         often = "again in each process: set NUMBA_CACHE_DIR to a folder that can be written to keep them"
     _logger.warning(f"compiling kernels: {takes}, {often}")
+    return True

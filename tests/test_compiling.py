@@ -52,6 +52,17 @@ def test_kernels_are_compiled_once_for_all_numbers_of_a_type():
     assert plus_one.signatures == [(numba.types.int64,)]
 
 
+def test_kernels_are_counted_when_they_are_compiled():
+    """Those that others call, too, and each once."""
+    inner = _jit.kernel()(lambda x: x + 1)
+    outer = _jit.kernel()(lambda x: inner(x) + inner(x + 1))
+    before = _compiling.compiled
+    assert outer(1) == outer(0) + 2 == 5
+    assert _compiling.compiled == before + 2
+    assert inner(2.5) == 3.5
+    assert _compiling.compiled == before + 3
+
+
 def test_kernels_compile_without_haste():
     assert hasattr(numba.njit(double)._compiler, "compile")  # what is replaced is still what Numba calls
     kernel = _jit.kernel()(lambda x: x + 1)

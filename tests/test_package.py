@@ -163,6 +163,26 @@ def test_a_notice_waits_until_something_is_compiled(caplog, monkeypatch):
     assert len(caplog.messages) == 1
 
 
+def test_what_compiles_for_long_says_how_far_it_is(caplog, monkeypatch):
+    """And says no more once everything is compiled, however long the call goes on."""
+    monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compilation, "SECONDS_BETWEEN_NOTICES", 0.01)
+    monkeypatch.setattr(compilation, "_announced", {})
+    monkeypatch.setattr(compilation, "_compiled", set())
+    monkeypatch.setattr(_compiling, "is_compiling", True)
+    with compilation.announced("segment"):
+        wait_for(2, caplog)
+        monkeypatch.setattr(_compiling, "compiled", 41)
+        wait_for(len(caplog.messages) + 2, caplog)
+        monkeypatch.setattr(_compiling, "is_compiling", False)
+        time.sleep(0.1)
+        said = caplog.messages.copy()
+        time.sleep(0.2)
+        assert caplog.messages == said
+    assert said[0].startswith("compiling kernels: some seconds")
+    assert said[-1] == "still compiling kernels: 41 are done"
+
+
 def test_a_notice_that_gets_no_thread_is_not_given(monkeypatch):
     def limited(self):
         raise RuntimeError("can't start new thread")
