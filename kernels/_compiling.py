@@ -50,21 +50,23 @@ def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
     Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel is.
     """
 
+    def compile_counted(*args: Any) -> Any:
+        global compiled
+        result = compiler(*args)
+        compiled += 1
+        return result
+
     @functools.wraps(compiler)
     def compile_alone(*args: Any) -> Any:
-        global is_compiling, compiled
+        global is_compiling
         if is_compiling:
-            result = compiler(*args)
-            compiled += 1
-            return result
+            return compile_counted(*args)
         before, *others = gc.get_threshold()
         is_compiling = True
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
-            result = _with_room(compiler, *args)
-            compiled += 1
-            return result
+            return _with_room(compile_counted, *args)
         finally:
             is_compiling = False
             now, *others = gc.get_threshold()

@@ -79,13 +79,16 @@ def find_planes(
         found.deviation[:planes],
     )  # fmt: skip
     planes = leave_out(planes, min_size, reasons.small, runs, number, why, found.moments, found.deviation)
-    moments, inside, alpha = found.moments[:planes], found.inside[:planes], found.alpha[:planes]
+    moments = found.moments[:planes]
     loose_count = write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason)
     let_go(
         inverse_depth, rays, noise.growth, rules.off, min_size, reasons.unclaimed, shares, runs, moments,
         found.deviation[:planes], loose[loose_count:], label, reason,
     )  # fmt: skip
-    fit_inside(label, inverse_depth, rays, pyramid, moments, inside, alpha, found.rss, found.weighted[:planes])
+    fit_inside(
+        label, inverse_depth, rays, pyramid, moments, found.inside[:planes], found.alpha[:planes], found.rss[:planes],
+        found.weighted[:planes],
+    )  # fmt: skip
     together = as_planes_show(noise.together, is_modelled, pyramid, label, inverse_depth)
     for k in range(planes):
         found.size[k + 1] = moments[k, 0]

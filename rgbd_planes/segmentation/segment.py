@@ -139,16 +139,15 @@ def _segment(
     noise, about_noise = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
     rules = rules.tolerating(about_noise.tolerance)
     labels, reason = aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8)
-    runs = count = 0
-    enough = False
-    while not enough:  # again if there are more edges than in any frame before
-        work.make_room(runs)
+    while True:
         runs, count, together = find_planes(
             work.inverse_depth, rays, work.pyramid, noise, given.at_large, rules, min(min_size, SMALLEST), min_size,
             _REASONS, work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose,
             work.found, labels, reason,
         )  # fmt: skip
-        enough = runs <= len(work.runs.start)
+        if runs <= len(work.runs.start):
+            break
+        work.make_room(runs)  # there are more edges than in any frame before
     planes, alpha, covariance = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3, 3))
     rmse, sizes = np.empty(count), np.empty(count, np.int32)
     modelled = given.of_planes(work.found.inside[:count], camera, together)

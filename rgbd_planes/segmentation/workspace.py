@@ -83,9 +83,8 @@ class Workspace:
         self.runs, self.found = self._room_for(3 * blocks)
 
     def make_room(self, runs: int) -> None:
-        """Have room for so many runs, and for as many parts and planes."""
-        if runs > len(self.runs.start):
-            self.runs, self.found = self._room_for(2 * runs)
+        """Have room for twice so many runs, and for as many parts and planes."""
+        self.runs, self.found = self._room_for(2 * runs)
 
     def _room_for(self, runs: int) -> tuple[Runs, Found]:
         return (
