@@ -150,6 +150,25 @@ def test_the_page_is_what_was_measured():
     assert measured.readme_of(text, results) == text, "run python -m bench.measured --page"
 
 
+def test_what_every_section_measures_comes_to_the_page(tmp_path, monkeypatch):
+    """Whatever kind of thing it returns; tables of times name the processor."""
+    results = json.loads(measured.RESULTS.read_text())
+    for name, section in measured.SECTIONS.items():
+        monkeypatch.setattr(section, "measure", lambda name=name: json.loads(json.dumps(results[name])))
+    monkeypatch.setattr(roofline, "figure", lambda result: None)
+    monkeypatch.setattr(measured, "processor", lambda: "abacus")
+    for name in ("PAGE", "README", "RESULTS"):
+        file = getattr(measured, name)
+        (tmp_path / file.name).write_text(file.read_text())
+        monkeypatch.setattr(measured, name, tmp_path / file.name)
+    assert measured.main([]) == 0
+    kept = json.loads(measured.RESULTS.read_text())
+    for name in measured.SECTIONS:
+        assert kept[name] == (results[name] | {"processor": "abacus"} if name in measured.TIMED else results[name])
+    assert measured.PAGE.read_text().count("Measured on abacus.") == len(measured.TIMED)
+    assert measured.README.read_text().count("Measured on abacus.") == 1
+
+
 def test_limits_of_the_machine_are_measured(tmp_path):
     result = roofline.measure(repeats=1)
     assert result["processor"]
