@@ -147,8 +147,9 @@ def standard_planes(method, moments, reference, total, count, work):
     """Planes from the moments of (X, Y, Z); results as in `range_planes`.
 
     ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. implicit_plane_fitting_error: smallest eigenvector of
-    eq. XYZ_scattermatrix, all four coefficients of norm 1) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3
-    scatter matrix). ``total`` is as in `explicit`, but ΣXX + ΣYY + ΣZZ of the frame.
+    eq. XYZ_scattermatrix, all four coefficients of norm 1, by eq. quadratic_error_w_lagrange_multiplier) or
+    `STANDARD_PCA` (smallest eigenvector of the centred 3x3 scatter matrix). ``total`` is as in `explicit`, but
+    ΣXX + ΣYY + ΣZZ of the frame.
     """
     solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
     if method == STANDARD_EXPLICIT:
