@@ -18,21 +18,23 @@ def calmer(other, place, smallest, best):
 
 @kernel()
 def choose_windows(
-    raw, lowest, highest, rounding, is_disparity, tan_x, tan_y, reach, ratio, normals, variance, variation,
+    raw, lowest, highest, rounding, typical, is_disparity, tan_x, tan_y, reach, ratio, normals, variance, variation,
     row_start, row_stop, chosen_normals, chosen_variation,
 ):  # fmt: skip
     """Give each valid pixel its window, or one of the eight that are moved by ``reach`` but still hold it.
 
     Of the moved windows the one with the smallest residual variance is taken if the variance of the pixel's own window
     is more than ``ratio`` times as large: an edge runs through it. The idea is that of Kuwahara's filter of means
-    (1976). Not so where rounding to raw values explains as much: the moved windows may lie on terraces, which have
-    none. At the border windows are moved less. A plane that the pixel's ray does not meet does not count. Missing
-    pixels get NaN.
+    (1976). Not so where rounding to raw values explains as much, or where as much is usual in the frame: the moved
+    windows may lie on terraces, which have none, and a sensor rounds, too. At the border windows are moved less. A
+    plane that the pixel's ray does not meet does not count. Missing pixels get NaN.
 
     Parameters
     ----------
     rounding : float64
         Variance of inverse depth by rounding to raw values, times their 4th power where they are depths.
+    typical : float64
+        Residual variance of most windows of the frame.
     tan_x, tan_y : (H, W) float64
     reach : int
         At least 1.
@@ -51,9 +53,9 @@ def choose_windows(
         for column in range(width):
             own = variance[row, column]
             square = np.float64(raw[row, column]) ** 2
-            rounded = rounding if is_disparity else rounding / (square * square)
+            usual = max(typical, rounding if is_disparity else rounding / (square * square))
             # NaN, where the pixel's own window has no plane, counts as larger than everything.
-            smallest[column] = math.inf if own != own else own / ratio if own > ratio * rounded else 0.0
+            smallest[column] = math.inf if own != own else own / ratio if own > ratio * usual else 0.0
             best[column] = row * width + column
         for y in range(-reach, reach + 1, reach):
             other_row = min(max(row + y, 0), height - 1)

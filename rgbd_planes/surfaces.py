@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, check_share, check_whole
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import as_depth_frame, step_of
+from rgbd_planes.depth import DepthFrame, as_depth_frame, some_of, step_of
 from rgbd_planes.fitting import valid_needed
 from rgbd_planes.kernels import dense, window_choice
 from rgbd_planes.kernels.sliding import BAND
@@ -75,10 +75,11 @@ def normals(
     in a thousand times for independent normal noise; with a window of 3, and eight others, that happens to one pixel in
     a hundred. Where pixels are missing it happens to more: where a fifth is, to seven in a hundred with a window of 3,
     and to five in a thousand with one of 7. It does not count where rounding to the frame's raw values makes as large a
-    variance. There is no threshold to set. It takes about four times as long. A surface that bends by more than its
-    noise within a window is also taken for an edge: its normals are then those half a window away; with a window of 15,
-    on a ball of 0.2 m radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 15° to 20° at its
-    very rim.
+    variance, or where most windows of the frame have one as large: sensors round, too, and neighbouring pixels share
+    errors, so that some windows are far calmer than others by chance. There is no threshold to set. It takes about four
+    times as long. A surface that bends by more than its noise within a window is also taken for an edge: its normals
+    are then those half a window away; with a window of 15, on a ball of 0.2 m radius at 1 m, off by 8° where it is seen
+    at 60° to 70° from its normal, and by 15° to 20° at its very rim.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 
@@ -169,15 +170,26 @@ def _surfaces(
             return made, variation
         chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
         rounding = (step_of(frame) * frame.scale) ** 2 / 12.0
+        typical = _typical(frame, rounding, variance)
 
         def choose(start: int, stop: int) -> None:
             window_choice.choose_windows(
-                frame.raw, frame.lowest, frame.highest, rounding, frame.is_disparity, camera.tan_x, camera.tan_y,
-                window // 2, _ratio(window), arrays[0], variance, arrays[2], start, stop, chosen, chosen_variation,
+                frame.raw, frame.lowest, frame.highest, rounding, typical, frame.is_disparity, camera.tan_x,
+                camera.tan_y, window // 2, _ratio(window), arrays[0], variance, arrays[2], start, stop,
+                chosen, chosen_variation,
             )  # fmt: skip
 
         run_in_ranges(choose, height, threads)
     return chosen, chosen_variation
+
+
+def _typical(frame: DepthFrame, rounding: float, variance: npt.NDArray[np.float32]) -> float:
+    """Median residual variance of the frame's windows, without those that are flat but for rounding; 0 if all are."""
+    q = frame._replace(raw=some_of(frame.raw)).inverse_depth
+    flat = rounding if frame.is_disparity else rounding * (q / frame.scale) ** 4
+    some = some_of(variance)
+    uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
+    return float(np.median(uneven)) if uneven.size else 0.0
 
 
 def _check_window(window: int) -> int:

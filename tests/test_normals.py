@@ -305,6 +305,7 @@ def test_avoiding_edges_takes_the_calmest_window_beside(distortion, holes, rng):
         for array in expected_surfaces(depth, camera, window, 0.5, list(np.ndindex(shape)))
     )
     ratio = np.exp(2 * 3.09 / np.sqrt(window**2 - 3))
+    usual = np.nanmedian(variance)  # of all pixels in so small a frame
     wanted, wanted_variation = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
     clear = np.zeros(shape, bool)  # of ties that rounding decides
     moved = 0
@@ -314,11 +315,11 @@ def test_avoiding_edges_takes_the_calmest_window_beside(distortion, holes, rng):
         columns = np.clip([column - half, column, column + half], 0, shape[1] - 1)
         others = {(r, c): variance[r, c] for r in rows for c in columns if np.isfinite(variance[r, c])}
         best = min(others, key=others.get, default=None)
-        if best is None or not (np.isnan(own) or own > ratio * others[best]):
+        if best is None or not (np.isnan(own) or own > ratio * max(others[best], usual)):
             best = row, column
         runners_up = [v for place, v in others.items() if place != best]
         clear[row, column] = all(abs(v / variance[best] - 1) > 1e-4 for v in runners_up)
-        clear[row, column] &= np.isnan(own) or all(abs(own / ratio / v - 1) > 1e-4 for v in others.values())
+        clear[row, column] &= np.isnan(own) or all(abs(own / ratio / v - 1) > 1e-4 for v in [*others.values(), usual])
         ray = camera.tan_x[row, column], camera.tan_y[row, column], 1.0
         if normals[best] @ ray < 0:
             wanted[row, column], wanted_variation[row, column] = normals[best], variation[best]
@@ -359,6 +360,22 @@ def test_steps_of_rounding_are_no_edges(window, distance, is_disparity):
         for choice in (False, True)
     )
     assert np.mean(clear) < 1.01 * np.mean(plain)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("window", [5, 7, 11])
+def test_steps_of_the_sensor_are_no_edges_either(window, noise):
+    """A Kinect's steps of an eighth of a pixel of disparity, in a frame of millimetres."""
+    camera = rp.Camera(320, 240, 580.0, 580.0, 159.5, 119.5, depth_scale=1000.0)
+    wall = scenes.plane((0.3, 0.2, -1.0), 2.5).render(camera)
+    step = 1.0 / (8.0 * 580.0 * 0.075)
+    measured = 1.0 / wall.measure(noise=noise, seed=1).astype(float) * 1000.0
+    depth = np.rint(1000.0 / (step * np.rint(measured / step))).astype(np.uint16)
+    plain, clear = (rp.normals(depth, camera, window, avoid_edges=choice) for choice in (False, True))
+    of_plain, of_clear = (np.nanmean(oracle.angle(found, wall.planes[0, :3])) for found in (plain, clear))
+    assert of_clear < 1.05 * of_plain
+    faces_the_camera = (clear[..., 2] < -0.9999).mean()  # as the terraces do, not the wall
+    assert faces_the_camera < 0.02 + 1.1 * (plain[..., 2] < -0.9999).mean()
 
 
 @pytest.mark.parametrize(
@@ -494,6 +511,7 @@ def test_steps_of_metres_that_were_integers_are_no_edges_either():
 def test_avoiding_edges_gives_no_normal_away_from_the_camera(rng):
     camera = rp.Camera(64, 48, 30.0, 30.0, 31.5, 23.5)
     depth = rng.uniform(0.001, 1.0, camera.shape) ** -3.0
+    depth[20:] = rng.uniform(1.0, 1.001, (28, 64))  # by which the rest is unusual
     normals = rp.normals(depth, camera, 3, avoid_edges=True)
     there = np.isfinite(normals[..., 0])
     assert 0.95 < there.mean() < 1.0
