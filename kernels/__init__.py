@@ -9,7 +9,8 @@ What calls what:
 - uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
   `variances`, `label_variances` and `sandwich` for parts of many depths
 - segments: `segments`, a folder of its own
-- used by many of them: `depth`, `cache_lines`, `copying`, `disjoint_sets`, `quantiles`
+- used by many of them: `depth`, `copying`; in segments also `disjoint_sets`, `quantiles`; `cache_lines` is for
+  whoever makes arrays for them
 - tables on disk: `rows`
 
 Habits of these kernels, each because it was measured:

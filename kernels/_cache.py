@@ -37,7 +37,8 @@ class CacheFiles:
         self._folder, self._installed, self._base = Path(folder), Path(installed), base
 
     def _name(self, key: Any) -> str:
-        return f"{self._base}.{hashlib.sha256(repr((numba.__version__, key)).encode()).hexdigest()[:16]}.nbc"
+        options = numba.__version__, int(numba.config.OPT), bool(numba.config.BOUNDSCHECK)
+        return f"{self._base}.{hashlib.sha256(repr((options, key)).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
         """Return what was saved, or None."""

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import number, plain_array, real_array
 
-LARGEST_TABLE = 1 << 22
+# Labels above are renumbered by sorting the pixels, others by a table of all labels.
+LARGEST_LISTED = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +302,7 @@ def _consecutive(given: NDArray[np.generic], name: str) -> tuple[NDArray[np.intp
     if labels.size and labels.min() < 0:
         which = "labels of 2**63 or more" if given.dtype.kind == "u" else "negative labels"
         raise ValueError(f"{name} must not hold {which}, got {given[labels < 0][0]}")
-    if labels.size and labels.max() >= LARGEST_TABLE:
+    if labels.size and labels.max() >= LARGEST_LISTED:
         values, inverse = np.unique(labels, return_inverse=True)
         return inverse.reshape(labels.shape) + (values[0] != 0), values[values > 0].astype(np.int64)
     present = np.bincount(labels.ravel(), minlength=1) > 0

@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rgbd_planes.checks import collected_warnings, warn_caller
@@ -23,7 +23,7 @@ Work = Callable[[int, int], object]
 Result = TypeVar("Result")
 
 
-@cache
+@lru_cache(maxsize=4)  # whose threads end, once nothing is left for them to do, when they are forgotten here
 def _pool(workers: int) -> "ThreadPoolExecutor":
     # Imported here: once the main thread has ended this is an error, which `submit` expects.
     from concurrent.futures import ThreadPoolExecutor

@@ -67,7 +67,7 @@ class TilePlanes(Savable, PlacedFits):
         if self._reference.any():
             return 0.0
         rows = [4, 7] if self.method.startswith("range") else [4, 7, 9]
-        return float(self._moments[rows].sum())
+        return float(np.nansum(self._moments[rows]))  # those of tiles whose digits are lost are NaN
 
     @property
     def _growth(self) -> npt.NDArray[np.float64]:

@@ -20,8 +20,9 @@ SOURCE = "from rgbd_planes.kernels._jit import kernel\n@kernel()\ndef twice(x): 
 
 
 @pytest.fixture
-def of_a_process(tmp_path):
+def of_a_process(tmp_path, monkeypatch):
     """A kernel as another process would have it: nothing compiled, the same files."""
+    monkeypatch.setattr(config, "CACHE_DIR", "")  # which the environment may have set
     (tmp_path / "doubling.py").write_text(SOURCE)
 
     def load() -> Any:
@@ -53,6 +54,20 @@ def test_what_one_process_compiles_another_loads(of_a_process, files):
     assert loaded(twice) == (1, 0)
     assert twice(0.25) == 0.5
     assert loaded(twice) == (1, 1)
+
+
+def test_a_kernel_elsewhere_is_another_one_if_its_file_changes(of_a_process, files, tmp_path):
+    path = tmp_path / "doubling.py"
+    path.write_text(path.read_text().replace("def twice(x): return x + x", "def twice(x): return 2 + x"))
+    assert of_a_process()(3) == 5
+
+
+@pytest.mark.parametrize(("option", "value"), [("BOUNDSCHECK", 1), ("OPT", 1)])
+def test_what_was_compiled_otherwise_is_not_loaded(of_a_process, files, monkeypatch, option, value):
+    monkeypatch.setattr(config, option, value)
+    twice = of_a_process()
+    assert twice(3) == 6
+    assert loaded(twice) == (0, 1)
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut short", "a bit", "zeros at the end"])

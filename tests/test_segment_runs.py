@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
 
 from rgbd_planes.kernels.segments.blocks import BLOCK
 from rgbd_planes.kernels.segments.runs import (
     ALL,
     GAP,
     PIECES,
+    beside,
     how_many,
     in_squares,
     is_one_piece,
@@ -122,6 +124,12 @@ def test_runs_begin_where_no_pixel_is_before():
     pixels = pixels_of(EVERY)
     np.testing.assert_array_equal(of_every_mask(starts_across), starts(pixels))
     np.testing.assert_array_equal(of_every_mask(starts_down), starts(pixels.swapaxes(1, 2)))
+
+
+def test_pixels_touch_their_eight_neighbours():
+    around = np.pad(pixels_of(EVERY), ((0, 0), (1, 1), (1, 1)))
+    expected = sliding_window_view(around, (3, 3), axis=(1, 2)).any(axis=(3, 4))
+    np.testing.assert_array_equal(pixels_of(of_every_mask(beside)), expected)
 
 
 @given(pixels=MASKS, through=MASKS)

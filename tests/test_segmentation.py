@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve, find_objects, gaussian_filter
 
 from bench import block_scenes
+from bench.segmentation import empty_room
 from rgbd_planes import Camera, estimate_noise, fit_labels, fit_tiles, scenes, segment
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.quantiles import quantile
@@ -51,22 +52,6 @@ def two_planes(camera: Camera, step: float) -> tuple[np.ndarray, np.ndarray]:
 def room():
     rendering = scenes.room().render(CAMERA)
     return rendering, rendering.measure(holes=0.05, seed=3)
-
-
-def empty_room() -> scenes.Scene:
-    """Six planes: floor, ceiling, three walls, and a board that stands in the middle."""
-    x, y, z = 1.6, 1.2, 3.5
-    return scenes.Scene(
-        (
-            scenes.polygon("floor", [(-x, y, 0.1), (x, y, 0.1), (x, y, z), (-x, y, z)]),
-            scenes.polygon("ceiling", [(-x, -y, 0.1), (x, -y, 0.1), (x, -y, z), (-x, -y, z)]),
-            scenes.polygon("left wall", [(-x, -y, 0.1), (-x, y, 0.1), (-x, y, z), (-x, -y, z)]),
-            scenes.polygon("right wall", [(x, -y, 0.1), (x, y, 0.1), (x, y, z), (x, -y, z)]),
-            scenes.polygon("back wall", [(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)]),
-            scenes.polygon("board", [(-0.5, -0.3, 2.0), (0.4, -0.3, 2.2), (0.4, 0.5, 2.2), (-0.5, 0.5, 2.0)]),
-        ),
-        np.eye(4),
-    )
 
 
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
@@ -208,12 +193,24 @@ def test_crease_is_where_the_planes_meet():
     assert edge.std() < 0.5  # straight: residuals alone leave it ragged
 
 
+@pytest.mark.parametrize("degrees", [2.5, 3.0])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_shallow_edge_is_where_the_planes_meet_too(degrees, seed):
+    """Squares of up to 64 pixels fit across it, many more than the rounds that move borders block by block."""
+    camera, corner = Camera(640, 480, 525.0, 525.0, 319.5, 239.5), 0.07
+    q = 0.5 * (1.0 + np.abs(camera.tan_x - corner) * np.tan(np.radians(0.5 * degrees))) * np.ones(camera.shape)
+    found = segment(1.0 / (q + 1.4e-3 * np.random.default_rng(seed).standard_normal(camera.shape)), camera)
+    assert len(found) == 2
+    edge = np.median((found.labels == found.labels[0, 0]).sum(axis=1))
+    assert abs(edge - (319.5 + 525.0 * corner)) < 8.0
+
+
 @pytest.mark.parametrize(("bend", "planes"), [(0.0, 1), (0.038, 2), (0.046, 2)])
 def test_waves_do_not_bend_a_wall_as_if_it_were_two(bend, planes):
     # As of active stereo, whose neighbouring pixels share their errors. By the height of the waves two walls may be
     # one, but over a hundred pixels waves cancel. With the larger bend the walls were one, which was too rough, so that
     # it fell into twenty planes.
-    q = 0.4 + bend * np.abs(CAMERA.tan_x) + 3e-3 * smooth_noise(1, 3.0)
+    q = 0.4 + bend * np.abs(CAMERA.tan_x) + 3e-3 * smooth_noise(2, 3.0)
     found = segment(1.0 / q, CAMERA)
     assert len(found) == planes
     truth = np.where((CAMERA.tan_x < 0.0) & (bend > 0.0), 2, 1)

@@ -115,6 +115,18 @@ def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     assert method.startswith("standard") or both.sum() > 0.8 * len(windows)
 
 
+@pytest.mark.parametrize("method", ["range_explicit", "range_implicit"])
+def test_tiles_that_lost_their_digits_do_not_spoil_unions_of_others(method):
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    depth = 1.0 / (0.5 + 0.1 * camera.tan_x - 0.1 * camera.tan_y)
+    depth[20, 20] = 1e-6
+    tiles = rp.fit_tiles(depth, camera, 8, method, implementation="integral")
+    assert (tiles.status == rp.TileStatus.DEGENERATE).sum() == 23  # to the right of it and below
+    labels = np.zeros(tiles.shape, int)
+    labels[0, :2] = 1
+    np.testing.assert_allclose(rp.merge(tiles, labels).alpha, [[0.1, -0.1, 0.5]], atol=1e-12)
+
+
 @pytest.mark.parametrize("near", [1e-4, 1e-6, 1e-9, 1e-12])
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit"])
 def test_what_a_near_pixel_leaves_of_the_sums_is_no_plane(method, near, rng):

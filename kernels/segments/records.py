@@ -74,7 +74,7 @@ class Rays(NamedTuple):
     centre_v: Array  # (R, 1) or (R, C)
     pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
-    lens: Array  # (2, K) float64: see `noise.through_lens`; (2, 0) without a lens
+    lens: Array  # (2, K) float64: see `noise.at_angle`; (2, 0) without a lens
     stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `noise.in_square`
 
 

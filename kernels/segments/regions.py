@@ -75,6 +75,39 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
         count = joined
 
 
+@kernel()
+def move_on(region, before, pyramid, planes):
+    """Let borders that moved in this round go on, from block to block, as far as the blocks fit the region better.
+
+    Rounds advance by a block each, and a square that grew over an edge may have many. ``region`` is changed; ``before``
+    is as it was before the round.
+    """
+    moments, alpha = pyramid.moments, planes.alpha
+    rows, columns = region.shape
+    moved, left = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
+    count = 0
+    for row in range(rows):
+        for column in range(columns):
+            if region[row, column] != before[row, column] and region[row, column] >= 0 and before[row, column] >= 0:
+                moved[count], left[count] = row * columns + column, before[row, column]
+                count += 1
+    k = 0
+    while k < count:
+        here, a = moved[k], left[k]
+        row, column = here // columns, here % columns
+        b = region[row, column]
+        for side in range(4):
+            r, c = row + BESIDE_DOWN[side], column + BESIDE_RIGHT[side]
+            if r < 0 or c < 0 or r >= rows or c >= columns or region[r, c] != a or before[r, c] != a:
+                continue
+            i = r * columns + c
+            if misfit(moments, i, alpha, b) < misfit(moments, i, alpha, a):
+                region[r, c] = b
+                moved[count], left[count] = i, a
+                count += 1
+        k += 1
+
+
 @kernel(inline=True)
 def merge_and_own(
     inverse_depth, rays, pyramid, sensor, state, noise, rules, least, region, owners, contended, contacts, moments
@@ -136,6 +169,8 @@ def merge_and_own(
             inverse_depth, rays, pyramid, sensor, region, planes, noise.sigma, rules, trip == 0, before, number,
             last_alpha, owners, shares, contended, moments[:count],
         )  # fmt: skip
+        if trip < rules.trips - 1:
+            move_on(region, before, pyramid, planes)
     return number, count, shares, 0
 
 

@@ -73,7 +73,7 @@ def spread_down(pixels, through):
 @kernel(inline="compiled")
 def beside(pixels):
     """Pixels of a block, and those that touch them, if only at a corner."""
-    across = pixels | ((pixels << RIGHT_BY) & ~LEFT) | ((pixels & ~LEFT) >> RIGHT_BY)
+    across = pixels | ((pixels << RIGHT_BY) & ~LEFT & ALL) | ((pixels & ~LEFT) >> RIGHT_BY)
     return (across | (across << DOWN_BY) | (across >> DOWN_BY)) & ALL
 
 
