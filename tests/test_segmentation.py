@@ -1242,6 +1242,21 @@ def test_noise_that_is_the_same_at_all_depths_is_told_from_that_of_triangulation
     assert shows_noise_of_depth(noisy, CAMERA) == expected
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.7, 0.9])
+@pytest.mark.parametrize("near", [0.7, 2.0])
+def test_noise_of_depth_is_seen_if_little_is_near_or_far(share, near, rng):
+    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    is_near = (abs(camera.tan_x) < 320 / 525 * share**0.5) & (abs(camera.tan_y) < 240 / 525 * share**0.5)
+    depth = np.where(is_near, near + 0.1 * camera.tan_x, 5.0 + 0.3 * camera.tan_x)
+    noise = rng.normal(size=depth.shape)
+    assert shows_noise_of_depth(depth + 5e-3 * noise, camera)
+    assert not shows_noise_of_depth(1.0 / (1.0 / depth + 1e-3 * noise), camera)
+    assert not shows_noise_of_depth(depth * (1.0 + 2e-3 * noise), camera)
+    found = segment(depth + 5e-3 * noise, camera)
+    assert len(found) == 2
+    assert (found.labels[is_near] > 0).mean() > 0.99
+
+
 def test_near_things_that_are_rough_do_not_make_noise_one_of_depth(rng):
     """Noise of 1/Z; only the nearest third is six times as noisy as the rest, as its square would make it."""
     depth = np.broadcast_to(np.geomspace(4.0, 1.0, CAMERA.width), CAMERA.shape)

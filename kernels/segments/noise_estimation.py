@@ -42,10 +42,11 @@ CONSTANT = 1e-12
 # If a smaller share of the squares that are not constant varies in each of their quarters, of which a straight edge
 # crosses at most three, these have corners in them.
 FEWEST_VARIED = 0.1
-# The farthest, the middle and the nearest third of the squares, of at most MANY, tell how noise depends on depth, if
-# the nearest are so many times as near as the farthest. It is one of depth if that of 1/Z grows by no less and no more
-# than these powers of 1/Z, and from each third to the next by no less than the last: what lies near may be rougher.
-MANY, APART = 1024, 1.5
+# Far, middle and near squares, of at most MANY, tell how noise depends on depth, if the nearest are so many times as
+# near as the farthest, but for a share of OUTER at each end. Of squares of edges, which lie between what is far and
+# near, there are fewer than LEAST_PART. Noise is one of depth if that of 1/Z grows by no less and no more than these
+# powers of 1/Z, and from each part to the next by no less than the last: what lies near may be rougher.
+MANY, APART, OUTER, LEAST_PART = 1024, 1.5, 0.02, 0.05
 LEAST_POWER, MOST_POWER, LEAST_OF_STEP = 1.5, 2.5, 1.0
 
 
@@ -154,20 +155,27 @@ def is_of_depth(pyramid):
             count += 1
     if count < 3 * FEWEST:
         return False
-    edges = -math.inf, quantile(q[:count].copy(), 1.0 / 3.0), quantile(q[:count].copy(), 2.0 / 3.0), math.inf
+    far, near = quantile(q[:count].copy(), OUTER), quantile(q[:count].copy(), 1.0 - OUTER)
+    if not near >= APART * far > 0.0:
+        return False
+    third = (near / far) ** (1.0 / 3.0)
+    edges = np.array([-math.inf, far * third, near / third, math.inf])
     depths, noises = np.empty(3), np.empty(3)  # inverse ones, and variances
     some_q, some = np.empty(count), np.empty(count)
+    parts = 0
     for k in range(3):
         chosen = 0
         for i in range(count):
             some_q[chosen], some[chosen] = q[i], mean_square[i]
             chosen += edges[k] <= q[i] <= edges[k + 1]
-        depths[k], noises[k] = quantile(some_q[:chosen], 0.5), quantile(some[:chosen], TYPICAL)
-    if not noises[0] > 0.0:
+        if chosen >= max(FEWEST, LEAST_PART * count):
+            depths[parts], noises[parts] = quantile(some_q[:chosen], 0.5), quantile(some[:chosen], TYPICAL)
+            parts += 1
+    if parts < 2 or not noises[0] > 0.0:
         return False
-    ratio, grown = depths[2] / depths[0], math.sqrt(noises[2] / noises[0])
+    ratio, grown = depths[parts - 1] / depths[0], math.sqrt(noises[parts - 1] / noises[0])
     follows = ratio >= APART and ratio**LEAST_POWER <= grown <= ratio**MOST_POWER
-    for k in range(2):
+    for k in range(parts - 1):
         follows &= noises[k + 1] >= noises[k] * (depths[k + 1] / depths[k]) ** (2.0 * LEAST_OF_STEP)
     return follows
 
