@@ -351,6 +351,28 @@ def test_all_tiles_at_one_depth(rng):
     assert model.sigma_depth(2.0) == pytest.approx(1e-4 * pattern.std(), rel=0.3)
 
 
+@pytest.mark.parametrize("seed", [2, 7])
+def test_one_depth_does_not_tell_how_noise_changes_with_depth(seed):
+    """The bins of a wall that faces the camera are at depths that differ by chance."""
+    camera, rng = rp.Camera(320, 240, 290.0, 290.0, 159.5, 119.5), np.random.default_rng(seed)
+    model = rp.estimate_noise([1.0 / (0.5 + 1.4e-3 * rng.standard_normal(camera.shape)) for _ in range(4)], camera)
+    np.testing.assert_allclose(model.sigma(np.array([0.25, 0.5, 1.0])), 1.4e-3, rtol=0.1)
+
+
+@pytest.mark.parametrize("pattern", ["rows", "checkerboard"])
+def test_pixels_that_are_missing_everywhere_are_no_errors_that_reach_far(pattern, rng):
+    camera = replace(rp.presets.kinect_v1(), depth_scale=None, noise=None, depth_range=None)
+    row, column = np.indices(camera.shape)
+    missing = (row if pattern == "rows" else row + column) % 2 == 0
+    seen = []
+    for i in range(4):
+        q = 1.0 / rp.scenes.room((0.3 - 0.15 * i, -1.5 + 0.1 * (i % 3), 0.05 * i)).render(camera).depth
+        seen.append(np.where(missing, 0.0, 1.0 / (q + 1.4e-3 * rng.standard_normal(q.shape))))
+    model = rp.estimate_noise(seen, camera)
+    assert model.floor == 0.0
+    assert sum(share for share, _ in model.correlation) < 0.01
+
+
 def test_it_takes_no_more_threads_than_it_may(rng, monkeypatch):
     threads = []
 

@@ -191,7 +191,8 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     The rounding and the falloff are those of ``known``.
 
     Each bin's σq makes half of its residuals larger than the model's; the median of three neighbours is taken. Beyond
-    the depths that were seen it continues as a power of q, from constant (disparity) to q² (rounding).
+    the depths that were seen it continues as a power of q, from constant (disparity) to q² (rounding); as constant if
+    hardly different depths were seen.
     """
     bins = bins_of(samples.q, 60)
     q, first = np.unique([np.median(samples.q[chosen]) for chosen in bins], return_index=True)
@@ -212,7 +213,8 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     _, lateral, variance = best
     sigma = np.sqrt(variance)
     spread = np.log(q) - np.log(q).mean()
-    power = float(np.clip(spread @ np.log(sigma) / max(float(spread @ spread), 1e-9), 0.0, 2.0))
+    # As if a power of 0 had been seen before, give or take 1: where all is at about one depth, chance makes any.
+    power = float(np.clip(spread @ np.log(sigma) / (float(spread @ spread) + _INEXACT**2), 0.0, 2.0))
     farther, nearer = np.array([0.25, 0.35, 0.5, 0.7]), np.array([1.4, 2.0, 2.8, 4.0])
     along = table(
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),
@@ -277,9 +279,13 @@ def _alone(part: tuple[float, float]) -> NoiseModel:
     return NoiseModel(correlation=(part,) if part[1] else ())
 
 
-def _per_pixel(part: tuple[float, float], sizes: npt.ArrayLike) -> Floats:
-    """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
-    return np.asarray(_alone(part).statistics(np.square(sizes)).expected / np.square(sizes))
+def _per_pixel(part: tuple[float, float], sizes: npt.ArrayLike, counts: npt.ArrayLike | None = None) -> Floats:
+    """Expected mean square residual of tiles of these sizes if all errors had this correlation.
+
+    Where pixels are missing, tiles of ``counts`` pixels absorb more of independent errors, but hardly of others.
+    """
+    count = np.square(sizes) if part[1] or counts is None else np.asarray(counts)
+    return np.asarray(_alone(part).statistics(count).expected / count)
 
 
 def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Floats:
@@ -307,6 +313,7 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     # For medians of residuals, and of squared slopes, which are distributed as χ²(2). The spread is the same for all
     # sizes.
     counts = np.array([len(some.count) for some in samples.values()])
+    pixels = np.array([np.median(some.count) for some in samples.values()])
     of_one = np.append(1.25 * np.sqrt(2.0 / (sizes**2 - 3.0)), np.full(len(small), 1.0 / np.log(2.0)))
     chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
@@ -319,7 +326,9 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
         return _per_pixel(part, sides) - _per_pixel(part, TILE)
 
     def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Floats]:
-        terms = [np.concatenate([_per_pixel(part, sizes), _tilts(part, small, window), bent(part)]) for part in parts]
+        terms = [
+            np.concatenate([_per_pixel(part, sizes, pixels), _tilts(part, small, window), bent(part)]) for part in parts
+        ]
         shares, distance = nnls(np.stack(terms, axis=1) / scale[:, None], values / scale, maxiter=1000)
         return distance**2, np.asarray(shares)
 
