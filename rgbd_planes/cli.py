@@ -100,7 +100,7 @@ class _Parser(argparse.ArgumentParser):
         for text in takewhile("--".__ne__, self._given):
             name = text.partition("=")[0]
             if name.startswith("--") and not any(option.startswith(name) for option in options):
-                meant = difflib.get_close_matches(name, options, 1)
+                meant = difflib.get_close_matches(name, options, 1, cutoff=0.75)
                 unknown.append(f"{name} (did you mean {meant[0]}?)" if meant else name)
         return unknown
 

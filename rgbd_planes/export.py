@@ -344,7 +344,9 @@ def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:
 
 def _check_one_frame(tiles: TilePlanes) -> None:
     if not isinstance(tiles, TilePlanes):
-        raise TypeError(f"expected TilePlanes, got {type(tiles).__name__}")
+        kind = type(tiles).__name__
+        where = "; rp.segmentation_export is for segments" if kind == "Segmentation" else ""
+        raise TypeError(f"expected TilePlanes, got {kind}{where}")
     if len(tiles.shape) != 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {tiles.shape}: take tiles[i]")
 

@@ -249,7 +249,8 @@ def _read_npz(path: Path) -> Frame:
                 return _one_channel(arrays[names[0]])
     except Exception as error:  # from the archive, its compression, or the array
         raise ValueError(f"{path}: damaged or truncated NPZ file ({error})") from error
-    raise ValueError(f"{path}: expected an NPZ file with one array, got {len(names)}: {', '.join(names)}")
+    listed = ": " + ", ".join(names) if names else ""
+    raise ValueError(f"{path}: expected an NPZ file with one array, got {len(names)}{listed}")
 
 
 def _one_channel(array: Frame) -> Frame:

@@ -24,6 +24,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import as_motion, check_camera, check_share, check_whole, number, real_array
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
+from rgbd_planes.wording import counted
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class Surface:
     sides: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """Surfaces, and where the camera stands among them.
 
@@ -91,6 +92,9 @@ class Scene:
             raise ValueError(f"expected camera_to_scene of shape (4, 4), got {motion.shape}")
         object.__setattr__(self, "surfaces", surfaces)
         object.__setattr__(self, "camera_to_scene", as_motion("camera_to_scene", motion))
+
+    def __repr__(self) -> str:
+        return f"<Scene: {counted(len(self.surfaces), 'surface')}>"
 
     def render(self, camera: Camera) -> Rendering:
         """Meet the ray through each pixel centre with the surfaces and keep the nearest.
@@ -140,7 +144,7 @@ class Scene:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rendering:
     """A scene as a perfect sensor sees it, and the truth about it.
 
@@ -162,6 +166,10 @@ class Rendering:
     labels: NDArray[np.int32]
     planes: Floats
     names: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        size = f"{self.camera.width} x {self.camera.height}"
+        return f"<Rendering: {counted(len(self.planes), 'plane')} in {size} pixels>"
 
     def measure(
         self,

@@ -81,9 +81,14 @@ class TilePlanes(Savable, PlacedFits):
         TypeError
             The planes are those of a single frame, or it is no whole number and no slice.
         """
-        if len(self.shape) != 3 or isinstance(frame, bool) or not isinstance(frame, (int, np.integer, slice)):
+        if len(self.shape) != 3:
             raise TypeError(
                 "only the planes of a batch of frames can be indexed, by a frame; index an array, such as .planes"
+            )
+        if isinstance(frame, bool) or not isinstance(frame, (int, np.integer, slice)):
+            kind = type(frame).__name__
+            raise TypeError(
+                f"expected the number of a frame of the batch, or a slice, got {kind}; index an array, such as .planes"
             )
         one = TilePlanes(
             camera=self.camera, method=self.method, tile=self.tile,

@@ -99,6 +99,10 @@ class TileFitter:
             self._full_windows = np.empty((6, len(self._windows)))
             self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)
 
+    def __repr__(self) -> str:
+        (rows, columns), (height, width) = self._grid, self.tile
+        return f"<TileFitter: {rows} x {columns} tiles of {height} x {width} pixels, {self.method}>"
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Numba pickles a kernel as code to be compiled without its cache, and arrays come back writable, for which
         # kernels would be compiled again.

@@ -13,9 +13,10 @@ def percent(share: SupportsFloat) -> str:
     return f"{100.0 * float(share):.1f} %"
 
 
-def counted(count: int, what: str) -> str:
+def counted(count: float, what: str) -> str:
     """A count with its noun, whose plural ends in s."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+    number = count if isinstance(count, int) else f"{count:g}"
+    return f"{number} {what}" if count == 1 else f"{number} {what}s"
 
 
 def one_line(message: object) -> str:

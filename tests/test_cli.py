@@ -242,6 +242,8 @@ def test_noise_is_a_name_or_a_number(folder, capsys):
         for given in ("kinect", "-1", "0", "nan"):
             message = fails(capsys, *command, "--camera", "camera.json", "--noise", given)
             assert f"expected kinect_v1, kinect_v1_nguyen or a positive number in 1/m, got '{given}'" in message
+    message = fails(capsys, "fit", "depth.png", "--camera", "camera.json", "--noise", "1e300")
+    assert "argument --noise: expected noise of 0 to 1e+60 1/m at all inverse depths, got 1e+300" in message
 
 
 def test_an_option_that_there_is_not_is_named_before_one_that_is_missing(folder, capsys):

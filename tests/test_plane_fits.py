@@ -157,12 +157,19 @@ def test_batch_is_indexed_by_frame(rng):
     assert list(stack.to_table()["frame"]) == [0] * 12 + [1] * 12 + [2] * 12
     np.testing.assert_array_equal(stack[-1].planes, stack.planes[2])
     assert repr(stack[:1]).startswith("<TilePlanes: 1 frame of 3 x 4 tiles")
-    for made in (stack[0], stack):
-        with pytest.raises(TypeError, match=r"batch of frames can be indexed, by a frame; .* such as \.planes"):
-            made[0, 0]
-    for which in ([0, 1], np.array([True, False, True]), None, True, 1.0):
-        with pytest.raises(TypeError, match="by a frame"):
+    with pytest.raises(TypeError, match=r"batch of frames can be indexed, by a frame; .* such as \.planes"):
+        stack[0][0, 0]
+    for which, kind in (
+        ([0, 1], "list"),
+        (np.array([True]), "ndarray"),
+        (None, "NoneType"),
+        (1.0, "float"),
+        ((0, 0), "tuple"),
+    ):
+        with pytest.raises(TypeError, match=rf"the number of a frame .*, or a slice, got {kind}; .* such as \.planes"):
             stack[which]
+    with pytest.raises(TypeError, match="got bool"):
+        stack[True]
     np.testing.assert_array_equal(stack[np.int64(1)].planes, stack.planes[1])
     assert all([stack[0], stack])  # a result is not nothing, whatever its length
     with pytest.raises(TypeError, match="batch"):

@@ -47,6 +47,14 @@ def test_plane_is_met_where_the_equation_says(incidence, turn, distance, reverse
         assert rendering.planes.shape == (0, 4)
 
 
+def test_scenes_renderings_and_fitters_show_themselves_in_a_line():
+    camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    scene = scenes.plane((0.0, 0.0, -1.0), 2.0)
+    assert repr(scene) == "<Scene: 1 surface>"
+    assert repr(scene.render(camera)) == "<Rendering: 1 plane in 64 x 48 pixels>"
+    assert repr(rp.TileFitter(camera)) == "<TileFitter: 3 x 4 tiles of 16 x 16 pixels, range_explicit>"
+
+
 def test_a_fisheye_shows_nothing_beside_the_camera():
     camera = Camera(60, 40, 15.0, 15.0, 29.5, 19.5, distortion_model="fisheye")
     rendering = scenes.plane([0, 0, -1], 2.0).render(camera)

@@ -95,9 +95,8 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     shown = deviation * shape[MIDDLE]
     if is_sensors:  # what squares show is a multiple of it
         expected = 1.0
-    else:
-        for i in range(len(given)):
-            expected = max(expected, given[i])
+    elif is_given:
+        expected = given[MIDDLE]
     shown_or_given = 0.0
     for i in range(ENTRIES):
         q = i * interval

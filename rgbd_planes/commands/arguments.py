@@ -60,7 +60,10 @@ def noise_model(text: str) -> "NoiseModel":
     from rgbd_planes.noise import NoiseModel
 
     value = model_or_number(text)
-    return NoiseModel((value,)) if isinstance(value, float) else value
+    try:
+        return NoiseModel((value,)) if isinstance(value, float) else value
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def model_or_number(text: str) -> "NoiseModel | float":
@@ -87,7 +90,7 @@ def add_min_size(parser: argparse.ArgumentParser) -> None:
 def tile_size(text: str) -> tuple[int, int]:
     """Parse "16", or "12x20" for a height of 12."""
     try:
-        height, by, width = text.partition("x")
+        height, by, width = text.lower().partition("x")
         return int(height), int(width if by else height)
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected a size such as 16 or 12x20, got {text!r}") from None

@@ -16,7 +16,7 @@ from rgbd_planes.commands.arguments import (
     write_figure,
 )
 from rgbd_planes.files import naming
-from rgbd_planes.wording import one_line
+from rgbd_planes.wording import counted, one_line
 
 if TYPE_CHECKING:
     from rgbd_planes.sequences import FrameSequence
@@ -68,7 +68,8 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         evidence = found.evidence
         assert evidence is not None
         print(
-            f"{len(frames)} of {len(sequence)} frames, {evidence.windows} flat windows of {WINDOW} x {WINDOW} pixels."
+            f"{len(frames)} of {counted(len(sequence), 'frame')}, "
+            f"{evidence.windows} flat windows of {WINDOW} x {WINDOW} pixels."
         )
         print(f"Noise: {found._summary()}.".replace("; ", ";\n  "))
         print(f"By it {evidence._rejected()} of the flat tiles have a p-value below 1 %; 1 % should.")

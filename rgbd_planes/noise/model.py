@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.checks import check_noise, for_each, number, numbers, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
-from rgbd_planes.wording import two_digits
+from rgbd_planes.wording import counted, two_digits
 
 Floats = NDArray[np.float64]
 
@@ -139,9 +139,9 @@ class NoiseModel:
         if self.lateral:
             parts.append(f"lateral {self.lateral:.2g} pixels")
         for share, length in self.correlation:
-            parts.append(f"{two_digits(100.0 * share)} % correlated over {length:g} pixels")
+            parts.append(f"{two_digits(100.0 * share)} % correlated over {counted(length, 'pixel')}")
         if self.floor:
-            parts.append(f"floor {self.floor:.2g} sigma over {self.floor_length:g} pixels")
+            parts.append(f"floor {self.floor:.2g} sigma over {counted(self.floor_length, 'pixel')}")
         if self.spread:
             parts.append(f"spread {self.spread:.2g}")
         return "; ".join(parts)

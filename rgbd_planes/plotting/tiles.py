@@ -138,12 +138,15 @@ def _draw_depth(panel: Axes, legend: Axes, shown: Floats, label: str) -> None:
     nearest, farthest = depth_limits(shown)
     colours = colormaps["viridis_r"].with_extremes(bad=MISSING)
     image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=farthest)
-    draw_scale(legend, image, label).ax.ticklabel_format(useOffset=False)
+    beyond = bool(np.nanmin(shown, initial=nearest) < nearest), bool(np.nanmax(shown, initial=farthest) > farthest)
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(beyond, "neither")
+    draw_scale(legend, image, label, extend).ax.ticklabel_format(useOffset=False)
 
 
-def draw_scale(legend: Axes, image: AxesImage, label: str) -> Colorbar:
-    """Draw the scale of an image's colours into the place for a legend."""
-    bar = legend.figure.colorbar(image, cax=legend.inset_axes((0.1, 0.72, 0.8, 0.16)), orientation="horizontal")
+def draw_scale(legend: Axes, image: AxesImage, label: str, extend: str = "neither") -> Colorbar:
+    """Draw the scale of an image's colours into the place for a legend; with arrows where colours ``extend``."""
+    place = legend.inset_axes((0.1, 0.72, 0.8, 0.16))
+    bar = legend.figure.colorbar(image, cax=place, orientation="horizontal", extend=extend)
     bar.ax.tick_params(labelsize=9, length=2)
     bar.ax.set_xlabel(label, fontsize=9)
     return bar
