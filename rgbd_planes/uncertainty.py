@@ -38,7 +38,7 @@ def same_plane(
         P-value of δᵀ(Σ + Σ')⁻¹δ, chi-square with 3 degrees of freedom: small for two planes, NaN where one is
         missing. For (n, d), δ is the difference of d and of the normals, across their mean; normals that point to
         opposite sides have 0. A systematic error that neighbours share counts as if each had its own: then neighbours
-        on one plane have larger p-values than others.
+        on one plane have larger p-values than others. The `spread` of a noise model does not count.
 
     Raises
     ------
