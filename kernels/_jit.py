@@ -48,11 +48,13 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def _digest(file: Path) -> str:
+@functools.cache
+def _digest(file: str) -> str:
     """Digest of all kernel sources, and of the file of a kernel that lies elsewhere, as those of the benches do."""
-    if file.is_relative_to(Path(__file__).parent) or not file.is_file():
+    path = Path(file)
+    if path.is_relative_to(Path(__file__).parent) or not path.is_file():
         return _sources_digest()
-    return hashlib.sha256(_sources_digest().encode() + file.read_bytes()).hexdigest()[:12]
+    return hashlib.sha256(_sources_digest().encode() + path.read_bytes()).hexdigest()[:12]
 
 
 def _of_any_value(template: Callable[..., Any]) -> Callable[..., Any]:
@@ -89,7 +91,7 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
         options["_nrt"] = inline != "compiled"
 
     def compile_lazily(function: Function) -> Function:
-        function.__qualname__ = f"{function.__qualname__}_{_digest(Path(function.__code__.co_filename))}"
+        function.__qualname__ = f"{function.__qualname__}_{_digest(function.__code__.co_filename)}"
         global has_cache
         if numba.config.DISABLE_JIT:  # plain Python: as silent as compiled code of what is divided by 0 or overflows
             return cast(Function, np.errstate(all="ignore")(function))

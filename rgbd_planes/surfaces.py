@@ -185,10 +185,11 @@ def _surfaces(
 
 def _typical(frame: DepthFrame, rounding: float, variance: npt.NDArray[np.float32]) -> float:
     """Median residual variance of the frame's windows, without those that are flat but for rounding; 0 if all are."""
-    q = frame._replace(raw=some_of(frame.raw)).inverse_depth
-    flat = rounding if frame.is_disparity else rounding * (q / frame.scale) ** 4
     some = some_of(variance)
-    uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
+    with np.errstate(all="ignore"):  # of pixels nearer than anything
+        q = frame._replace(raw=some_of(frame.raw)).inverse_depth
+        flat = rounding if frame.is_disparity else rounding * (q / frame.scale) ** 4
+        uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
     return float(np.median(uneven)) if uneven.size else 0.0
 
 

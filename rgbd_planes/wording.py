@@ -15,7 +15,7 @@ def percent(share: SupportsFloat) -> str:
 
 def counted(count: float, what: str) -> str:
     """A count with its noun, whose plural ends in s."""
-    number = count if isinstance(count, int) else f"{count:g}"
+    number = f"{count:g}" if isinstance(count, float) else count
     return f"{number} {what}" if count == 1 else f"{number} {what}s"
 
 

@@ -484,3 +484,18 @@ def test_threads_that_call_first_all_at_once():
         thread.join()
     assert len(results) == 16
     assert all(np.array_equal(result, results[0]) for result in results)
+
+
+def test_threads_of_numbers_that_were_tried_once_end():
+    threads._pool.cache_clear()
+    gc.collect()
+    before = set(threading.enumerate())
+    for number in range(2, 14):
+        threads.run_in_ranges(lambda start, stop: time.sleep(1e-3), number, number)
+    kept = threads._pool.cache_info().maxsize
+    for _ in range(500):
+        left = [thread for thread in threading.enumerate() if thread not in before]
+        if len(left) <= 12 * kept:  # of the last pools; of all there are 78
+            break
+        time.sleep(0.01)
+    assert len(left) <= 12 * kept
