@@ -104,9 +104,8 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     independent = 3.0 * (1.0 - 1.0 / np.maximum(many, 1)) * (rounding + many * lateral)
     bend = (merged.valid_count * merged.rmse**2 - within - independent)[large] / along[large]
     # Of the rest of the independent errors they absorb more where pixels are missing: as if none were.
-    white = max(1.0 - sum(share for share, _ in noise.correlation), 0.0)
     many = many[large]
-    bend -= 3.0 * white * (many - 1.0) * (1.0 / merged.valid_count[large] - 1.0 / (many * TILE**2))
+    bend -= 3.0 * noise._white * (many - 1.0) * (1.0 / merged.valid_count[large] - 1.0 / (many * TILE**2))
     numbers = np.concatenate([[0], np.where(large, np.cumsum(large), 0)])
     side = np.sqrt(like_rectangles(merged._footprint).prod(axis=1))
     return LargePlanes(numbers[labels], merged.alpha[large], side[large], bend)

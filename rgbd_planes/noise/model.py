@@ -233,10 +233,14 @@ class NoiseModel:
         return in_one_piece.or_larger(full.of_some(n, whole))
 
     @property
+    def _white(self) -> float:
+        """The share of σq² that is independent from pixel to pixel."""
+        return max(1.0 - sum(share for share, _ in self.correlation), 0.0)
+
+    @property
     def _components(self) -> Components:
         """(variance, length) of each part of the error in units of σq²; length 0 is independent."""
-        white = max(1.0 - sum(share for share, _ in self.correlation), 0.0)
-        parts = ((white, 0.0), *self.correlation, (self.floor**2, self.floor_length))
+        parts = ((self._white, 0.0), *self.correlation, (self.floor**2, self.floor_length))
         return tuple(part for part in parts if part[0] > 0.0)
 
     def to_dict(self) -> dict[str, Any]:
