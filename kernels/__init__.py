@@ -6,9 +6,7 @@ What calls what:
   `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` sums those of any pixels
 - windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
-- uncertainty: `statistics`, with `chi_square` or `variance_ratio`, `normal_distribution`, and `rounding`;
-  `variances`, `label_variances` and `sandwich` for parts of many depths
-- segments: `segments`, a folder of its own
+- uncertainty: `statistics`, and segments: `segments`, each a folder of its own
 - used by many of them: `depth`, `copying`; in segments also `disjoint_sets`, `quantiles`; `cache_lines` is for
   whoever makes arrays for them
 - tables on disk: `rows`

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
-from rgbd_planes.kernels.label_variances import label_variances
-from rgbd_planes.kernels.variances import part_variances
+from rgbd_planes.kernels.statistics.label_variances import label_variances
+from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
 
@@ -84,7 +84,7 @@ def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
 
 
 def _mean_rays(fits: "PlaneFits") -> tuple[Floats, Floats, Floats]:
-    """Numbers of pixels; (N, 5) their rays, as `kernels.variances.means_over` takes them; and mean inverse depths.
+    """Numbers of pixels; (N, 5) their rays, as `statistics.variances.means_over` takes them; and mean inverse depths.
 
     From points (X, Y, Z) to first order.
     """
@@ -93,7 +93,7 @@ def _mean_rays(fits: "PlaneFits") -> tuple[Floats, Floats, Floats]:
     first = moments[1:4] / n
     uu, uv, uw, vv, vw, ww = moments[4:] / n - first[[0, 0, 0, 1, 1, 2]] * first[[0, 1, 2, 1, 2, 2]]
     u, v, w = reference + first
-    if not fits.method.startswith("range"):  # as `kernels.statistics.ray_scatter`
+    if not fits.method.startswith("range"):  # as `kernels.statistics.covariances.ray_scatter`
         w = 1.0 / np.where(w > 0.0, w, np.inf)
         u, v = u * w, v * w
         uu = (uu - 2.0 * u * uw + u * u * ww) * w**2

@@ -13,7 +13,9 @@ import numpy.typing as npt
 from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
-from rgbd_planes.kernels import statistics, variances
+from rgbd_planes.kernels.statistics.assess import LIMITS, assess
+from rgbd_planes.kernels.statistics.room import OF_DEPTHS, OF_LENS, RESULTS, TABLE_COLUMNS
+from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import inverse_freedom
@@ -55,13 +57,13 @@ class FitStatistics:
             )
         dimensions = len(fits.shape) - fits._cell_dimensions
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
-        self.rows = aligned((*frames, statistics.RESULTS, *cells))
+        self.rows = aligned((*frames, RESULTS, *cells))
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
-        assess = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
+        assessment = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
         # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.
         arrays = {name: np.require(getattr(fits, name), requirements="W") for name in _ARGUMENTS}
         arrays["_statistics"] = self.rows
-        assess.of(arrays, fits._error_sums)(0, math.prod(fits.shape))
+        assessment.of(arrays, fits._error_sums)(0, math.prod(fits.shape))
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
@@ -158,7 +160,7 @@ def _made_limits(level: float) -> Floats:
         freedom = np.maximum(x, 1e-3) ** -2
         return np.asarray(chdtri(freedom, level) / freedom)
 
-    made = Chebyshev.interpolate(limit, statistics.LIMITS - 1, domain=[0.0, 1.0])
+    made = Chebyshev.interpolate(limit, LIMITS - 1, domain=[0.0, 1.0])
     return np.asarray(made.convert(kind=Polynomial).coef)
 
 
@@ -217,7 +219,7 @@ class Assessment:
         level = DEFAULT_SIGNIFICANCE if significance is None else significance
         self._limits = _limits(level, camera.noise.spread)
         self._sizes = sizes
-        self._tables: Floats | None = np.empty((0, statistics.TABLE_COLUMNS))
+        self._tables: Floats | None = np.empty((0, TABLE_COLUMNS))
         self._first: npt.NDArray[np.int32] | None = None
         if not camera.noise.is_independent:
             self._tables, self._first = _tables_of(camera.noise, sizes)
@@ -243,16 +245,13 @@ class Assessment:
         planes, errors = planes.reshape(frames, 4 * tiles), errors.reshape(frames, tiles)
         fits = moments.reshape(frames, 10, tiles), reference.reshape(frames, 3, tiles), planes, errors
         counts, status = counts.reshape(frames, tiles), status.reshape(frames, tiles)
-        if results is None:
-            results = np.empty((frames, 0, tiles))
-        else:
-            results = results.reshape(frames, statistics.RESULTS, tiles)
+        results = np.empty((frames, 0, tiles)) if results is None else results.reshape(frames, RESULTS, tiles)
         of_pixels, growth = self._of_lens, self._growth
         if error_sums is not None:
             of_pixels, growth = self._of_depths(error_sums, counts), EVEN
         settings = self._in_range_space, self._of_noise, growth, of_pixels, self._limits
 
-        def assess(start: int, stop: int) -> None:
+        def assess_tiles(start: int, stop: int) -> None:
             index, tables = counts, self._tables
             if tables is None:
                 some = np.arange(start, stop)  # other parts may not be written yet
@@ -260,17 +259,17 @@ class Assessment:
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first
-            statistics.assess(*fits, index, tables, *settings, start, stop, status, results)
+            assess(*fits, index, tables, *settings, start, stop, status, results)
 
-        return assess
+        return assess_tiles
 
     def _of_depths(self, error_sums: Floats, counts: npt.NDArray[np.int32]) -> Floats:
         """(OF_DEPTHS, N) float64: means over the pixels of each part."""
-        of_pixels = np.zeros((statistics.OF_DEPTHS, counts.size))
-        lateral_x, lateral_y = self._of_noise[[variances.LATERAL_X, variances.LATERAL_Y]]
+        of_pixels = np.zeros((OF_DEPTHS, counts.size))
+        lateral_x, lateral_y = self._of_noise[[LATERAL_X, LATERAL_Y]]
         of_pixels[0], of_pixels[2] = lateral_x, lateral_y
         of_pixels[: len(self._of_lens)] = self._of_lens
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
         total = np.where(along + rounding > 0.0, along + rounding, 1.0)
-        of_pixels[statistics.OF_LENS :] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
+        of_pixels[OF_LENS:] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
         return of_pixels

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels import statistics
+from rgbd_planes.kernels.statistics.room import ALPHA_COVARIANCE, ANGLE_STD, OFFSET_STD, P_VALUE, PLANE_COVARIANCE
 from rgbd_planes.noise.falloff import growth_of_parts
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.wording import two_digits
@@ -106,7 +106,7 @@ class PlaneFits:
         ValueError
             The camera has no noise model; the same for all of these.
         """
-        return self._statistics.row(statistics.P_VALUE)
+        return self._statistics.row(P_VALUE)
 
     @functools.cached_property
     def alpha_covariance(self) -> Floats:
@@ -117,17 +117,17 @@ class PlaneFits:
         their pixels count as if they filled a parallelogram. For the other methods it is, to first order in the spread
         of depths, that of ``range_explicit`` on the same pixels: the bound that they reach at best.
         """
-        return self._statistics.matrix(statistics.ALPHA_COVARIANCE, 3)
+        return self._statistics.matrix(ALPHA_COVARIANCE, 3)
 
     @functools.cached_property
     def plane_covariance(self) -> Floats:
         """S + (4, 4) float64: covariance of (n, d), from that of α to first order; its rank is 3."""
-        return self._statistics.matrix(statistics.PLANE_COVARIANCE, 4)
+        return self._statistics.matrix(PLANE_COVARIANCE, 4)
 
     @functools.cached_property
     def angle_std(self) -> Floats:
         """S float64, degrees: root mean square of the angle between the normal and the true one, √tr Σn."""
-        return self._statistics.row(statistics.ANGLE_STD)
+        return self._statistics.row(ANGLE_STD)
 
     @functools.cached_property
     def offset_std(self) -> Floats:
@@ -136,7 +136,7 @@ class PlaneFits:
         That is the distance of the camera from the plane extended up to it, which a small tile's tilt moves far more
         than the surface itself: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
         """
-        return self._statistics.row(statistics.OFFSET_STD)
+        return self._statistics.row(OFFSET_STD)
 
     @functools.cached_property
     def _statistics(self) -> FitStatistics:

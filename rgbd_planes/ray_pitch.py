@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.kernels.variances import PLACES, WEIGHTS
+from rgbd_planes.kernels.statistics.variances import PLACES, WEIGHTS
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.checks import as_motion, shaped_array
-from rgbd_planes.kernels import statistics
+from rgbd_planes.kernels.statistics.same_planes import same_planes
 
 Floats = npt.NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def same_plane(
         flat(first, (3,)), flat(first_covariance, (3, 3)), flat(second, (3,)), flat(second_covariance, (3, 3))
     )  # fmt: skip
     p_value = np.empty(shape)
-    statistics.same_plane(*pairs, p_value.reshape(-1))
+    same_planes(*pairs, p_value.reshape(-1))
     p_value = np.where(opposite, 0.0, p_value)
     unknown = np.isnan(p_value).reshape(-1)
     known = [np.isfinite(part[unknown]).all(axis=tuple(range(1, part.ndim))) for part in pairs]

@@ -11,7 +11,8 @@ from test_noise_estimation import CAMERA as SEEING
 from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
-from rgbd_planes.kernels import label_variances, statistics
+from rgbd_planes.kernels.statistics.assess import assess
+from rgbd_planes.kernels.statistics.label_variances import label_variances
 from rgbd_planes.noise import estimation
 from rgbd_planes.noise.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
 from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
@@ -139,10 +140,10 @@ def test_none_at_all_is_the_same_bits(kind, rng):
     assert not growth_of_parts(camera, tile_footprints(camera.shape, (12, 12))).size
     fits, _ = fits_of(kind, depth, camera)
     assert np.isfinite(fits.p_value).all()
-    compiled = len(statistics.assess.signatures), len(label_variances.label_variances.signatures)
+    compiled = len(assess.signatures), len(label_variances.signatures)
     hardly, _ = fits_of(kind, depth, replace(camera, noise=replace(noise, falloff=1e-300)))
     assert np.isfinite(hardly.p_value).all()
-    assert compiled == (len(statistics.assess.signatures), len(label_variances.label_variances.signatures))
+    assert compiled == (len(assess.signatures), len(label_variances.signatures))
     for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std"):
         np.testing.assert_array_equal(getattr(fits, name), getattr(hardly, name))
     again = replace(hardly, camera=camera)  # another noise, given to what is fitted

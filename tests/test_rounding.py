@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes.kernels.rounding import between_codes, in_common
+from rgbd_planes.kernels.statistics.rounding import between_codes, in_common
 
 STEP = 1.0 / (525.0 * 0.075 * 8)  # 1/m: an eighth of a pixel of disparity
 CAMERA = rp.Camera(160, 128, 525.0, 525.0, 79.5, 63.5, disparity=(STEP, 0.0), invalid_values=(0,))

@@ -424,9 +424,10 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     rp.warmup(with_noise, dtypes=np.float32)
     with pytest.raises(ValueError, match="method must be one of"):
         rp.warmup(methods="pca")
-    from rgbd_planes.kernels import grid, statistics
+    from rgbd_planes.kernels import grid
+    from rgbd_planes.kernels.statistics.assess import assess
 
-    kernels = grid.fit_range_tiles, statistics.assess
+    kernels = grid.fit_range_tiles, assess
     compiled = [len(kernel.signatures) for kernel in kernels]
     assert compiled[0] >= 3
     assert compiled[1] >= 1

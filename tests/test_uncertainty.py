@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import rgbd_planes as rp
 from rgbd_planes import fit_statistics
-from rgbd_planes.kernels import chi_square, variance_ratio
-from rgbd_planes.kernels.normal_distribution import WORK
-from rgbd_planes.kernels.normal_distribution import tails as normal_tails
+from rgbd_planes.kernels.statistics import chi_square, variance_ratio
+from rgbd_planes.kernels.statistics.normal_distribution import WORK
+from rgbd_planes.kernels.statistics.normal_distribution import tails as normal_tails
 from rgbd_planes.noise import residuals
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")

@@ -4,8 +4,8 @@ import math
 
 from .._jit import kernel
 from ..copying import copy
-from ..rounding import between_codes, in_common, is_left
-from ..sandwich import sandwich
+from ..statistics.rounding import between_codes, in_common, is_left
+from ..statistics.sandwich import sandwich
 from .moments import fit
 from .noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
 
@@ -45,7 +45,7 @@ def fit_planes(moments, alpha, rss):
 
 @kernel()
 def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
-    """Write the covariance of α, (3, 3), about the pixels' middle: see `sandwich.sandwich`.
+    """Write the covariance of α, (3, 3), about the pixels' middle: see `statistics.sandwich`.
 
     ``weighted`` (5,) comes from `unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
     variances of a pixel, one for each part.

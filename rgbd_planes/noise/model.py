@@ -188,7 +188,7 @@ class NoiseModel:
 
     @functools.cached_property
     def _variances(self) -> Floats:
-        """σq² before rounding, on the axis, as `kernels.statistics.pixel_variance` takes it."""
+        """σq² before rounding, on the axis, as `kernels.statistics.pixel_variances` takes it."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
             return np.array([1.0, self.coefficients[0] ** 2])
         table = self._table() ** 2

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
-from .copying import copy
-from .depth import inverse_depth
+from .._jit import kernel
+from ..copying import copy
+from ..depth import inverse_depth
 from .variances import rounding_at, variance_at
 
 

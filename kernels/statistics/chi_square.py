@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
+from .._jit import kernel
 from .normal_distribution import LN_2, OF_EXPONENT, WHOLE, WHOLE_BITS
 
 # C in powers of η, one per row, and of s = 1/(a + 1/2), for η in this range: made by ``python -m bench.chi_square``.

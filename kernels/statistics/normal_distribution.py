@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
+from .._jit import kernel
 
 # The upper tail of the normal distribution is exp(-z²/2)·t·P(t) with t = 2/(2 + z): P, lowest power first,
 # interpolates SciPy's erfcx at the Chebyshev points of [0, 1]. Its relative error is below 2e-6.

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
+from .._jit import kernel
 from .normal_distribution import WHOLE, WHOLE_BITS
 
 # The upper half of a double's bits, as a number: a third of it, plus this, is nearly that of the cube root.

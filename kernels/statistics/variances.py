@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ._jit import kernel
+from .._jit import kernel
 
 # What ``noise`` holds. For errors that are independent from pixel to pixel: variances across the ray in tanθx and
 # tanθy, to be multiplied by the squared slopes of q, and those of rounding in depth and in disparity. One over the

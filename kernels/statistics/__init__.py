@@ -1,0 +1,9 @@
+"""Numba kernels that say how good a plane is: p-values, covariances, and what follows from them.
+
+- `assess` does all of it for tiles, a block at a time, whose rows are in `room`: with `pixel_variances`; `residuals`,
+  `chi_square` or, if the noise has a spread, `variance_ratio`, and `normal_distribution`; `covariances`; and
+  `rounded_tiles`
+- `variances` and `label_variances` are means over the pixels of parts of many depths
+- `same_planes` compares planes by pairs
+- `rounding` and `sandwich` are also for the planes of segments
+"""

@@ -1,0 +1,153 @@
+"""The covariances of the planes of a block of tiles."""
+
+import math
+
+from .._jit import kernel
+from .room import (
+    ALPHA,
+    ANGLE,
+    INDEPENDENT,
+    MEAN_Q,
+    N_X,
+    N_Y,
+    N_Z,
+    OF_COUNT,
+    OFFSET,
+    PER_PIXEL,
+    PLANE,
+    ROUNDING,
+    SHARED,
+    TILES_AT_ONCE,
+    U_0,
+    UNEVENNESS,
+    V_0,
+    WEIGHTED,
+    D,
+)
+from .sandwich import sandwich
+
+
+@kernel(reduction=True, inline=True)
+def ray_scatter(in_range_space, room):
+    """Mean ray and centred scatter of the rays, ū, v̄, Suu, Suv, Svv, in place of the moments.
+
+    From the moments of (X, Y, Z) the scatter of the rays u = X/Z is taken to first order: noise along the ray drops out
+    of it.
+    """
+    for i in range(TILES_AT_ONCE):
+        per_pixel = room[PER_PIXEL, i]
+        s_u = room[1, i]
+        s_v = room[2, i]
+        room[1, i] = room[U_0, i] + s_u * per_pixel
+        room[2, i] = room[V_0, i] + s_v * per_pixel
+        room[4, i] -= s_u * s_u * per_pixel
+        room[5, i] -= s_u * s_v * per_pixel
+        room[7, i] -= s_v * s_v * per_pixel
+        if not in_range_space:
+            s_w = room[3, i]
+            c_uw = room[6, i] - s_u * s_w * per_pixel
+            c_vw = room[8, i] - s_v * s_w * per_pixel
+            c_ww = room[9, i] - s_w * s_w * per_pixel
+            nearness = room[MEAN_Q, i]
+            room[1, i] *= nearness
+            room[2, i] *= nearness
+            mean_u, mean_v = room[1, i], room[2, i]
+            square = nearness * nearness
+            room[4, i] = (room[4, i] - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
+            room[5, i] = (room[5, i] - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
+            room[7, i] = (room[7, i] - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
+
+
+@kernel(reduction=True, inline=True)
+def covariances(room):
+    """Covariances of α, σq²A⁻¹ with A = MᵀM, and of (n, d), in rows from ALPHA and from PLANE, and deviations.
+
+    In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a variance of
+    its own.
+    """
+    for i in range(TILES_AT_ONCE):
+        c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
+        nothing = 0.0 * room[D, i]  # NaN where there is no plane
+        shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
+        inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
+        aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
+        ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
+        bb = (shared * room[OF_COUNT + 4, i] + independent) * inverse * c_uu
+        mean = (shared * room[OF_COUNT + 5, i] + independent) * room[PER_PIXEL, i]
+        write_covariances(i, aa, ab, bb, 0.0, 0.0, mean, room)
+
+
+@kernel(reduction=True, inline=True)
+def uneven_covariances(room):
+    """As `covariances`, where some of a tile's pixels are noisier than others: see `sandwich.sandwich`.
+
+    Errors that neighbours share raise them by the same factors as if all variances were alike.
+    """
+    for i in range(TILES_AT_ONCE):
+        if not room[UNEVENNESS, i] > 0.0:
+            continue
+        w = WEIGHTED
+        weighted = room[w, i], room[w + 1, i], room[w + 2, i], room[w + 3, i], room[w + 4, i]
+        even, slopes, with_mean = sandwich(
+            room[0, i], room[1, i], room[2, i], room[4, i], room[5, i], room[7, i], weighted
+        )
+        shared, rounding = room[SHARED, i], room[ROUNDING, i]
+        nothing = 0.0 * room[D, i]  # NaN where there is no plane
+        lateral = room[INDEPENDENT, i] - rounding + nothing
+        f_a, f_b, f_mean = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
+        aa = (shared * f_a + rounding) * slopes[0] + lateral * even[0]
+        ab = (shared * room[OF_COUNT + 3, i] + rounding) * slopes[1] + lateral * even[1]
+        bb = (shared * f_b + rounding) * slopes[2] + lateral * even[2]
+        a_mean = (shared * math.sqrt(f_a * f_mean) + rounding) * with_mean[0]
+        b_mean = (shared * math.sqrt(f_b * f_mean) + rounding) * with_mean[1]
+        mean = (shared * f_mean + rounding + lateral) * room[PER_PIXEL, i]
+        write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room)
+
+
+@kernel(reduction=True, inline=True)
+def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room):
+    """Covariances of α = (a, b, c) and of (n, d), and deviations, from those of a, b and the mean inverse depth.
+
+    For (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
+    σd² = d⁴nᵀΣn.
+    """
+    mean_u, mean_v = room[1, i], room[2, i]
+    x, y, z, d = room[N_X, i], room[N_Y, i], room[N_Z, i], room[D, i]
+    nothing = 0.0 * d
+    ac = a_mean - (aa * mean_u + ab * mean_v)
+    bc = b_mean - (ab * mean_u + bb * mean_v)
+    cc = mean - (a_mean * mean_u + b_mean * mean_v) - (ac * mean_u + bc * mean_v)
+    room[ALPHA, i] = aa
+    room[ALPHA + 1, i] = ab
+    room[ALPHA + 2, i] = ac
+    room[ALPHA + 3, i] = bb
+    room[ALPHA + 4, i] = bc
+    room[ALPHA + 5, i] = cc
+    # Σn and s = nᵀΣn; with h = Σn - sn/2, PΣP = Σ - nhᵀ - hnᵀ.
+    s_x = aa * x + ab * y + ac * z
+    s_y = ab * x + bb * y + bc * z
+    s_z = ac * x + bc * y + cc * z
+    s = x * s_x + y * s_y + z * s_z
+    h_x = s_x - 0.5 * s * x
+    h_y = s_y - 0.5 * s * y
+    h_z = s_z - 0.5 * s * z
+    square = d * d
+    cube = -square * d
+    xx = square * (aa - 2.0 * h_x * x)
+    yy = square * (bb - 2.0 * h_y * y)
+    zz = square * (cc - 2.0 * h_z * z)
+    # What rounding leaves of a variance that is 0.
+    xx, yy, zz = max(xx, 0.0) + nothing, max(yy, 0.0) + nothing, max(zz, 0.0) + nothing
+    room[PLANE, i] = xx
+    room[PLANE + 1, i] = square * (ab - x * h_y - h_x * y)
+    room[PLANE + 2, i] = square * (ac - x * h_z - h_x * z)
+    room[PLANE + 3, i] = cube * (s_x - s * x)
+    room[PLANE + 4, i] = yy
+    room[PLANE + 5, i] = square * (bc - y * h_z - h_y * z)
+    room[PLANE + 6, i] = cube * (s_y - s * y)
+    room[PLANE + 7, i] = zz
+    room[PLANE + 8, i] = cube * (s_z - s * z)
+    of_offset = square * square * (max(s, 0.0) + nothing)
+    room[PLANE + 9, i] = of_offset
+    room[ANGLE, i] = math.sqrt(xx + yy + zz) * (180.0 / math.pi)
+    room[OFFSET, i] = math.sqrt(of_offset)
