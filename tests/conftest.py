@@ -34,6 +34,17 @@ def rng():
     return np.random.default_rng(20170331)
 
 
+@pytest.fixture(scope="module")
+def room():
+    """The furnished room as `segment_frames.CAMERA` sees it, and its depth with 5 % of the pixels missing."""
+    from segment_frames import CAMERA
+
+    from rgbd_planes import scenes
+
+    rendering = scenes.room().render(CAMERA)
+    return rendering, rendering.measure(holes=0.05, seed=3)
+
+
 @pytest.fixture
 def link():
     """Make a symbolic link of the first path to the second, or skip the test where that may not be, as on Windows."""

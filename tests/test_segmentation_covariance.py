@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+from segment_frames import CAMERA
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
@@ -15,14 +16,6 @@ from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
-
-CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
-
-
-@pytest.fixture(scope="module")
-def room():
-    rendering = scenes.room().render(CAMERA)
-    return rendering, rendering.measure(holes=0.05, seed=3)
 
 
 def test_covariance_is_that_of_the_fit():

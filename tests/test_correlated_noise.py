@@ -1,0 +1,184 @@
+"""Errors that neighbours share: how many degrees of freedom they leave, and what they add to covariances."""
+
+from dataclasses import replace
+
+import monte_carlo
+import numpy as np
+import pytest
+from monte_carlo import CORRELATED
+
+import rgbd_planes as rp
+
+
+def rows_and_columns(height, width):
+    """(height * width,) each."""
+    return np.mgrid[:height, :width].reshape(2, -1)
+
+
+def pixel_covariance(model, height, width):
+    """Of the errors of all pixels of a rectangle, in units of σq²."""
+    y, x = rows_and_columns(height, width)
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    covariance = (1.0 - sum(share for share, _ in model.correlation)) * np.eye(height * width)
+    for share, length in (*model.correlation, (model.floor**2, model.floor_length)):
+        covariance += share * np.exp(-0.5 * squared / length**2)
+    return covariance
+
+
+@pytest.mark.parametrize("size", [(4, 4), (9, 9), (16, 16), (4, 16), (16, 8), (20, 5)])
+def test_correlated_noise_is_worked_out_exactly(size):
+    """Against the covariance matrix of all pixels."""
+    y, x = rows_and_columns(*size)
+    model = replace(CORRELATED, correlation=((0.3, 1.5), (0.2, 5.0), (0.25, 20.0)), floor=0.0)
+    covariance = pixel_covariance(model, *size)
+    rays = np.stack([x - x.mean(), y - y.mean(), np.ones(x.size)], axis=1)
+    solve = np.linalg.pinv(rays)
+    residual = np.eye(x.size) - rays @ solve
+    expected = np.trace(residual @ covariance)
+    variance = 2.0 * np.trace(residual @ covariance @ residual @ covariance)
+    factors = np.diag(solve @ covariance @ solve.T) / np.diag(np.linalg.inv(rays.T @ rays))
+    made = model.statistics(x.size, size)
+    np.testing.assert_allclose(made.expected, expected, rtol=1e-9)
+    np.testing.assert_allclose(made.freedom, 2.0 * expected**2 / variance, rtol=1e-9)
+    np.testing.assert_allclose([made.tilt_x, made.tilt_y, made.offset], factors, rtol=1e-9)
+    turned = model.statistics(x.size, size[::-1])
+    np.testing.assert_array_equal([turned.tilt_y, turned.tilt_x], [made.tilt_x, made.tilt_y])
+
+
+def test_correlated_noise_of_proportions_between():
+    """Rectangles of any sides, between those that are worked out: right to some per cent."""
+    model = replace(CORRELATED, floor=0.0)
+    for size in ((10, 12), (7, 19), (3, 17), (31, 18)):
+        y, x = rows_and_columns(*size)
+        covariance = pixel_covariance(model, *size)
+        rays = np.stack([x - x.mean(), y - y.mean(), np.ones(x.size)], axis=1)
+        solve = np.linalg.pinv(rays)
+        residual = np.eye(x.size) - rays @ solve
+        factors = np.diag(solve @ covariance @ solve.T) / np.diag(np.linalg.inv(rays.T @ rays))
+        made = model.statistics(x.size, size)
+        np.testing.assert_allclose(made.expected, np.trace(residual @ covariance), rtol=0.01)
+        np.testing.assert_allclose([made.tilt_x, made.tilt_y, made.offset], factors, rtol=0.06)
+
+
+def test_independent_errors_beside_correlated_ones():
+    """Expected sum and degrees of freedom of both together, against the covariance matrix of all pixels."""
+    side = 9
+    y, x = np.mgrid[:side, :side].reshape(2, -1)
+    squared = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    rays = np.stack([x, y, np.ones(side * side)], axis=1)
+    residual = np.eye(side * side) - rays @ np.linalg.pinv(rays)
+    both = 1.7 * np.exp(-0.5 * squared / 3.0**2) + 0.4 * np.eye(side * side)
+    expected = np.trace(residual @ both)
+    freedom = expected**2 / np.trace(residual @ both @ residual @ both)
+    model = rp.noise.NoiseModel(correlation=((1.0, 3.0),))
+    made = model.statistics(np.array([side * side])).with_independent(1.7, 0.4, np.array([side * side]))
+    np.testing.assert_allclose(made[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(made[1], freedom, rtol=1e-9)
+
+
+def test_correlated_noise_between_whole_sides():
+    """Counts that are no squares lie between those that are."""
+    for model in (CORRELATED, replace(CORRELATED, floor=0.0), replace(CORRELATED, correlation=(), spread=0.3)):
+        made = model.statistics(np.arange(3000))
+        for values in (made.expected[4:], made.offset[4:]):
+            assert (np.diff(values) >= -1e-9).all()
+        assert (np.diff(made.freedom[4:400]) > 0.0).all()
+        np.testing.assert_array_equal(made.expected[:4], 0.0)
+    # Independent pixels by the general formulas: what the short cut says.
+    general = rp.noise.NoiseModel(correlation=((1.0, 1e-3),)).statistics(np.arange(4, 40) ** 2)
+    np.testing.assert_allclose(general.expected, np.arange(4, 40) ** 2 - 3, rtol=2e-3)
+    np.testing.assert_allclose(general.freedom, np.arange(4, 40) ** 2 - 3, rtol=2e-3)
+    np.testing.assert_allclose([general.tilt_x, general.tilt_y, general.offset], 1.0)
+
+
+def correlated_errors(model, height, width, runs, rng):
+    """(runs, height, width): errors of 1/Z as the model has them."""
+    root = np.linalg.cholesky(pixel_covariance(model, height, width) + 1e-9 * np.eye(height * width))
+    error = rng.standard_normal((runs, height * width)) @ root.T
+    return error.reshape(runs, height, width) * model.sigma(1.0)
+
+
+def test_correlated_noise_of_a_window_does_not_depend_on_the_others(rng):
+    """The same bits for small windows alone, and together with large ones."""
+    camera = rp.Camera(300, 200, 300.0, 300.0, 149.5, 99.5, noise=CORRELATED)
+    depth = 1.0 / (0.5 + 2.0 * rp.noise.KINECT_V1 * rng.standard_normal(camera.shape))
+    small = np.array([(5, 9, height, width) for height in (14, 23, 31) for width in (18, 27, 39)])
+    alone = rp.fit_windows(depth, camera, small)
+    together = rp.fit_windows(depth, camera, np.concatenate([small, [(0, 0, 200, 300), (0, 0, 200, 200)]]))
+    np.testing.assert_array_equal(together.p_value[: len(small)], alone.p_value)
+    np.testing.assert_array_equal(together.alpha_covariance[: len(small)], alone.alpha_covariance)
+
+
+@pytest.mark.parametrize("tile", [(16, 16), (4, 48), (40, 6), (12, 20)])
+def test_simulated_correlated_noise(tile, rng):
+    """Frames with that noise: p-values are nearly uniform, covariances hold, and ignoring it fails."""
+    runs = 3000
+    camera = monte_carlo.tile_camera(tile, CORRELATED)
+    error = correlated_errors(CORRELATED, *tile, runs, rng)
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    stack = monte_carlo.fit(camera, frames)
+    assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)
+    slopes = (stack.alpha[:, 0, 0, :2] - alpha[:2]) ** 2
+    variances = np.diagonal(stack.alpha_covariance, axis1=-2, axis2=-1)[:, 0, 0, :2]
+    np.testing.assert_allclose(slopes.mean(axis=0), variances.mean(axis=0), rtol=0.1)
+    assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.012)
+    assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.03)
+    naive = monte_carlo.fit(replace(camera, noise=rp.noise.kinect_v1()), frames)
+    assert np.mean(monte_carlo.normalised_error(naive, alpha)) > 20.0
+
+
+@pytest.mark.parametrize("shape", ["strip", "diagonal strip", "every third pixel", "ring", "chessboard"])
+def test_simulated_correlated_noise_on_masks(shape, rng):
+    """Of flat ones not many more than the level says are rejected, and covariances are not too small."""
+    noise, runs = rp.noise.NoiseModel(correlation=((0.5, 5.0),)), 600
+    camera = monte_carlo.tile_camera(36, noise)
+    y, x = np.mgrid[:36, :36]
+    mask = {
+        "strip": abs(y - 18) < 4,
+        "diagonal strip": abs(x - y) < 5,
+        "every third pixel": (x + 2 * y) % 3 == 0,
+        "ring": abs(np.hypot(x - 17.5, y - 17.5) - 14.0) < 3.0,
+        "chessboard": (x // 6 + y // 6) % 2 == 0,
+    }[shape]
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    error = correlated_errors(noise, 36, 36, runs, rng)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    fits = [rp.fit_labels(frame, camera, mask) for frame in frames]
+    assert np.mean([fit.p_value[0] < 0.01 for fit in fits]) < 0.045
+    errors = [fit.alpha[0] - alpha for fit in fits]
+    normalised = [e @ np.linalg.solve(fit.alpha_covariance[0], e) for e, fit in zip(errors, fits, strict=True)]
+    assert 1.4 < np.mean(normalised) < 3.3
+
+
+@pytest.mark.parametrize("missing", ["here and there", "a corner"])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.NoiseModel(correlation=((0.9, 6.0),), floor=1.0, floor_length=30.0),
+        rp.noise.NoiseModel(correlation=((0.5, 2.0), (0.25, 4.0)), floor=0.8, floor_length=32.0),
+    ],
+    ids=["smooth", "rough"],
+)
+@pytest.mark.parametrize("tile", [(16, 16), (8, 32)])
+def test_simulated_correlated_noise_with_missing_pixels(tile, noise, missing, rng):
+    """Neither are pixels that lie apart taken for a small square, nor those in one piece for a thin large one."""
+    runs = 3000
+    camera = monte_carlo.tile_camera(tile, noise)
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    error = correlated_errors(noise, *tile, runs, rng)
+    frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
+    if missing == "a corner":
+        frames[:, : 11 * tile[0] // 16, 5 * tile[1] // 16 :] = np.nan
+    else:
+        frames[rng.random(frames.shape) < 0.5] = np.nan
+    stack = monte_carlo.fit(camera, frames)
+    assert 1.8 < np.mean(monte_carlo.normalised_error(stack, alpha)) < 4.2
+    assert 0.001 < np.mean(stack.p_value < 0.01) < 0.03
+    whole = rp.fit_windows(frames[0], camera, [(0, 0, *tile)], max_missing=1.0)
+    labels = rp.fit_labels(frames[0], camera, np.ones(camera.shape, int), max_missing=1.0)
+    parts = rp.fit_tiles(frames[0], camera, 8, max_missing=1.0)
+    merged = rp.merge(parts, np.ones(parts.shape, int))
+    for other in (whole, labels, merged, rp.merge(merged, [1])):
+        np.testing.assert_allclose(other.p_value[0], stack.p_value[0, 0, 0], rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(other.alpha_covariance[0], stack.alpha_covariance[0, 0, 0], rtol=1e-5)

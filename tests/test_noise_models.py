@@ -1,0 +1,206 @@
+"""Models of a sensor's noise: what they say, what they take, and where they go."""
+
+import pickle
+from dataclasses import replace
+
+import monte_carlo
+import numpy as np
+import pytest
+from monte_carlo import CORRELATED
+
+import rgbd_planes as rp
+
+CAMERA = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
+CAMERA_OF_ROUNDING = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5)
+
+
+@pytest.mark.parametrize(
+    ("depth", "error"), [(0.0501, 2e-3), (0.2, 2e-3), (1.0, 2e-3), (19.5, 2e-3), (62.8, 0.05), (91.0, 0.05)]
+)
+def test_noise_by_depth_is_as_right_as_documented(depth, error):
+    """Against a model of the same noise that is one number; some of these depths are half-way between entries."""
+    frame, by_depth = np.full((48, 64), depth), rp.noise.time_of_flight(0.02)
+    one_number = rp.noise.NoiseModel((float(by_depth.sigma(1.0 / depth)),))
+    deviations = []
+    for noise in (by_depth, one_number):
+        camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, depth_range=(0.01, 1000.0), noise=noise)
+        tiles = rp.fit_tiles(frame, camera)
+        deviations.append(np.sqrt(np.diagonal(tiles.alpha_covariance, axis1=-2, axis2=-1)))
+    assert np.isfinite(deviations).all()
+    np.testing.assert_allclose(deviations[0], deviations[1], rtol=error)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.NoiseModel((0.0, 0.0, 0.0), step=1e-3),
+        rp.noise.NoiseModel(formula=lambda q: np.where(q > 1.0, 1e-3, 0.0), step=1e-3),
+    ],
+    ids=["nowhere", "near"],
+)
+def test_where_there_is_no_noise_but_rounding(noise):
+    """p-values and covariances are those of a model that has none but rounding."""
+    frame = np.rint(1e3 / (0.5 + 0.02 * CAMERA_OF_ROUNDING.tan_x)) / 1e3
+    steps = frame + 0.2 * (np.arange(48) % 2)[:, None]
+    wanted = rp.noise.NoiseModel((0.0,), step=1e-3)
+    for depth, status in ((frame, rp.TileStatus.OK), (steps, rp.TileStatus.ROUGH)):
+        by_depth, alone = (rp.fit_tiles(depth, replace(CAMERA_OF_ROUNDING, noise=model)) for model in (noise, wanted))
+        assert (by_depth.status == status).all()
+        np.testing.assert_allclose(by_depth.p_value, alone.p_value, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(by_depth.alpha_covariance, alone.alpha_covariance, rtol=1e-6)
+
+
+def test_a_jump_of_the_noise_is_one_from_the_lower_to_the_higher():
+    noise = rp.noise.function(lambda q: np.where(q > 1.0, 2e-3, 2e-4))
+    camera = replace(CAMERA_OF_ROUNDING, noise=noise)
+    for q in (0.9999, 1.0001):  # in the middle
+        depth = 1.0 / (q + 0.2 * camera.tan_x + 0.1 * camera.tan_y)
+        with_noise = rp.fit_tiles(depth, camera, camera.shape)
+        without = rp.fit_tiles(depth, replace(camera, noise=rp.noise.NoiseModel((1.0,))), camera.shape)
+        sigma = with_noise.angle_std / without.angle_std
+        assert sigma.min() > 1.9e-4
+        assert sigma.max() < 2.2e-3
+
+
+def test_models_have_their_published_sigma_and_show_it():
+    noise = rp.noise
+    assert repr(noise.kinect_v1()) == "<NoiseModel: sigma 0.36 mm at 0.5 m, 1.4 mm at 1 m, 5.7 mm at 2 m>"
+    assert "34 mm at 0.5 m, 140 mm at 1 m, 540 mm at 2 m" in repr(noise.axial(quadratic=0.135))
+    for part in (
+        "30 % correlated over 1.5 pixels",
+        "floor 0.5 sigma over 20 pixels",
+        "spread 0.2",
+        "lateral 0.3 pixels",
+    ):
+        assert part in repr(replace(CORRELATED, spread=0.2, lateral=0.3))
+    assert "0.4 % correlated over 8 pixels" in repr(rp.noise.NoiseModel(correlation=((0.004, 8.0),)))
+    assert "a function" in repr(noise.function(lambda q: 1e-3 * q))
+    for model in (CORRELATED, noise.function(lambda q: 1e-3 * q)):
+        assert repr(rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, noise=model)).isascii()
+    assert noise.kinect_v1().sigma(0.3) == 1.425e-3
+    np.testing.assert_allclose(noise.kinect_v1().sigma_depth([1.0, 2.0]), [1.425e-3, 5.7e-3])
+    np.testing.assert_allclose(noise.stereo(0.05, 400.0, 0.08).sigma([0.2, 2.0]), 0.08 / 20.0)
+    nguyen = noise.kinect_v1_nguyen().sigma_depth([0.4, 1.0, 3.0])
+    np.testing.assert_allclose(nguyen, [0.0012, 0.0012 + 0.0019 * 0.36, 0.0012 + 0.0019 * 6.76])
+    np.testing.assert_allclose(noise.time_of_flight(0.002, 0.001).sigma_depth([1.0, 4.0]), [0.003, 0.006])
+    measured = noise.table([0.2, 1.0], [1e-3, 2e-3])
+    np.testing.assert_allclose(measured.sigma([0.1, 0.6, 3.0]), [1e-3, 1.5e-3, 2e-3])
+    np.testing.assert_allclose(noise.function(lambda q: 1e-3 * q).sigma([0.5, 2.0]), [5e-4, 2e-3])
+    rounded = noise.quantised(noise.kinect_v1(), 0.001)
+    np.testing.assert_allclose(rounded.sigma(2.0) ** 2, 1.425e-3**2 + 1e-6 * 16.0 / 12.0)
+    camera = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, disparity=(-0.003, 3.0))
+    assert noise.quantised(noise.kinect_v1(), camera).disparity_step == pytest.approx(0.003)
+    np.testing.assert_allclose(rp.noise.kinect_v1().statistics([4, 100]).offset, 1.0)
+    assert (np.diff(CORRELATED.statistics([4, 16, 64, 256, 1024]).offset) > 0.0).all()
+
+
+def test_a_function_without_a_hash_is_a_noise(rng):
+    """As polynomials of NumPy are; models of different ones stay apart where something is kept for a model."""
+    camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5)
+    depth = 1.0 / rng.normal(0.5, 1.4e-3, camera.shape)
+    models = [rp.noise.function(np.polynomial.Polynomial([sigma, 0.0, 1e-4])) for sigma in (1.4e-3, 2.8e-3)]
+    assert models[0] != models[1] != rp.noise.function(np.poly1d([1e-4, 0.0, 2.8e-3]))
+    once, twice = (rp.fit_tiles(depth, replace(camera, noise=model), 8).angle_std for model in models)
+    ratio = models[1].sigma(0.5) / models[0].sigma(0.5)
+    np.testing.assert_allclose(twice / once, ratio, rtol=0.01)
+
+
+def test_a_model_is_pickled_without_its_table():
+    model = rp.noise.kinect_v1_nguyen()
+    before = pickle.dumps(model)
+    assert len(before) < 1000
+    camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5, noise=model)
+    p_value = rp.fit_tiles(np.full(camera.shape, 2.0), camera, 8).p_value
+    assert pickle.dumps(model) == before
+    copied = replace(camera, noise=pickle.loads(before))
+    assert copied == camera
+    np.testing.assert_array_equal(rp.fit_tiles(np.full(camera.shape, 2.0), copied, 8).p_value, p_value)
+
+
+def test_rounding_alone_is_a_noise():
+    for step in ({"step": 1e-3}, {"disparity_step": 1e-3}):
+        np.testing.assert_allclose(rp.noise.NoiseModel((0.0,), **step).sigma(1.0), 1e-3 / np.sqrt(12.0))
+
+
+def test_quantisation_is_part_of_the_covariance(rng):
+    """Integer millimetres at 0.4 m, where rounding is most of the noise.
+
+    Rounding errors vary less than normal ones of the same variance: the p-values crowd around their mean.
+    """
+    quiet = rp.noise.NoiseModel((1e-3,))
+    camera = replace(monte_carlo.tile_camera(12, None), depth_scale=1000.0)
+    camera = replace(camera, noise=rp.noise.quantised(quiet, camera))
+    alpha = monte_carlo.plane_through_middle(camera, 0.4, 35.0)
+    exact = replace(camera, noise=quiet)
+    frames = np.rint(1000.0 * monte_carlo.measure(exact, alpha, 3000, rng)).astype(np.uint16)
+    stack = monte_carlo.fit(camera, frames)
+    assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.1)
+    assert np.mean(monte_carlo.fit(exact, frames).p_value) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        rp.noise.kinect_v1_nguyen(), rp.noise.table([0.2, 1.0], [1e-3, 2e-3]), CORRELATED,
+        rp.noise.quantised(replace(CORRELATED, spread=0.2), 0.001),
+    ],
+)  # fmt: skip
+def test_model_goes_with_the_camera(model, tmp_path, rng):
+    camera = rp.Camera(32, 32, 40.0, 40.0, 15.5, 15.5, noise=model)
+    camera.save(tmp_path / "camera.json")
+    assert rp.Camera.load(tmp_path / "camera.json") == camera
+    assert hash(camera) == hash(rp.Camera.load(tmp_path / "camera.json"))
+    tiles = rp.fit_tiles(1.0 + 0.001 * rng.standard_normal((32, 32)), camera)
+    tiles.save(tmp_path / "tiles.npz")
+    np.testing.assert_array_equal(rp.TilePlanes.load(tmp_path / "tiles.npz").p_value, tiles.p_value)
+    with pytest.raises(ValueError, match="make a table"):
+        replace(camera, noise=rp.noise.function(np.sqrt)).save(tmp_path / "camera.json")
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: rp.noise.stereo(0.0, 400.0), ValueError, "positive baseline, got 0.0"),
+        (lambda: rp.noise.axial(), ValueError, "at least one coefficient"),
+        (lambda: rp.noise.axial(None), TypeError, "constant as a number, got None"),
+        (lambda: rp.noise.time_of_flight(1e-3, "a"), TypeError, "linear as a number, got 'a'"),
+        (lambda: rp.noise.table([1.0, 2.0], "ab"), TypeError, "sigma as numbers, got an array of <U2"),
+        (lambda: rp.noise.table([1.0, 0.5], [1e-3, 1e-3]), ValueError, "growing inverse depth"),
+        (lambda: rp.noise.table([1.0], [1e-3, 1e-3]), ValueError, "one length"),
+        (lambda: rp.noise.function(3.0), TypeError, "function"),
+        (lambda: rp.noise.quantised(rp.noise.kinect_v1(), 0.0), ValueError, "positive step"),
+        (lambda: rp.noise.quantised(1e-3, 0.001), TypeError, "NoiseModel"),
+        (lambda: rp.noise.NoiseModel(correlation=((0.7, 2.0), (0.6, 5.0))), ValueError, "at most 1"),
+        (lambda: rp.noise.NoiseModel(correlation=((0.7, 0.0),)), ValueError, "positive correlation lengths"),
+        (lambda: rp.noise.NoiseModel(floor=-1.0), ValueError, "floor of 0 or more"),
+        (lambda: rp.noise.NoiseModel((1e-3, np.nan)), ValueError, "coefficients as a finite number, got nan"),
+        (lambda: rp.noise.NoiseModel(2e-3), TypeError, "coefficients as a sequence of numbers, got 0.002"),
+        (lambda: rp.noise.NoiseModel(spread="a"), TypeError, "spread as a number, got 'a'"),
+        (lambda: rp.noise.axial(-1e-3), ValueError, r"noise of 0 to 1e\+60 1/m at all inverse depths"),
+        (lambda: rp.noise.NoiseModel((1e200,)), ValueError, r"got 1e\+200 at 0.0012207 1/m"),
+        (lambda: rp.noise.time_of_flight(1e-3, -0.01), ValueError, "got -1.22055e-05 at 0.0012207 1/m"),
+        (lambda: rp.noise.function(lambda q: q * np.nan), ValueError, "got nan at 0.0012207 1/m"),
+        (lambda: rp.noise.function(lambda q: np.where(q < 2.0, q, np.inf)), ValueError, "got inf at 2.00195 1/m"),
+        (lambda: rp.noise.function(np.diff), ValueError, r"of shape \(8193,\), got shape \(8192,\)"),
+        (lambda: rp.noise.NoiseModel((0.0,)), ValueError, "noise above 0, or a step of rounding, got 0"),
+        (lambda: rp.noise.function(lambda q: 0.0), ValueError, "noise above 0, or a step of rounding, got 0"),
+        (lambda: rp.noise.stereo("a", 400.0), TypeError, "baseline as a number, got 'a'"),
+        (lambda: rp.noise.NoiseModel.from_dict({"sigma": 1}), ValueError, "keys"),
+        (lambda: rp.Camera(4, 4, 1.0, 1.0, 2.0, 2.0, noise=1e-3), TypeError, "NoiseModel or None, got float"),
+        (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4, significance=0.1), ValueError, "needs a camera"),
+        (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4, significance=1.0), ValueError, "below 1, got 1.0"),
+        (lambda: rp.fit_tiles(np.ones((4, 4)), CAMERA, 4).p_value, ValueError, "noise model for uncert"),
+    ],
+)  # fmt: skip
+def test_bad_arguments_are_refused(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+def test_rounding_is_added_to_the_rounding_that_there_is():
+    model = rp.noise.NoiseModel((1e-3,), step=3e-3, disparity_step=4e-3)
+    metres = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, depth_scale=250.0)
+    disparity = rp.Camera(4, 4, 5.0, 5.0, 2.0, 2.0, disparity=(-3e-3, 3.0))
+    for step, wanted in ((4e-3, (5e-3, 4e-3)), (metres, (5e-3, 4e-3)), (disparity, (3e-3, 5e-3))):
+        made = rp.noise.quantised(model, step)
+        assert (made.step, made.disparity_step) == pytest.approx(wanted)

@@ -1,0 +1,224 @@
+"""Segmentation: where planes end, and what is folded or curved."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import convolve
+from segment_frames import CAMERA, smooth_noise, two_planes
+
+from rgbd_planes import Camera, segment
+from rgbd_planes.kernels.segments.records import Planes
+from rgbd_planes.kernels.segments.shape import continues
+from rgbd_planes.metrics import compare_labels
+from rgbd_planes.segmentation.result import Reason
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.02, 2), (0.0005, 1)])
+def test_parallel_planes_stay_two_where_the_noise_allows(step, expected):
+    rng = np.random.default_rng(6)
+    q, truth = two_planes(CAMERA, step)
+    found = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA)
+    assert len(found) == expected
+    if expected == 2:
+        assert compare_labels(found.labels, truth).detection(0.95).recall == 1.0
+
+
+def test_a_door_that_is_ajar_is_a_plane_of_its_own():
+    # By five degrees, three metres away, with the noise of a Kinect.
+    hinge, angle = np.array([-0.3, 0.0, 3.0]), np.radians(5.0)
+    normal = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    q = (normal[0] * CAMERA.tan_x + normal[2]) / (normal @ hinge)
+    from_hinge = CAMERA.tan_x / q - hinge[0]
+    is_door = (from_hinge > 0.0) & (from_hinge < 0.9) & (np.abs(CAMERA.tan_y / q) < 0.9)
+    q = np.where(is_door, q, 1.0 / 3.0)
+    found = segment(1.0 / (q + 1.4e-3 * smooth_noise(1, 0.0)), CAMERA)
+    assert compare_labels(found.labels, np.where(is_door, 2, 1)).detection(0.85).f_score == 1.0
+
+
+def test_crease_is_where_the_planes_meet():
+    # Two walls that meet in a vertical edge at column 160, each with four sigma of slope across the noise.
+    u = CAMERA.tan_x
+    q = 0.6 - 0.2 * np.abs(u - CAMERA.tan_x[0, 160])
+    rng = np.random.default_rng(7)
+    found = segment(1.0 / (q + rng.normal(0.0, 1.5e-3, q.shape)), CAMERA)
+    assert len(found) == 2
+    edge = (found.labels == found.labels[0, 0]).sum(axis=1)
+    assert np.abs(edge - 160).mean() < 2.0
+    assert edge.std() < 0.5  # straight: residuals alone leave it ragged
+
+
+@pytest.mark.parametrize("degrees", [2.5, 3.0])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_shallow_edge_is_where_the_planes_meet_too(degrees, seed):
+    """Squares of up to 64 pixels fit across it, many more than the rounds that move borders block by block."""
+    camera, corner = Camera(640, 480, 525.0, 525.0, 319.5, 239.5), 0.07
+    q = 0.5 * (1.0 + np.abs(camera.tan_x - corner) * np.tan(np.radians(0.5 * degrees))) * np.ones(camera.shape)
+    found = segment(1.0 / (q + 1.4e-3 * np.random.default_rng(seed).standard_normal(camera.shape)), camera)
+    assert len(found) == 2
+    edge = np.median((found.labels == found.labels[0, 0]).sum(axis=1))
+    assert abs(edge - (319.5 + 525.0 * corner)) < 8.0
+
+
+@pytest.mark.parametrize(("bend", "planes"), [(0.0, 1), (0.038, 2), (0.046, 2)])
+def test_waves_do_not_bend_a_wall_as_if_it_were_two(bend, planes):
+    # As of active stereo, whose neighbouring pixels share their errors. By the height of the waves two walls may be
+    # one, but over a hundred pixels waves cancel. With the larger bend the walls were one, which was too rough, so that
+    # it fell into twenty planes.
+    q = 0.4 + bend * np.abs(CAMERA.tan_x) + 3e-3 * smooth_noise(2, 3.0)
+    found = segment(1.0 / q, CAMERA)
+    assert len(found) == planes
+    truth = np.where((CAMERA.tan_x < 0.0) & (bend > 0.0), 2, 1)
+    assert compare_labels(found.labels, np.broadcast_to(truth, CAMERA.shape)).detection(0.9).f_score == 1.0
+
+
+def test_a_folded_surface_is_its_folds():
+    # Eight panels, each bent a little against the next: any two pass for one plane, all eight do not.
+    fold = 40.0 / CAMERA.fx
+    phase = np.abs((CAMERA.tan_x / fold) % 2.0 - 1.0)
+    rng = np.random.default_rng(13)
+    found = segment(1.0 / (0.6 + 0.014 * phase + rng.normal(0.0, 1e-3, CAMERA.shape)), CAMERA)
+    assert 7 <= len(found) <= 9
+    assert (found.reason == Reason.PLANE).mean() > 0.95
+
+
+@pytest.mark.parametrize(("pixels", "fold", "pleats"), [(0.0, 24, 14), (1.0, 40, 8)])
+def test_pleats_that_pass_two_by_two_for_one_plane_are_each_one(pixels, fold, pleats):
+    # All in one they are far rougher than the noise: what is taken for a plane is less then.
+    phase = np.abs((CAMERA.tan_x / (fold / CAMERA.fx)) % 2.0 - 1.0)
+    number = np.floor(CAMERA.tan_x / (fold / CAMERA.fx)).astype(int)
+    found = segment(1.0 / (0.6 + 0.004 * phase + 3e-4 * smooth_noise(1, pixels)), CAMERA)
+    truth = number - number.min() + 1
+    assert truth.max() == pleats
+    assert compare_labels(found.labels, truth).hoover(0.8).correct == pleats
+
+
+def column(sides: int | None) -> np.ndarray:
+    """Inverse depth of a wall 2.5 m away with an upright column before it, round or with so many sides."""
+    u, q = CAMERA.tan_x, np.full(CAMERA.shape, 0.4)
+    middle, radius = np.array([0.1, 1.5]), 0.3
+    if sides is None:
+        ray = np.stack([u, np.ones_like(u)])
+        a, b, c = (ray**2).sum(axis=0), np.tensordot(middle, ray, 1), middle @ middle - radius**2
+        root = b * b - a * c
+        q[root > 0.0] = (a / (b - np.sqrt(np.maximum(root, 0.0))))[root > 0.0]
+        return q
+    # The ray is inside the column between the last side it enters by and the first it leaves by.
+    enters, leaves = np.zeros_like(u), np.full_like(u, np.inf)
+    for angle in 2.0 * np.pi * (np.arange(sides) + 0.3) / sides:
+        normal = np.array([np.sin(angle), -np.cos(angle)])
+        slope, height = normal[0] * u + normal[1], normal @ middle + radius
+        z = height / slope
+        enters = np.where(slope < 0.0, np.maximum(enters, z), enters)
+        leaves = np.where(slope > 0.0, np.minimum(leaves, z), leaves)
+    return np.where(enters < leaves, 1.0 / np.maximum(enters, 1e-9), q)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 5e-4, 1.5e-3])
+def test_a_round_column_is_no_plane(noise):
+    q = column(None)
+    rng = np.random.default_rng(14)
+    found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
+    on_column = q > 0.45
+    assert (found.labels[~on_column] > 0).mean() > 0.98
+    assert (found.reason[on_column] == Reason.CURVED).mean() > 0.85
+
+
+@pytest.mark.parametrize("noise", [1e-4, 5e-4, 1.5e-3])
+def test_a_column_of_eight_sides_is_its_sides(noise):
+    q = column(8)
+    rng = np.random.default_rng(15)
+    found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
+    assert (found.reason == Reason.CURVED).sum() == 0
+    large = found.sizes > 500
+    assert np.count_nonzero(large) == 4  # the wall and three sides
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_column_of_many_sides_is_round(noise):
+    q = column(24)
+    rng = np.random.default_rng(16)
+    found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
+    on_column = q > 0.45
+    assert (found.reason[on_column] == Reason.CURVED).mean() > 0.85
+    assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+def test_the_sides_of_a_round_column_are_as_curved_as_its_front():
+    # By itself a side, a few blocks wide, is as good as plane: its neighbours are not, and it goes on as they do.
+    u, q = CAMERA.tan_x, np.full(CAMERA.shape, 0.4)
+    a, b = u * u + 1.0, 1.6  # a column of 40 cm, its axis 1.6 m away
+    root = b * b - a * (b * b - 0.2**2)
+    on_column = root > 0.0
+    q[on_column] = (a / (b - np.sqrt(np.maximum(root, 0.0))))[on_column]
+    for seed in range(3):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(q.shape)
+        found = segment(1.0 / (q + noise), CAMERA)
+        assert (found.reason[on_column] == Reason.CURVED).mean() > 0.95
+        assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
+    # Large regions are looked at in every other row of blocks: here those are all of one region.
+    region = np.zeros((32, 32), np.int32)
+    region[1::2] = 1
+    means = np.zeros((32, 32, 4), np.float32)
+    means[..., 0] = 16.0
+    moments = np.zeros((2, 10))
+    moments[:, 0] = 8192.0
+    box = np.array([[0, 32, 0, 32]] * 2)
+    sigma = np.array([1.0, 1e-3, 1e-3])
+    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
+    found = continues(region, means, 0, 1, moments, planes, sigma, box)
+    assert found == (-1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("turned", [(-27.0, 0.0, 27.0), (27.0, 0.0, -27.0), (-13.0, 13.0, -13.0, 13.0)])
+def test_few_panels_or_a_zigzag_stay_planes(turned):
+    # As a ceiling between two slopes, or a folding screen: upright panels, by how many degrees each is turned.
+    u, q, z = CAMERA.tan_x, np.empty(CAMERA.shape), 2.0
+    edges = np.linspace(u[0, 0], u[0, -1], len(turned) + 1)
+    for left, right, angle in zip(edges[:-1], edges[1:], np.radians(turned), strict=True):
+        slope = np.tan(angle)  # the panel is x tan(angle) = z + constant
+        panel = (1.0 - u * slope) / (z * (1.0 - left * slope))
+        q = np.where(u >= left, panel, q)
+        z *= (1.0 - left * slope) / (1.0 - right * slope)
+    rng = np.random.default_rng(17)
+    found = segment(1.0 / (q + rng.normal(0.0, 1e-4, q.shape)), CAMERA)
+    assert len(found) == len(turned)
+    assert (found.labels > 0).mean() > 0.99
+    angles = np.degrees(np.arctan2(found.planes[:, 0], -found.planes[:, 2]))
+    assert np.abs(np.diff(angles)) == pytest.approx(np.abs(np.diff(turned)), abs=0.2)
+
+
+@pytest.mark.parametrize("pixels", [2.5, 3.0])
+def test_waves_do_not_bite_into_the_rims_of_planes(pixels):
+    q = np.where(np.abs(CAMERA.tan_x) + 0.0 * CAMERA.tan_y < 0.4, 0.5, 0.9) + 3e-3 * smooth_noise(3, pixels)
+    found = segment(1.0 / q, CAMERA)
+    assert len(found) == 3
+    assert np.all(found.labels > 0)
+
+
+def test_what_a_plane_owns_is_no_powder():
+    # Between two walls nothing but noise, a quarter of whose pixels happen to lie on the right one.
+    rng = np.random.default_rng(18)
+    q, _ = two_planes(CAMERA, 0.1)
+    q = q + rng.normal(0.0, 1e-3, q.shape)
+    noise = rng.uniform(0.3, 3.0, (CAMERA.height, 20))
+    q[:, 140:160] = np.where(rng.random(noise.shape) < 0.25, q[:, 180:200], noise)
+    q[100:103, 250] = 0.8  # a speck that goes with the wall around it
+    found = segment(1.0 / q, CAMERA)
+    assert len(found) == 2
+    right = found.labels == found.labels[0, 300]
+    alike = convolve(right.astype(int), np.ones((3, 3), int), mode="constant")
+    assert np.count_nonzero(right[:, 140:160] & (alike[:, 140:160] <= 3)) < 150
+    assert right[100:103, 250].all()
+
+
+def test_a_plane_goes_on_where_its_blocks_are_rough():
+    # A shelf seen from its edge: where within itself a pixel looks makes nearly every block of it rough.
+    rng = np.random.default_rng(19)
+    y = np.indices(CAMERA.shape)[0] + rng.uniform(-0.8, 0.8, CAMERA.shape)
+    y[:, :60] = np.arange(CAMERA.height)[:, None]
+    q = np.where(np.abs(np.arange(CAMERA.height) - 105)[:, None] <= 3, 0.53 + 3e-3 * (y - 105.0), 0.5)
+    found = segment(1.0 / (q + rng.normal(0.0, 2e-4, q.shape)), CAMERA)
+    assert len(found) == 2
+    assert (found.labels[102:109] == 2).mean() > 0.98
