@@ -109,6 +109,16 @@ def test_correlated_noise_of_a_window_does_not_depend_on_the_others(rng):
     np.testing.assert_array_equal(together.alpha_covariance[: len(small)], alone.alpha_covariance)
 
 
+@pytest.mark.parametrize("narrow", [(3, 19), (19, 3), (3, 76), (7, 7), (2, 100)])
+def test_correlated_noise_of_a_narrow_window_does_not_depend_on_the_others(narrow):
+    """Also where a rectangle of its proportions, in whole pixels, is smaller than the largest that is asked for."""
+    made = CORRELATED.statistics(np.array([np.prod(narrow)]), np.array([narrow]))
+    sizes = np.array([narrow, (4 * narrow[0], 4 * narrow[1])])
+    with_others = CORRELATED.statistics(sizes.prod(axis=1), sizes)
+    for name in ("expected", "freedom", "tilt_x", "tilt_y", "offset"):
+        np.testing.assert_allclose(getattr(with_others, name)[0], getattr(made, name)[0], rtol=1e-12)
+
+
 @pytest.mark.parametrize("tile", [(16, 16), (4, 48), (40, 6), (12, 20)])
 def test_simulated_correlated_noise(tile, rng):
     """Frames with that noise: p-values are nearly uniform, covariances hold, and ignoring it fails."""

@@ -191,9 +191,10 @@ def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats
     one-dimensional sums.
     """
     long = 2.0 ** (step / _PER_DOUBLING)
-    # The same sides for any ``largest``: a rectangle's result does not depend on those that are asked for with it.
+    # The same sides for any ``largest``, and one that is not rounded to less: a rectangle's result does not depend on
+    # those that are asked for with it.
     octaves = np.log2(max(largest / np.sqrt(long), 3.0)) - 1.0
-    sides = np.unique(np.round(2.0 ** (1.0 + np.arange(np.ceil(9.0 * octaves) + 1.0) / 9.0)).astype(int))
+    sides = np.unique(np.round(2.0 ** (1.0 + np.arange(np.ceil(9.0 * octaves) + 2.0) / 9.0)).astype(int))
     w = np.array([share for share, _ in components])
     roots, rows = [], []
     for m in sides:
