@@ -7,6 +7,7 @@ import monte_carlo
 import numpy as np
 import pytest
 from monte_carlo import CORRELATED
+from scipy import stats
 
 import rgbd_planes as rp
 
@@ -92,6 +93,24 @@ def test_models_have_their_published_sigma_and_show_it():
     assert noise.quantised(noise.kinect_v1(), camera).disparity_step == pytest.approx(0.003)
     np.testing.assert_allclose(rp.noise.kinect_v1().statistics([4, 100]).offset, 1.0)
     assert (np.diff(CORRELATED.statistics([4, 16, 64, 256, 1024]).offset) > 0.0).all()
+
+
+@pytest.mark.parametrize("side", [16, 40])
+@pytest.mark.parametrize("slope", [0.15, 0.3, 0.45, 0.6])
+@pytest.mark.parametrize(
+    "noise", [rp.noise.kinect_v1_nguyen(), rp.noise.axial(0.001, 0.0, 0.002), rp.noise.time_of_flight(0.004)]
+)
+def test_the_variance_of_a_slanted_tile_is_the_mean_over_its_pixels(noise, slope, side):
+    """Whether σq² is a power of q or not; inverse depths differ by ``slope``, relative to the middle."""
+    for nearness in (0.4, 0.6, 1.1):
+        camera = rp.Camera(side, side, 525.0, 525.0, side / 2 - 0.5, side / 2 - 0.5, noise=noise)
+        q = nearness * (1.0 + slope * camera.tan_x / np.ptp(camera.tan_x))
+        y, x = np.indices(camera.shape)
+        variance = (noise.sigma(q) ** 2).mean()
+        tiles = rp.fit_tiles(1.0 / (q + np.sqrt(variance) * (-1.0) ** (x + y)), camera, side, max_missing=1.0)
+        statistic = side**2 * tiles.rmse[0, 0] ** 2 / variance
+        taken = stats.chi2.isf(tiles.p_value[0, 0], side**2 - 3)
+        assert taken == pytest.approx(statistic, rel=2e-3)  # uneven ones have fewer degrees of freedom
 
 
 def test_a_function_without_a_hash_is_a_noise(rng):

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._jit import kernel
 from .room import (
+    BEND,
     ERROR,
     FOUND,
     INDEPENDENT,
@@ -29,13 +30,15 @@ from .room import (
 )
 from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, ONE, SCALE, VARIANCES, means_over
 
-# Within a tile the variance of q along the ray is taken as a power of q, of at most STEEPEST: where the table is
-# steeper, it jumps. The mean of the power is its series to second order, which where depths differ a hundredfold may be
-# below 0: at most LARGEST_LOSS is taken off. Where the variance of this variance, relative to its squared mean, is more
-# than MOST_EVEN, or that of q so large that the series might be off by what a chi-square of the tile's pixels shows
-# (about 1/√n), means come from `variances.means_over` instead. Not where the squared residual is HOPELESS times what
-# errors explain in the middle: such a tile crosses an edge, and is no plane by any mean.
+# The mean over a tile of the variance of q along the ray is its series to second order, by the table's differences.
+# Where the table is steeper than a power STEEPEST of q, or more bent than one, it jumps. Where depths differ a
+# hundredfold the series may be below 0: at most LARGEST_LOSS is taken off. Where the variance of this variance,
+# relative to its squared mean, is more than MOST_EVEN, or that of q so large that the series might be off by what a
+# chi-square of the tile's pixels shows (about 1/√n), means come from `variances.means_over` instead. Not where the
+# squared residual is HOPELESS times what errors explain in the middle: such a tile crosses an edge, and is no plane by
+# any mean.
 STEEPEST = 8.0
+MOST_BENT = STEEPEST * (STEEPEST - 1.0)
 LARGEST_LOSS = 0.5
 MOST_EVEN = 0.02
 HOPELESS = 64.0
@@ -78,15 +81,17 @@ def pixel_variance(noise, count, room):
             k = VARIANCES + np.uintp(room[SHARED, i])
             below = noise[k]
             room[FOUND, i], room[STEP, i] = below, noise[k + ONE] - below
+            k = max(k, VARIANCES + ONE)
+            room[BEND, i] = noise[k + ONE] - 2.0 * noise[k] + noise[k - ONE]
         for i in range(TILES_AT_ONCE):
             variance, step = room[FOUND, i], room[STEP, i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
-            # Averaged over the tile, as this power of q.
-            power = min(max(position * step / max(variance, 1e-300), -STEEPEST), STEEPEST)
-            more = 0.5 * power * (power - 1.0) * room[SPREAD, i]
-            room[SHARED, i] = variance * (1.0 + max(more, -LARGEST_LOSS))
+            scale = position / max(variance, 1e-300)
+            power = min(max(scale * step, -STEEPEST), STEEPEST)
+            bend = min(max(scale * position * room[BEND, i], -MOST_BENT), MOST_BENT)
             spread = room[SPREAD, i]
+            room[SHARED, i] = variance * (1.0 + max(0.5 * bend * spread, -LARGEST_LOSS))
             room[UNEVENNESS, i] = spread * max(power * power, MOST_EVEN * room[0, i] * spread)
     depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
     if depth > 0.0:
