@@ -23,6 +23,7 @@ _NAMES = {
     "LabelPlanes": "labels",
     "MergedPlanes": "merging",
     "PlanePolygon": "polygons",
+    "PlaneTracker": "segmentation.tracking",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
     "TileFitter": "tiles",
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
     from rgbd_planes.segmentation.result import Reason as Reason
     from rgbd_planes.segmentation.result import Segmentation as Segmentation
     from rgbd_planes.segmentation.segment import segment as segment
+    from rgbd_planes.segmentation.tracking import PlaneTracker as PlaneTracker
     from rgbd_planes.segmentation.tracking import TrackedSegmentation as TrackedSegmentation
     from rgbd_planes.segmentation.tracking import segment_sequence as segment_sequence
     from rgbd_planes.sequences import open_sequence as open_sequence

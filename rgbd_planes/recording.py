@@ -15,7 +15,7 @@ from rgbd_planes.files import write_beside
 from rgbd_planes.plotting.segments import label_colours
 from rgbd_planes.polygons import plane_polygons
 from rgbd_planes.segmentation.segment import SMALLEST, segment
-from rgbd_planes.segmentation.tracking import MEMORY, Tracker
+from rgbd_planes.segmentation.tracking import PlaneTracker
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.tiles import TileFitter
 
@@ -100,7 +100,7 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     ``planes/outlines`` (outlines and holes, in the colour of the plane's id), ``found`` (number of planes).
     Timelines as in `record`.
     """
-    tracker = Tracker(MEMORY)
+    tracker = PlaneTracker()
     most = 0
     with _recording(path) as (rr, stream):
         for index, frame in enumerate(sequence):

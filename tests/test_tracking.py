@@ -5,10 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.metrics import compare_labels
-from rgbd_planes.segmentation.tracking import Tracker, segment_sequence
+from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
+from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation, segment_sequence
+from rgbd_planes.sequences.frames import Frame
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
 
@@ -105,12 +108,12 @@ def test_noise_and_the_least_size_are_those_of_each_frame() -> None:
 
 
 def test_what_is_forgotten_takes_no_room() -> None:
-    tracker = Tracker(memory=2)
+    tracker = PlaneTracker(memory=2)
     for i in range(12):
         frame = np.full(CAMERA.shape, 1.0 + i % 4)  # a new plane each time
         tracked = tracker.follow(segment(frame, CAMERA))
         assert tracked.ids.tolist() == [i + 1]
-        assert len(tracker._ids) == min(i + 1, 3)
+        assert len(tracker._known.ids) == min(i + 1, 3)
 
 
 def test_another_plane_in_the_same_place_is_new() -> None:
@@ -179,7 +182,7 @@ def test_ids_stay_whatever_pixels_are_never_measured(missing: tuple[int, int, in
 
 
 def test_ids_go_on_where_the_size_of_the_frames_changes() -> None:
-    tracker = Tracker(memory=30)
+    tracker = PlaneTracker(memory=30)
     half = replace(CAMERA, width=80, height=60, fx=65.5, fy=65.5, cx=39.5, cy=29.5)
     depth = wall_and_board(True)
     frames = [(depth, CAMERA), (depth[::2, ::2], half), (depth[::2, ::2], half), (depth, CAMERA)]
@@ -218,3 +221,124 @@ def test_how_far_a_wall_may_move_goes_with_its_distance(depth: float, ids: list[
     frames = [np.full(CAMERA.shape, 0.5), np.full(CAMERA.shape, depth)]
     _, second = segment_sequence(frames, CAMERA)
     assert second.ids.tolist() == ids
+
+
+def test_a_plane_keeps_its_id_when_something_passes_before_it() -> None:
+    """First the one end of the board is covered, then all of it, then the other end."""
+
+    def frame(left: int) -> np.ndarray:
+        depth = wall_and_board(True)
+        depth[:, max(left, 0) : max(left + 60, 0)] = 1.0
+        return depth
+
+    frames = [frame(left) for left in range(-70, 160, 5)]
+    tracked = list(segment_sequence(frames, CAMERA))
+    boards = [t.labels[50, x] for t, f in zip(tracked, frames, strict=True) for x in (42, 87) if f[50, x] == 1.5]
+    assert {int(board) for board in boards} - {0} == {2}  # 0: too few pixels for a plane
+    assert sum(bool((frame[30:70, 40:90] != 1.5).all()) for frame in frames) > 1
+    *_, last = segment_sequence(frames, CAMERA, memory=3)
+    assert last.labels[50, 42] != 2  # forgotten
+
+
+def turning(degrees: np.ndarray, camera: Camera = CAMERA) -> list[tuple[np.ndarray, scenes.Rendering]]:
+    """The room from one place, by a camera that turns."""
+    eye, down = np.array([0.35, -1.5, -0.2]), np.radians(15.0)
+    frames = []
+    for i, turn in enumerate(np.radians(degrees)):
+        ahead = np.array([np.sin(turn) * np.cos(down), np.sin(down), np.cos(turn) * np.cos(down)])
+        rendering = scenes.room(eye, eye + ahead).render(camera)
+        frames.append((rendering.measure(holes=0.02, seed=i), rendering))
+    return frames
+
+
+def switches(frames: list[tuple[np.ndarray, scenes.Rendering]], camera: Camera) -> tuple[int, int]:
+    """How often a surface has another id than when it was last seen, of how many times."""
+    last: dict[str, int] = {}
+    switched = matched = 0
+    for (_, rendering), tracked in zip(frames, segment_sequence([f for f, _ in frames], camera), strict=True):
+        for truth, own in compare_labels(tracked.labels, rendering.labels).detection(0.5).pairs:
+            name = rendering.names[truth - 1]
+            matched += 1
+            switched += last.get(name, int(own)) != own
+            last[name] = int(own)
+    return switched, matched
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        CAMERA,
+        replace(CAMERA, distortion=(0.1, -0.2, 0.001, -0.001, 0.05)),
+        replace(CAMERA, fx=90.0, fy=90.0, distortion_model="fisheye"),
+    ],
+)
+@pytest.mark.parametrize("step", [2.0, 6.0])
+def test_ids_stay_when_the_camera_turns_away_and_back(step: float, camera: Camera) -> None:
+    """Six degrees are a tenth of the image: what is small is elsewhere in each frame."""
+    there = np.arange(-15.0, 15.0, step)
+    frames = turning(np.concatenate([there, there[::-1]]), camera)
+    switched, matched = switches(frames, camera)
+    assert matched > 10 * len(frames)
+    assert switched <= 0.01 * matched
+
+
+def motion_of(degrees: tuple[float, float, float], step: tuple[float, float, float]) -> Motion:
+    return Motion(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.array(step))
+
+
+def some_planes(rng: np.random.Generator, count: int) -> np.ndarray:
+    normals = rng.standard_normal((count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack([normals, rng.uniform(1.0, 4.0, count)])
+
+
+@pytest.mark.parametrize("moving", [0, 3])
+def test_the_motion_of_the_camera_is_that_of_most_planes(moving: int, rng: np.random.Generator) -> None:
+    truth = motion_of((3.0, -5.0, 1.0), (0.1, -0.05, 0.15))
+    planes = some_planes(rng, 12)
+    now = truth.of_planes(planes)
+    now[:moving] = motion_of((0.0, 25.0, 0.0), (0.5, 0.0, 0.0)).of_planes(now[:moving])
+    found = camera_motion(planes, now, np.ones(12))
+    assert np.degrees(np.arccos(0.5 * (np.trace(found.rotation @ truth.rotation.T) - 1.0))) < 0.1
+    np.testing.assert_allclose(found.step, truth.step, atol=0.02)
+    points = rng.standard_normal((5, 3))
+    on_planes = points - (planes[:5, 3] + np.sum(planes[:5, :3] * points, axis=1))[:, None] * planes[:5, :3]
+    moved, carried = truth.of_points(on_planes), truth.of_planes(planes)[:5]
+    np.testing.assert_allclose(np.sum(carried[:, :3] * moved, axis=1) + carried[:, 3], 0.0, atol=1e-12)
+
+
+def test_what_planes_do_not_tell_of_the_motion_is_taken_for_none() -> None:
+    """A wall says nothing of steps along it, nor of turns about its normal."""
+    wall = np.array([[0.0, 0.0, -1.0, 2.0]])
+    motion = camera_motion(wall, np.array([[0.0, 0.0, -1.0, 1.9]]), np.ones(1))
+    np.testing.assert_allclose(motion.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(motion.step, [0.0, 0.0, -0.1], atol=0.003)
+
+
+def test_frames_of_a_sequence_bring_their_cameras() -> None:
+    """Each with another focal length."""
+    rendered = [
+        (scenes.room().render(replace(CAMERA, fx=f, fy=f)), replace(CAMERA, fx=f, fy=f)) for f in (120.0, 131.0, 145.0)
+    ]
+    frames = [Frame(r.measure(seed=1), camera, float("nan"), str(i)) for i, (r, camera) in enumerate(rendered)]
+    for frame, tracked in zip(frames, segment_sequence(frames), strict=True):
+        assert tracked.segmentation.camera is frame.camera
+        np.testing.assert_array_equal(tracked.segmentation.planes, segment(frame.depth, frame.camera).planes)
+    (tracked,) = segment_sequence(frames[:1], CAMERA)
+    assert tracked.segmentation.camera is CAMERA
+    with pytest.raises(TypeError, match="needs a camera, or frames of a sequence, got ndarray"):
+        next(segment_sequence([wall_and_board(True)]))
+    with pytest.raises(ValueError, match="positive standard deviation"):
+        segment_sequence(frames, noise=-1.0)
+
+
+def test_a_tracker_is_given_one_segmentation_after_the_other() -> None:
+    tracker = PlaneTracker()
+    depth = wall_and_board(True)
+    tracked = [tracker.follow(segment(depth, CAMERA)) for _ in range(2)]
+    assert all(isinstance(t, TrackedSegmentation) for t in tracked)
+    assert [t.ids.tolist() for t in tracked] == [[1, 2], [1, 2]]
+    with pytest.raises(TypeError, match="expected a Segmentation, got ndarray"):
+        tracker.follow(depth)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="memory must be at least 0, got -1"):
+        PlaneTracker(-1)

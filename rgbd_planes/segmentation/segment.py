@@ -86,16 +86,19 @@ def segment(
     bits come out for the same frame, whatever came before it and in any thread; kernels that were compiled anew, or for
     another processor, may round the last bit differently.
     """
+    check_camera(camera)
     given, min_size = check_settings(camera, noise, min_size)
     frame = as_depth_frame(depth, camera)
     with announced(("segment", frame.raw.dtype), "a minute or two"):
         return segment_frame(frame, camera, given, min_size, Rules())
 
 
-def check_settings(camera: Camera, noise: Any, min_size: int) -> tuple[Given, int]:
-    """Return the noise, and the least size of a plane, for a segmentation."""
-    check_camera(camera)
-    return _given(camera.noise if noise is None else noise), check_min_size(min_size)
+def check_settings(camera: Camera | None, noise: Any, min_size: int) -> tuple[Given, int]:
+    """Return the noise, and the least size of a plane, for a segmentation; without a camera, each frame has its own."""
+    if camera is not None:
+        check_camera(camera)
+        noise = camera.noise if noise is None else noise
+    return _given(noise), check_min_size(min_size)
 
 
 def check_min_size(min_size: int) -> int:

@@ -11,19 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_whole, each_of
-from rgbd_planes.metrics import plane_errors
+from rgbd_planes.segmentation.known_planes import KnownPlanes, View, motion_since, remember, same_planes
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment
+from rgbd_planes.sequences.frames import Frame
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rgbd_planes.noise.model import NoiseModel
-
-SHARED = 0.25  # share of the smaller one's pixels that a plane and its earlier self must have in common
-TURNED = 20.0  # degrees between them, at most
-MOVED = 0.15  # at most, difference of their distances from the camera, or of 1/Z where they were seen, as a share of it
 
 MEMORY = 30  # frames: a second
 
@@ -72,8 +69,8 @@ class TrackedSegmentation:
 
 
 def segment_sequence(
-    frames: Iterable[ArrayLike],
-    camera: Camera,
+    frames: Iterable[ArrayLike | Frame],
+    camera: Camera | None = None,
     *,
     noise: NoiseModel | float | Callable[[NDArray[np.float64]], ArrayLike] | None = None,
     min_size: int = SMALLEST,
@@ -81,19 +78,21 @@ def segment_sequence(
 ) -> Iterator[TrackedSegmentation]:
     """Segment frame after frame, with ids that stay with their planes.
 
-    A plane is identified with the earlier one that it shares most pixels with, if the two are nearly the same plane: so
-    the camera may move by a small part of a plane's size from frame to frame, and a plane that was covered or lost for
-    a while comes back under its old id.
+    The largest planes tell how the camera has moved since the last frame, and so where the earlier ones should be. Each
+    plane is identified with the one that it shares most pixels with, if the two are nearly the same plane. So the
+    camera may move as long as it sees much of the same planes again, and a plane that was covered, out of the image or
+    lost for a while comes back under its old id.
 
     Parameters
     ----------
-    frames : iterable of (H, W) array_like
-        Read one at a time; see `segment`.
-    camera : Camera
+    frames : iterable of (H, W) array_like, or of Frame
+        Read one at a time; see `segment`. A sequence of `open_sequence` gives frames with their cameras.
+    camera : Camera, optional
+        Of all frames. Frames that bring their own camera need none.
     noise, min_size
         See `segment`.
     memory : int
-        For how many frames a plane that is out of sight is remembered at its last place.
+        For how many frames a plane that is out of sight is remembered, and what is covered of one in sight.
 
     Returns
     -------
@@ -106,95 +105,69 @@ def segment_sequence(
         As `segment`: at once for an invalid argument, and for a frame when it is that frame's turn; no more come then.
     """
     check_settings(camera, noise, min_size)
-    tracker = Tracker(check_whole("memory", memory, 0, "whole number of frames"))
-    return (tracker.follow(segment(frame, camera, noise=noise, min_size=min_size)) for frame in each_of(frames))
+    tracker = PlaneTracker(memory)
+    return (
+        tracker.follow(segment(*_with_camera(frame, camera), noise=noise, min_size=min_size))
+        for frame in each_of(frames)
+    )
 
 
-class Tracker:
-    """The planes that are remembered, and where each of them was last seen, in frames of one size."""
+def _with_camera(frame: Any, camera: Camera | None) -> tuple[Any, Camera]:
+    """Return a frame's depth and its camera."""
+    if isinstance(frame, Frame):
+        return frame.depth, frame.camera if camera is None else camera
+    if camera is None:
+        raise TypeError(f"segment_sequence needs a camera, or frames of a sequence, got {type(frame).__name__}")
+    return frame, camera
 
-    def __init__(self, memory: int) -> None:
-        self._memory = memory
+
+class PlaneTracker:
+    """Gives planes the ids of `segment_sequence`, where frames come one by one and there is nothing to iterate over.
+
+    Parameters
+    ----------
+    memory : int
+        See `segment_sequence`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        `memory` is no whole number, or below 0.
+    """
+
+    def __init__(self, memory: int = MEMORY) -> None:
+        self._memory = check_whole("memory", memory, 0, "whole number of frames")
         self._newest = 0
-        self._forget((0, 0))
-
-    def _forget(self, shape: tuple[int, int]) -> None:
-        self._shape = shape
-        # For each remembered plane, in the order of the ids.
-        self._ids = np.zeros(0, np.int32)
-        self._planes = np.zeros((0, 4))
-        self._missed = np.zeros(0, np.int64)  # frames since it was seen
-        self._places: list[NDArray[np.intp]] = []  # indices of squares of 2x2 pixels
+        self._shape = (0, 0)
+        self._known = KnownPlanes()
 
     def follow(self, found: Segmentation) -> TrackedSegmentation:
-        """Give the planes of the next frame their ids: new ones if its size differs from the one before."""
+        """Give the planes of the next frame their ids: new ones if its size differs from the one before.
+
+        Parameters
+        ----------
+        found : Segmentation
+
+        Returns
+        -------
+        TrackedSegmentation
+
+        Raises
+        ------
+        TypeError
+            It is no `Segmentation`.
+        """
+        if not isinstance(found, Segmentation):
+            raise TypeError(f"expected a Segmentation, got {type(found).__name__}")
         if found.labels.shape != self._shape:
-            self._forget(found.camera.shape)
-        labels = _of_fours(found.labels).ravel()
-        ids = self._known(found, labels)
+            self._shape, self._known = found.camera.shape, KnownPlanes()
+        view, ids = View.of(found), np.zeros(len(found), np.int32)
+        if len(self._known.ids) and len(found):
+            self._known = self._known.moved(motion_since(self._known, view))
+            before, now, _ = same_planes(self._known, view)
+            ids[now] = self._known.ids[before]
         new = np.flatnonzero(ids == 0)
         ids[new] = self._newest + 1 + np.arange(len(new))
         self._newest += len(new)
-        # NumPy sorts integers of up to 16 bits by their digits, which takes a fifth of the time.
-        by_label = np.argsort(labels.astype(np.min_scalar_type(len(found))), kind="stable")
-        ends = np.searchsorted(labels[by_label], np.arange(len(found) + 1), side="right")
-        seen = [by_label[ends[i] : ends[i + 1]] for i in range(len(found))]
-        # Those in sight, with any pixels at all, and those that have not been out of sight for too long.
-        there = [i for i, place in enumerate(seen) if len(place)]
-        lost = np.flatnonzero(~np.isin(self._ids, ids) & (self._missed < self._memory))
-        places = [seen[i] for i in there] + [self._places[i] for i in lost]
-        every = np.concatenate([ids[there], self._ids[lost]])
-        order = np.argsort(every)
-        self._ids = every[order]
-        self._planes = np.concatenate([found.planes[there], self._planes[lost]])[order]
-        self._missed = np.concatenate([np.zeros(len(there), np.int64), self._missed[lost] + 1])[order]
-        self._places = [places[i] for i in order]
+        self._known = remember(self._known, view, ids, self._memory)
         return TrackedSegmentation(found, ids)
-
-    def _known(self, found: Segmentation, labels: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(N,) int32: the id of the plane that each one was, 0 for those not seen before."""
-        from scipy.optimize import linear_sum_assignment
-
-        ids = np.zeros(len(found), np.int32)
-        if not len(self._ids) or not len(found):
-            return ids
-        count = len(found) + 1
-        lengths = np.array([len(place) for place in self._places])
-        places = np.concatenate(self._places)
-        pairs = np.repeat(np.arange(len(lengths)) * count, lengths) + labels[places]
-
-        def sums(weights: NDArray[np.float64] | None = None) -> NDArray[Any]:
-            return np.bincount(pairs, weights, len(lengths) * count).reshape(-1, count)[:, 1:]
-
-        shared = sums()
-        rows, columns = np.nonzero(shared)
-        old, pixels = self._planes[rows], shared[rows, columns]
-        errors = plane_errors(found.planes[columns], old)
-        # For a plane seen at a slant, a small turn changes the distance a lot, and 1/Z where it is hardly; for one that
-        # the camera turns away from it is the other way round.
-        x, y = (
-            sums(table[::2, ::2].ravel()[places])[rows, columns] / pixels
-            for table in (found.camera.tan_x, found.camera.tan_y)
-        )
-        before, now = (a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns]))
-        near = (np.abs(errors.offset) <= MOVED * old[:, 3]) | (np.abs(now - before) <= MOVED * before)
-        smaller = np.minimum(lengths[rows], np.bincount(labels, minlength=count)[1:][columns])
-        same = (pixels >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near
-        # Planes in sight take precedence over those that were covered.
-        weight = np.where(same, pixels / (1.0 + self._missed[rows]), 0.0)
-        table = np.zeros(shared.shape)
-        table[rows, columns] = weight
-        for i, j in zip(*linear_sum_assignment(table, maximize=True), strict=True):
-            if table[i, j] > 0.0:
-                ids[j] = self._ids[i]
-        return ids
-
-
-def _of_fours(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The label of each square of 2x2 pixels: that of its first pixel that has one, since others may be missing."""
-    of_fours = labels[::2, ::2].copy()
-    for row, column in ((0, 1), (1, 0), (1, 1)):
-        other = labels[row::2, column::2]
-        own = of_fours[: other.shape[0], : other.shape[1]]
-        np.copyto(own, other, where=own == 0)
-    return of_fours

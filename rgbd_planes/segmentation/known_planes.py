@@ -1,0 +1,224 @@
+"""The planes that a tracker knows, where they are, and which of them a frame shows again."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes.metrics import plane_errors
+from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
+from rgbd_planes.segmentation.result import Segmentation
+
+SHARED = 0.25  # share of the smaller one's pixels that a plane and its earlier self must have in common
+TURNED = 20.0  # degrees between them, at most
+MOVED = 0.15  # at most, difference of their distances from the camera, or of 1/Z where they were seen, as a share of it
+NEARER = 1.03  # times 1/Z of a plane, at least, is that of what covers it
+LONG = 60  # frames after which a plane is not better known than before
+
+# The camera's motion is found from so many planes, and again, with what is seen then, as often as this at most. Of each
+# plane about so many points are kept.
+LARGEST, ROUNDS, POINTS = 15, 3, 100
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+class Points(NamedTuple):
+    """Points of planes, plane by plane.
+
+    Attributes
+    ----------
+    xyz : (P, 3) float64
+        In the camera's frame.
+    of : (P,) intp
+        The plane of each.
+    squares : (P,) float64
+        Squares of 2x2 pixels that each stands for.
+    unseen : (P,) intp
+        Frames since it was seen, if its plane is in sight.
+    """
+
+    xyz: Floats = np.zeros((0, 3))
+    of: Indices = np.zeros(0, np.intp)
+    squares: Floats = np.zeros(0)
+    unseen: Indices = np.zeros(0, np.intp)
+
+    def some(self, chosen: Indices) -> Points:
+        """Return those points."""
+        return Points(self.xyz[chosen], self.of[chosen], self.squares[chosen], self.unseen[chosen])
+
+    def of_planes(self, place: NDArray[Any]) -> Points:
+        """Return the points with other numbers for their planes."""
+        return self._replace(of=place[self.of])
+
+
+def thin(of: Indices, planes: int) -> tuple[Indices, Floats]:
+    """Which to keep of what belongs to so many planes, plane by plane, and how many each of these stands for."""
+    ends = np.searchsorted(of, np.arange(planes + 1)).tolist()
+    kept = [np.arange(start, stop, max(1, (stop - start) // POINTS)) for start, stop in pairwise(ends)]
+    of_each = [(stop - start) / max(len(some), 1) for some, (start, stop) in zip(kept, pairwise(ends), strict=True)]
+    return np.concatenate([np.zeros(0, np.intp), *kept]), np.repeat(of_each, [len(some) for some in kept])
+
+
+class KnownPlanes(NamedTuple):
+    """Planes in the order of their ids, (K, 4), the frames in which each was seen and those since, and their points."""
+
+    ids: NDArray[np.int32] = np.zeros(0, np.int32)
+    planes: Floats = np.zeros((0, 4))
+    seen: Indices = np.zeros(0, np.intp)
+    missed: Indices = np.zeros(0, np.intp)
+    points: Points = Points()
+
+    def moved(self, motion: Motion) -> KnownPlanes:
+        """Return them as the camera sees them when it has moved."""
+        points = self.points._replace(xyz=motion.of_points(self.points.xyz))
+        return self._replace(planes=motion.of_planes(self.planes), points=points)
+
+    def largest(self) -> KnownPlanes:
+        """Return the LARGEST, of those that were seen lately rather than of others."""
+        squares = np.bincount(self.points.of, self.points.squares, len(self.ids)) / (1.0 + self.missed)
+        chosen = np.sort(np.argsort(-squares, kind="stable")[:LARGEST])
+        place = np.full(len(self.ids), -1)
+        place[chosen] = np.arange(len(chosen))
+        points = self.points.some(np.flatnonzero(place[self.points.of] >= 0)).of_planes(place)
+        return KnownPlanes(self.ids[chosen], self.planes[chosen], self.seen[chosen], self.missed[chosen], points)
+
+
+class View(NamedTuple):
+    """A frame by squares of 2x2 pixels: (R, C) labels, and tanθx and tanθy of their first pixels."""
+
+    found: Segmentation
+    labels: Indices
+    tan_x: Floats
+    tan_y: Floats
+
+    @classmethod
+    def of(cls, found: Segmentation) -> View:
+        """Return a segmentation by squares, labelled as their first pixel that has a label: others may be missing."""
+        labels = found.labels[::2, ::2].astype(np.intp)
+        for row, column in ((0, 1), (1, 0), (1, 1)):
+            other = found.labels[row::2, column::2]
+            own = labels[: other.shape[0], : other.shape[1]]
+            np.copyto(own, other, where=own == 0)
+        return cls(found, labels, found.camera.tan_x[::2, ::2], found.camera.tan_y[::2, ::2])
+
+    def squares_of(self, xyz: Floats) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+        """Row and column of the square in which each point is seen, and whether it is in the image."""
+        pixels = self.found.camera.project(xyz)
+        column, row = np.rint(np.nan_to_num(0.5 * pixels, nan=-1.0)).T
+        inside = (row >= 0) & (row < self.labels.shape[0]) & (column >= 0) & (column < self.labels.shape[1])
+        return np.where(inside, row, 0).astype(np.intp), np.where(inside, column, 0).astype(np.intp), inside
+
+    def inverse_depth(self, label: Indices, row: Indices, column: Indices) -> Floats:
+        """1/Z of the plane with each label where a square is; infinite for label 0."""
+        a = np.vstack([[0.0, 0.0, np.inf], self.found.alpha])[label]
+        return np.asarray(a[:, 0] * self.tan_x[row, column] + a[:, 1] * self.tan_y[row, column] + a[:, 2])
+
+    def points(self) -> Points:
+        """Points of the planes, which count from 0."""
+        labels = self.labels.ravel()
+        # NumPy sorts integers of up to 16 bits by their digits, which takes a fifth of the time.
+        by_label = np.argsort(labels.astype(np.min_scalar_type(len(self.found))), kind="stable")
+        places = by_label[np.count_nonzero(labels == 0) :]
+        kept, of_each = thin(labels[places] - 1, len(self.found))
+        row, column = np.divmod(places[kept], self.labels.shape[1])
+        label = labels[places[kept]]
+        q = self.inverse_depth(label, row, column)
+        rays = np.column_stack([self.tan_x[row, column], self.tan_y[row, column], np.ones(len(row))])
+        with np.errstate(divide="ignore"):
+            points = Points(rays / q[:, None], label - 1, of_each, np.zeros(len(label), np.intp))
+        return points.some(np.flatnonzero(q > 0.0))
+
+
+def motion_since(known: KnownPlanes, view: View) -> Motion:
+    """How the camera has moved since it saw the planes that are known, from the largest of those in sight again."""
+    largest, motion = known.largest(), Motion()
+    for _ in range(ROUNDS):
+        before, now, shared = same_planes(largest.moved(motion), view)
+        if not len(before):
+            break
+        last, motion = motion, camera_motion(largest.planes[before], view.found.planes[now], shared)
+        if motion.is_near(last):
+            break
+    return motion
+
+
+def same_planes(known: KnownPlanes, view: View) -> tuple[Indices, Indices, Floats]:
+    """Pairs of a known plane and one in sight that are the same, counted from 0, and the squares that they share."""
+    from scipy.optimize import linear_sum_assignment
+
+    found, labels = view.found, view.labels
+    count = len(found) + 1
+    row, column, inside = view.squares_of(known.points.xyz)
+    seen = np.flatnonzero(inside)
+    row, column, points = row[seen], column[seen], known.points.some(seen)
+    pairs = points.of * count + labels[row, column]
+
+    def sums(values: Floats | float) -> Floats:
+        made = np.bincount(pairs, values * points.squares, len(known.ids) * count)
+        return np.asarray(made.reshape(-1, count)[:, 1:])
+
+    shared = sums(1.0)
+    rows, columns = np.nonzero(shared)
+    old, squares = known.planes[rows], shared[rows, columns]
+    errors = plane_errors(found.planes[columns], old)
+    # For a plane seen at a slant, a small turn changes the distance a lot, and 1/Z where it is hardly; for one that
+    # the camera turns away from it is the other way round.
+    x, y = (sums(tangent[row, column])[rows, columns] / squares for tangent in (view.tan_x, view.tan_y))
+    before, now = (a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns]))
+    near = (np.abs(errors.offset) <= MOVED * np.abs(old[:, 3])) | (np.abs(now - before) <= MOVED * before)
+    size = np.bincount(known.points.of, known.points.squares, len(known.ids))
+    smaller = np.minimum(size[rows], np.bincount(labels.ravel(), minlength=count)[1:][columns])
+    same = (squares >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near
+    # Planes in sight take precedence over those that were covered, and those known for long over new ones.
+    weight = squares / (1.0 + known.missed[rows]) * np.sqrt(np.minimum(known.seen[rows], LONG))
+    table = np.zeros(shared.shape)
+    table[rows, columns] = np.where(same, weight, 0.0)
+    first, second = linear_sum_assignment(table, maximize=True)
+    chosen = np.flatnonzero(table[first, second] > 0.0)
+    first, second = first[chosen], second[chosen]
+    return first, second, shared[first, second]
+
+
+def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int) -> KnownPlanes:
+    """What is known after a frame: the planes in it, whose ids are given, and for a while what is out of sight."""
+    points = view.points()
+    there = np.flatnonzero(np.bincount(points.of, minlength=len(ids)))
+    lost = np.flatnonzero(~np.isin(known.ids, ids) & (known.missed < memory))
+    every = np.concatenate([ids[there], known.ids[lost]])
+    order = np.argsort(every)
+    every = every[order]
+    # By id: the plane's place in the new order, the frames it was seen in, and its label in the frame.
+    place, seen, label_of = np.zeros((3, 1 + max(ids.max(initial=0), known.ids.max(initial=0))), np.intp)
+    place[every] = np.arange(len(every))
+    seen[known.ids] = known.seen
+    seen[ids[there]] += 1
+    label_of[ids[there]] = there + 1
+    old = known.points.of_planes(known.ids)
+    hidden = _is_hidden(old, label_of[old.of], view) & (old.unseen < memory)
+    hidden_points = old.some(np.flatnonzero(hidden)).of_planes(place)
+    hidden_points = hidden_points.some(np.argsort(hidden_points.of, kind="stable"))
+    kept, of_each = thin(hidden_points.of, len(every))
+    hidden_points = hidden_points.some(kept)
+    hidden_points = hidden_points._replace(squares=hidden_points.squares * of_each, unseen=hidden_points.unseen + 1)
+    lost_points = old.some(np.flatnonzero(np.isin(old.of, known.ids[lost]))).of_planes(place)
+    parts = points.of_planes(ids).of_planes(place), hidden_points, lost_points
+    together = Points(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+    return KnownPlanes(
+        every,
+        np.concatenate([view.found.planes[there], known.planes[lost]])[order],
+        seen[every],
+        np.concatenate([np.zeros(len(there), np.intp), known.missed[lost] + 1])[order],
+        together.some(np.argsort(together.of, kind="stable")),
+    )
+
+
+def _is_hidden(points: Points, label: Indices, view: View) -> NDArray[np.bool_]:
+    """Of planes in sight, by label, the points that are not: something is before them, or they left the image."""
+    row, column, inside = view.squares_of(points.xyz)
+    there = view.labels[row, column]
+    is_nearer = view.inverse_depth(there, row, column) * points.xyz[:, 2] > NEARER
+    return np.asarray((label > 0) & (~inside | ((there != label) & is_nearer)))
