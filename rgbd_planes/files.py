@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+# Bytes. Nonsense in a file may ask for any number of them: if this many are free, memory was not short of a frame.
+_MORE_THAN_A_FRAME = 2**28
+
 
 @contextmanager
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
@@ -90,8 +93,21 @@ def readable(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        if isinstance(error, MemoryError) and not _is_free(_MORE_THAN_A_FRAME):
+            raise
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason})") from error
+
+
+def _is_free(size: int) -> bool:
+    """Whether so many bytes of memory can be had."""
+    import numpy as np
+
+    try:
+        np.empty(size, np.uint8)
+    except MemoryError:
+        return False
+    return True
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:

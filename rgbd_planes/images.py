@@ -1,11 +1,12 @@
 """Depth frames in files: PNG, TIFF, PGM, PFM, NPY, NPZ."""
 
+import math
 import os
 import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +149,8 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
                 f"{path}: a TIFF image of {kind}, which Pillow does not read: save float32 or uint16, or NPY"
             ) from None
         raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
+    except MemoryError:  # of an image that Pillow takes for whole: it refuses sizes that are nonsense
+        raise
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
         raise ValueError(f"{path}: damaged or truncated {file_format} image ({error})") from error
     if swapped is not None:
@@ -230,34 +233,56 @@ def _rows(path: Path, kind: str, values: Frame, height: int, width: int) -> Fram
     return values[: height * width].reshape(height, width)
 
 
+_NPY = b"\x93NUMPY"  # how an array begins
+
+
 def _read_npy(path: Path) -> Frame:
     with path.open("rb") as file:
-        if file.read(6) != b"\x93NUMPY":
+        if file.read(len(_NPY)) != _NPY:
             raise ValueError(f"{path}: not an NPY file")
-    try:
-        return _one_channel(np.load(path, allow_pickle=False))
-    except Exception as error:  # also from parsing the header, which is Python text
-        raise ValueError(f"{path}: damaged or truncated NPY file ({error})") from error
+        try:
+            return _array(file, path.stat().st_size)
+        except MemoryError:
+            raise
+        except Exception as error:  # also from parsing the header, which is Python text
+            raise ValueError(f"{path}: damaged or truncated NPY file ({error})") from error
 
 
 def _read_npz(path: Path) -> Frame:
     try:
         with zipfile.ZipFile(path) as archive:
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
-        if len(names) == 1:
-            with np.load(path, allow_pickle=False) as arrays:
-                return _one_channel(arrays[names[0]])
+            members = archive.infolist()
+            if len(members) == 1:
+                with archive.open(members[0]) as file:
+                    if file.read(len(_NPY)) == _NPY:
+                        return _array(file, members[0].file_size)
+    except MemoryError:
+        raise
     except Exception as error:  # from the archive, its compression, or the array
         raise ValueError(f"{path}: damaged or truncated NPZ file ({error})") from error
-    listed = ": " + ", ".join(names) if names else ""
-    raise ValueError(f"{path}: expected an NPZ file with one array, got {len(names)}{listed}")
+    names = ", ".join(member.filename.removesuffix(".npy") for member in members)
+    found = f"{names}, which is none" if len(members) == 1 else f"{len(members)}{names and ': '}{names}"
+    raise ValueError(f"{path}: expected an NPZ file with one array, got {found}")
 
 
-def _one_channel(array: Frame) -> Frame:
-    """The array without axes of length one, which simulators put last and neural networks first."""
+def _array(file: IO[bytes], size: int) -> Frame:
+    """The array in a file of so many bytes, without axes of length one.
+
+    Simulators put these last and neural networks first.
+    """
+    file.seek(0)
+    formats = np.lib.format
+    version = formats.read_magic(file)
+    read_header = formats.read_array_header_1_0 if version == (1, 0) else formats.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    # There would be no memory for nonsense in a header, as for a good frame when memory is short.
+    if not dtype.hasobject and math.prod(shape) * dtype.itemsize > size - file.tell():
+        raise ValueError(f"{size} bytes for an array of shape {shape} of {dtype}")
+    file.seek(0)
+    array = np.asarray(formats.read_array(file, allow_pickle=False))
     while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):
         array = array[..., 0] if array.shape[-1] == 1 else array[0]
-    return np.asarray(array)
+    return array
 
 
 _READERS: dict[str, Callable[[Path], Frame]] = {

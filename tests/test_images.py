@@ -6,6 +6,7 @@ import os
 import re
 import struct
 import threading
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -343,6 +344,10 @@ def test_several_images_or_arrays(tmp_path):
     np.savez(tmp_path / "none.npz")
     with pytest.raises(ValueError, match="got 0"):
         images.read_depth(tmp_path / "none.npz")
+    with zipfile.ZipFile(tmp_path / "text.npz", "w") as archive:
+        archive.writestr("readme.txt", "x")
+    with pytest.raises(ValueError, match=r"expected an NPZ file with one array, got readme\.txt, which is none"):
+        images.read_depth(tmp_path / "text.npz")
     np.save(tmp_path / "colour.npy", np.zeros((4, 5, 3)))
     with pytest.raises(ValueError, match=r"\(4, 5, 3\)"):
         images.read_depth(tmp_path / "colour.npy")
@@ -355,6 +360,33 @@ def test_several_images_or_arrays(tmp_path):
     (tmp_path / "deep.pgm").write_bytes(b"P5 2 1 70000\n" + bytes(8))
     with pytest.raises(ValueError, match="got 70000"):
         images.read_depth(tmp_path / "deep.pgm")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".npy", ".npz"])
+def test_an_image_that_memory_is_short_of_is_not_called_damaged(tmp_path, monkeypatch, suffix):
+    def fail(*arguments, **options):
+        raise MemoryError("Unable to allocate 76.3 MiB")
+
+    path = tmp_path / f"depth{suffix}"
+    path.write_bytes(encoded(suffix))
+    monkeypatch.setattr(np.lib.format, "read_array", fail)
+    monkeypatch.setattr(Image, "open", fail)
+    with pytest.raises(MemoryError):
+        images.read_depth(path)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_an_array_larger_than_its_file_is_damaged_and_not_short_of_memory(tmp_path, suffix):
+    path, header = tmp_path / f"depth{suffix}", io.BytesIO()
+    about = {"descr": "<u2", "fortran_order": False, "shape": (160_000_000, 12_000_000)}
+    np.lib.format.write_array_header_1_0(header, about)
+    if suffix == ".npy":
+        path.write_bytes(header.getvalue())
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("depth.npy", header.getvalue())
+    with pytest.raises(ValueError, match=r"depth\.np[yz]: damaged .*128 bytes for an array of shape \(160000000, "):
+        images.read_depth(path)
 
 
 def test_pickled_arrays_are_not_executed(tmp_path):
@@ -483,3 +515,15 @@ def test_threads_that_write_one_file_do_not_write_into_each_others(tmp_path):
     assert errors == []
     assert (tmp_path / "a.txt").read_text() in ("one", "another")
     assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_nonsense_that_asks_for_much_memory_is_told_from_memory_that_is_short(monkeypatch):
+    """A library asks for as many bytes as the file says."""
+    with (
+        pytest.raises(ValueError, match=r"a\.mcap: not a bag, or damaged \(MemoryError\)"),
+        files.readable("a.mcap", "a bag"),
+    ):
+        bytearray(2**62)
+    monkeypatch.setattr(files, "_MORE_THAN_A_FRAME", 2**62)  # as if nothing were free
+    with pytest.raises(MemoryError), files.readable("a.mcap", "a bag"):
+        bytearray(2**62)

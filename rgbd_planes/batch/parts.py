@@ -1,6 +1,5 @@
 """The work of a worker: some frames of a sequence, fitted and written as a Parquet file."""
 
-import errno
 import json
 import os
 import re
@@ -23,11 +22,10 @@ from rgbd_planes.fit_statistics import check_level
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
-from rgbd_planes.sequences.frames import Frame, FrameSequence
+from rgbd_planes.sequences.frames import Frame, FrameSequence, reason_to_skip
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
-from rgbd_planes.wording import one_line
 
 
 @dataclass(frozen=True)
@@ -196,11 +194,8 @@ def fit_part(
                     warn_of_distances(depth, frame.camera)
                     warn_of_noise(depth, frame.camera.noise)
             asked = True
-        except (ImportError, MemoryError):
-            raise
         except Exception as error:  # whatever is wrong with one frame, the others are still wanted
-            _raise_if_no_file_can_be_opened(error)
-            problems.append(Problem(first + i, entry.name, _reason(error, entry.name)))
+            problems.append(Problem(first + i, entry.name, reason_to_skip(error, entry.name)))
         for message in said:
             warnings.setdefault(kind_of(message), (entry.name, message))
         said.clear()
@@ -226,24 +221,6 @@ def fit_part(
 def kind_of(message: str) -> str:
     """A warning's text without its numbers, which differ from frame to frame."""
     return re.sub(r"\d+(\.\d+)?", "#", message)
-
-
-def _raise_if_no_file_can_be_opened(error: BaseException | None) -> None:
-    """Raise the system's error that too many files are open, if an error is that or was raised from it.
-
-    A reader takes it for damage to its file, but nothing is wrong with the frame.
-    """
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-            raise error
-        error = error.__cause__
-
-
-def _reason(error: Exception, name: str) -> str:
-    """An error's text, in one line, without the path of the frame, whose name is given beside it."""
-    text = one_line(error) or type(error).__name__
-    folder, _, rest = text.partition(f"{name}: ")
-    return rest if rest and folder[-1:] in ("", "/") else text
 
 
 @lru_cache(maxsize=4)

@@ -152,7 +152,10 @@ def fit_sequence(
     NotADirectoryError
         `out` is a file.
     OSError
-        No Dask scheduler answers, `out` cannot be written, or too many files are open to read a frame.
+        No Dask scheduler answers, `out` cannot be written, or a frame cannot be read for a reason that is not its own:
+        too many files are open, say, or a disk does not answer.
+    MemoryError
+        There is not enough memory to read or fit a frame.
     TypeError, ValueError
         `out` holds another table, or one that cannot be told from another, or something else; or an argument
         cannot be used.

@@ -241,6 +241,8 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
         _, a, b = struct.unpack_from("<iff", content)
         with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
             pixels = np.array(png)
+    except MemoryError:
+        raise
     except Exception as error:  # from the bytes before it, or one of Pillow's many
         raise ValueError(f"damaged compressed image ({error})") from None
     if pixels.ndim != 2:

@@ -1,5 +1,6 @@
 """What every format is reduced to: a list that describes the frames, and a function that reads one of them."""
 
+import errno
 import math
 import os
 import re
@@ -16,7 +17,10 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
 from rgbd_planes.images import read_depth
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.wording import counted
+from rgbd_planes.wording import counted, one_line
+
+# What the system says where nothing is wrong with a file: files or memory are short, or a disk does not answer.
+_OF_THE_MACHINE = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.ETIMEDOUT}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,6 +156,25 @@ def _name(path: Path, root: Path) -> str:
     name = (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()
     # A table holds Unicode, and a name on disk may be bytes that are none, as from a system of another encoding.
     return name.encode(errors="backslashreplace").decode()
+
+
+def reason_to_skip(error: Exception, name: str) -> str:
+    """What is wrong with the frame of a name, in one line, if that is why it could not be read or fitted.
+
+    Where something else is, as where a library is missing, memory is short or a disk does not answer, that error is
+    raised: the frame would be left out for good.
+    """
+    if isinstance(error, (ImportError, MemoryError)):
+        raise error
+    cause: BaseException | None = error
+    while cause is not None:  # readers take it for damage to the file
+        if isinstance(cause, OSError) and cause.errno in _OF_THE_MACHINE:
+            cause.filename = cause.filename or name
+            raise cause
+        cause = cause.__cause__ or cause.__context__
+    text = one_line(error) or type(error).__name__
+    folder, _, rest = text.partition(f"{name}: ")  # the name is given beside it
+    return rest if rest and folder[-1:] in ("", "/") else text
 
 
 def kept_open() -> threading.local:
