@@ -178,7 +178,8 @@ def _encoding(image: Any) -> tuple[str, str]:
     return codec, arguments if isinstance(arguments, str) else str(arguments[0])
 
 
-_PGM_HEADER = re.compile(rb"P([25])" + rb"(?:\s|#[^\n]*\n)+(\d+)" * 3 + rb"\s")
+# No side of an image has more digits, and Python makes no number of thousands of them.
+_PGM_HEADER = re.compile(rb"P([25])" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
 
 
 def _read_pgm(path: Path) -> Frame:
@@ -202,7 +203,7 @@ def _read_pgm(path: Path) -> Frame:
     return _rows(path, "PGM", values, height, width).astype(dtype)
 
 
-_PFM_HEADER = re.compile(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)\s")
+_PFM_HEADER = re.compile(rb"P([Ff])\s+(\d{1,9})\s+(\d{1,9})\s+([-+.\deE]+)\s")
 
 
 def _read_pfm(path: Path) -> Frame:

@@ -357,6 +357,10 @@ def test_several_images_or_arrays(tmp_path):
     (tmp_path / "negative.pgm").write_bytes(b"P2 2 1 255\n3 -4\n")
     with pytest.raises(ValueError, match="numbers from 0 to 255"):
         images.read_depth(tmp_path / "negative.pgm")
+    for kind, name in (("P5", "digits.pgm"), ("Pf", "digits.pfm")):
+        (tmp_path / name).write_text(f"{kind} {'9' * 5000} 3 65535\nabc")
+        with pytest.raises(ValueError, match=rf"{name}: not a P[GF]M image.*, or damaged"):
+            images.read_depth(tmp_path / name)
     (tmp_path / "deep.pgm").write_bytes(b"P5 2 1 70000\n" + bytes(8))
     with pytest.raises(ValueError, match="got 70000"):
         images.read_depth(tmp_path / "deep.pgm")
