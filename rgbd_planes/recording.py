@@ -2,22 +2,28 @@
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
+from rgbd_planes.camera import Camera
+from rgbd_planes.checks import warn_caller
 from rgbd_planes.colours import in_image, normal_colours
 from rgbd_planes.export import exported, tile_polygons
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.plotting.segments import label_colours
 from rgbd_planes.polygons import plane_polygons
-from rgbd_planes.segmentation.segment import SMALLEST, segment
+from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker
-from rgbd_planes.sequences.frames import Frame, FrameSequence
+from rgbd_planes.sequences.frames import Frame, FrameSequence, check_sequence, reason_to_skip
 from rgbd_planes.tiles import TileFitter
+from rgbd_planes.wording import ranges
+
+Fit = TypeVar("Fit")
 
 _MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
 
@@ -45,7 +51,15 @@ def record(
     ModuleNotFoundError
         rerun-sdk is not installed.
     OSError
-        It cannot be written there.
+        It cannot be written there, or a frame cannot be read for a reason that is not its own, as in
+        `rgbd_planes.fit_sequence`.
+    TypeError, ValueError
+        An argument cannot be used, or no frame can be read and fitted.
+
+    Warns
+    -----
+    UserWarning
+        Frames that cannot be read or fitted are skipped. And as `rgbd_planes.fit_tiles`.
 
     Notes
     -----
@@ -56,13 +70,16 @@ def record(
     length of the tile; red right, green up, blue towards the camera), ``fitted`` (number of fitted tiles).
     Timelines: ``frame``, and ``time`` where the sequence has times.
     """
-    fitter: TileFitter | None = None
+
+    @lru_cache(maxsize=1)
+    def fitter(camera: Camera) -> TileFitter:
+        return TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
+
     with _recording(path) as (rr, stream):
-        for index, frame in enumerate(sequence):
+        check_sequence(sequence)
+        fitter(sequence.camera)  # what is wrong with the settings is wrong with no frame
+        for index, frame, tiles in _each(sequence, lambda frame: fitter(frame.camera).fit(frame.depth)):
             camera = frame.camera
-            if fitter is None or fitter.camera != camera:
-                fitter = TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
-            tiles = fitter.fit(frame.depth)
             _log_frame(rr, stream, index, frame)
             # In the axes of the image, the only ones that rerun's pinhole has.
             polygons = in_image(tile_polygons(tiles), camera)
@@ -91,7 +108,14 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     ModuleNotFoundError
         rerun-sdk or shapely is not installed.
     OSError
-        It cannot be written there.
+        As `record`.
+    TypeError, ValueError
+        `min_size` cannot be used, or no frame can be read and segmented.
+
+    Warns
+    -----
+    UserWarning
+        Frames that cannot be read or segmented are skipped. And as `rgbd_planes.segment`.
 
     Notes
     -----
@@ -103,8 +127,10 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     tracker = PlaneTracker()
     most = 0
     with _recording(path) as (rr, stream):
-        for index, frame in enumerate(sequence):
-            tracked = tracker.follow(segment(frame.depth, frame.camera, min_size=min_size))
+        check_sequence(sequence)
+        check_min_size(min_size)
+        for index, frame, found in _each(sequence, lambda frame: segment(frame.depth, frame.camera, min_size=min_size)):
+            tracked = tracker.follow(found)
             _log_frame(rr, stream, index, frame)
             ids = (tracked.ids - 1) % _MOST_CLASSES + 1
             labels = np.append(0, ids)[tracked.segmentation.labels]
@@ -141,6 +167,29 @@ def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
             if in_block:
                 raise
             raise OSError(str(error)) from error
+
+
+def _each(sequence: FrameSequence, fit: Callable[[Frame], Fit]) -> Iterator[tuple[int, Frame, Fit]]:
+    """Number, frame and fit of those that can be read and fitted; in the end a warning names the others."""
+    skipped: dict[str, list[int]] = {}  # by reason
+    for index, name in enumerate(sequence.names):
+        try:
+            frame = sequence[index]
+            fitted = fit(frame)
+        except Exception as error:
+            skipped.setdefault(reason_to_skip(error, name), []).append(index)
+            continue
+        yield index, frame, fitted
+    said = [
+        f"frame {frames[0]}, {sequence.names[frames[0]]}: {reason}"
+        if len(frames) == 1
+        else f"{len(frames)} frames, {ranges(frames)}: {reason}"
+        for reason, frames in skipped.items()
+    ]
+    if sum(map(len, skipped.values())) == len(sequence):
+        raise ValueError(f"expected a frame that can be read and fitted, got none: {'; '.join(said)}")
+    for line in said:
+        warn_caller(f"skipped {line}")
 
 
 def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:

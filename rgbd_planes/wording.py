@@ -2,6 +2,8 @@
 
 from typing import SupportsFloat
 
+_LISTED = 10  # ranges
+
 
 def two_digits(value: float) -> str:
     """A number to two digits, 110 where the format .2g gives 1.1e+02."""
@@ -17,6 +19,15 @@ def counted(count: float, what: str) -> str:
     """A count with its noun, whose plural ends in s."""
     number = f"{count:g}" if isinstance(count, float) else count
     return f"{number} {what}" if count == 1 else f"{number} {what}s"
+
+
+def ranges(numbers: list[int]) -> str:
+    """Whole numbers as ranges, "0 to 4, 7"; of many only the first ones."""
+    there = set(numbers)
+    starts = sorted(number for number in there if number - 1 not in there)
+    ends = sorted(number for number in there if number + 1 not in there)
+    listed = [str(a) if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
+    return ", ".join(listed[:_LISTED]) + (", ..." if len(listed) > _LISTED else "")
 
 
 def one_line(message: object) -> str:

@@ -170,15 +170,14 @@ def test_noise_skips_what_cannot_be_read(tmp_path, monkeypatch, capsys):
     assert cli.main(["noise", "frames", "--out", "with_noise.json"]) == 1
     out, err = capsys.readouterr()
     assert "2 of 3 frames" in out
-    assert err.startswith("rgbd-planes noise: skipped ")
-    assert "1.png: damaged" in err
+    assert err.startswith("rgbd-planes noise: skipped frame 1, 1.png: damaged")
     assert err.count("\n") == 1
     assert rp.Camera.load("with_noise.json").noise == rp.estimate_noise(frames[::2], camera)
     images.write_png(damaged, frames[1][1:])
     assert cli.main(["noise", "frames"]) == 1
     out, err = capsys.readouterr()
     assert "2 of 3 frames" in out
-    assert "skipped 1.png: expected a depth frame of shape (height, width) = (240, 320)" in err
+    assert "skipped frame 1, 1.png: expected a depth frame of shape (height, width) = (240, 320)" in err
     for i in range(3):
         (tmp_path / "frames" / f"{i}.png").write_bytes(b"")
     assert "2.png: not a PNG image, or damaged" in fails(capsys, "noise", "frames")

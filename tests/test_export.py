@@ -250,6 +250,31 @@ def test_rerun_recording_holds_every_frame(depth, tiles, tmp_path):
     np.testing.assert_array_equal(image, (depth.ravel() / 1000).astype(np.float32))
 
 
+def test_frames_that_cannot_be_recorded_are_skipped_and_named(depth, tmp_path):
+    pytest.importorskip("rerun")
+    for i, image in enumerate([depth, depth[::2], depth, depth[:, 1:], depth[::2]]):
+        images.write_png(tmp_path / f"{i}.png", image)
+    (tmp_path / "2.png").write_bytes(b"")
+    entries = [FrameEntry(f"{i}.png", float(i), CAMERA, tmp_path / f"{i}.png") for i in range(5)]
+    with pytest.warns(UserWarning, match="skipped") as warned:
+        recording.record(FrameSequence(entries, images.read_depth), tmp_path / "planes.rrd", (12, 16))
+    assert {warning.filename for warning in warned} == {__file__}
+    messages = [str(warning.message).replace("(height, width) = ", "") for warning in warned]
+    assert messages == [
+        "skipped 2 frames, 1, 4: expected a depth frame of shape (60, 80), as the camera's, got (30, 80)",
+        "skipped frame 2, 2.png: not a PNG image, or damaged",
+        "skipped frame 3, 3.png: expected a depth frame of shape (60, 80), as the camera's, got (60, 79)",
+    ]
+    assert columns_of(tmp_path / "planes.rrd")["/fitted", "frame"] == [0]
+
+    def fail(location):
+        raise MemoryError
+
+    for record in (recording.record, recording.record_segments):
+        with pytest.raises(MemoryError):
+            record(FrameSequence(entries, fail), tmp_path / "none.rrd")
+
+
 def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
     """A frame is the same picture whatever its camera's signs; rerun has no pinhole with negative ones."""
     pytest.importorskip("rerun")
@@ -295,8 +320,10 @@ def test_an_error_of_a_frame_is_no_error_of_the_recording(tmp_path):
         raise RuntimeError(location)
 
     sequence = FrameSequence([FrameEntry("0", 0.0, CAMERA, "the frame")], fail)
-    with pytest.raises(RuntimeError, match=r"^the frame$"):
+    with pytest.raises(ValueError, match=r"^expected a frame .*, got none: frame 0, 0: the frame$"):
         recording.record(sequence, tmp_path / "planes.rrd")
+    with pytest.raises(ValueError, match="tile"):
+        recording.record(sequence, tmp_path / "planes.rrd", tile=1000)
     assert not any(tmp_path.iterdir())
 
 

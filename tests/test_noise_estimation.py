@@ -243,6 +243,10 @@ def test_frames_without_anything_flat(rng):
         rp.estimate_noise([], CAMERA)
     with pytest.raises(ValueError, match="at least 24 x 24 pixels, got 22 x 20"):
         rp.estimate_noise([np.ones((20, 22))], replace(CAMERA, width=22, height=20))
+    with pytest.raises(ValueError, match=r"^frame 1: expected a depth frame of shape"):
+        rp.estimate_noise([depth[0], depth[0][1:]], CAMERA)
+    with pytest.raises(TypeError, match=r"^frame 1: expected a plain array"):
+        rp.estimate_noise([depth[0], np.ma.masked_equal(depth[0], 0)], CAMERA)
 
 
 def test_what_may_be_edges_is_doubted():

@@ -301,6 +301,18 @@ def test_rerun_recording_holds_every_frame(tmp_path, monkeypatch):
         assert np.array_equal(np.array(read[0], np.uint8).view(np.uint16), expected.ravel())
 
 
+def test_frames_that_cannot_be_recorded_are_skipped_and_named(depth, tmp_path):
+    pytest.importorskip("rerun")
+    pytest.importorskip("shapely")
+    frames = [depth, depth[1:], depth]
+    sequence = FrameSequence([FrameEntry(f"{i}.png", float(i), CAMERA, i) for i in range(3)], frames.__getitem__)
+    with pytest.warns(UserWarning, match=r"^skipped frame 1, 1\.png: expected a depth frame of shape"):
+        recording.record_segments(sequence, tmp_path / "planes.rrd")
+    assert columns_of(tmp_path / "planes.rrd")["/found", "frame"] == [0, 2]
+    with pytest.raises(TypeError, match="min_size"):
+        recording.record_segments(sequence, tmp_path / "planes.rrd", min_size="60")
+
+
 def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
     pytest.importorskip("rerun")
     pytest.importorskip("shapely")

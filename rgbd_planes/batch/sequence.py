@@ -30,7 +30,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads, warn_caller
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, write_beside
-from rgbd_planes.sequences.frames import FrameSequence
+from rgbd_planes.sequences.frames import FrameSequence, check_sequence
 from rgbd_planes.threads import num_cores
 
 # The size of a part: how much an interruption loses, and what each thread holds in memory.
@@ -169,10 +169,7 @@ def fit_sequence(
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
-    if not isinstance(sequence, FrameSequence):
-        raise TypeError(f"expected a FrameSequence, which open_sequence makes, got {type(sequence).__name__}")
-    if len(sequence) == 0:
-        raise ValueError("expected a sequence with frames, got none")
+    check_sequence(sequence)
     num_threads = check_num_threads(num_threads)
     settings = FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):

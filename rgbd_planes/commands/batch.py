@@ -12,9 +12,7 @@ from rgbd_planes.commands.arguments import (
     add_sequence_options,
     read_sequence,
 )
-from rgbd_planes.wording import percent
-
-_LISTED = 10  # ranges of skipped frames
+from rgbd_planes.wording import percent, ranges
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
@@ -105,7 +103,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
         for reason, frames in skipped.items():
             if len(frames) > 1:
-                print(f"{len(frames)} frames, {_ranges(frames)}: {reason}", file=sys.stderr)
+                print(f"{len(frames)} frames, {ranges(frames)}: {reason}", file=sys.stderr)
         if report.problems:
             print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
             if report.resumed and not arguments.retry:
@@ -113,12 +111,3 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         return 1 if report.problems else 0
 
     return run
-
-
-def _ranges(frames: list[int]) -> str:
-    """Frame numbers as ranges, "0 to 4, 7"; of many only the first ones."""
-    there = set(frames)
-    starts = sorted(frame for frame in there if frame - 1 not in there)
-    ends = sorted(frame for frame in there if frame + 1 not in there)
-    ranges = [str(a) if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
-    return ", ".join(ranges[:_LISTED]) + (", ..." if len(ranges) > _LISTED else "")

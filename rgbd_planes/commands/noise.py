@@ -16,7 +16,7 @@ from rgbd_planes.commands.arguments import (
     write_figure,
 )
 from rgbd_planes.files import naming
-from rgbd_planes.wording import counted, one_line
+from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from rgbd_planes.sequences import FrameSequence
@@ -87,20 +87,23 @@ def noise(parser: argparse.ArgumentParser) -> Run:
 def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
     """The chosen frames, without those that cannot be read or are not the camera's, which are reported."""
     from rgbd_planes.depth import as_depth_frame
+    from rgbd_planes.sequences.frames import reason_to_skip
 
-    frames, reasons = [], []
+    frames, skipped = [], []
     for index in chosen:
+        name = sequence.entries[index].name
         try:
             frame = sequence[index]
-            with naming(frame.name):
+            with naming(name):
                 as_depth_frame(frame.depth, frame.camera)
             frames.append(frame)
-        except (OSError, ValueError) as error:
+        except Exception as error:
+            reason = reason_to_skip(error, name)
             if not frames and index == chosen[-1]:
                 raise
-            reasons.append(one_line(error))
-    for reason in reasons:
-        print(f"rgbd-planes noise: skipped {reason}", file=sys.stderr)
+            skipped.append(f"frame {index}, {name}: {reason}")
+    for line in skipped:
+        print(f"rgbd-planes noise: skipped {line}", file=sys.stderr)
     return frames
 
 

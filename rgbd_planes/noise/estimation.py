@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from statistics import NormalDist
 from typing import Any
@@ -23,6 +24,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, warn_caller
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
+from rgbd_planes.files import naming
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
 from rgbd_planes.noise.large_planes import TILE, LargePlanes, bends_by_side, large_planes
@@ -95,7 +97,8 @@ def estimate_noise(
     Raises
     ------
     TypeError, ValueError
-        Too little in the frames is flat, or what is flat has no noise; or a frame is not this camera's.
+        Too little in the frames is flat, or what is flat has no noise; or a frame, whose number is given,
+        is not this camera's.
 
     Warns
     -----
@@ -120,6 +123,12 @@ def estimate_noise(
         raise ValueError(
             f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
         )
+    steps = []
+    for index, depth in enumerate(opened):
+        with nullcontext() if is_one else naming(f"frame {index}"):
+            frame = as_depth_frame(depth, bare)
+        warn_of_distances(frame, bare)
+        steps.append(step_of(frame))
     for most_missing in MOST_MISSING:
         tiles = {
             size: TileFitter(bare, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
@@ -130,11 +139,6 @@ def estimate_noise(
         count = int(np.count_nonzero(flat))
         if count >= FEWEST_WINDOWS:
             break
-    steps = []
-    for depth in opened:
-        frame = as_depth_frame(depth, bare)
-        warn_of_distances(frame, bare)
-        steps.append(step_of(frame))
     if count < FEWEST_WINDOWS:
         windows = tiles[WINDOW]
         exact = windows.rmse * mean_depth(windows) < EXACT

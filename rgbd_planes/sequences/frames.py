@@ -158,6 +158,14 @@ def _name(path: Path, root: Path) -> str:
     return name.encode(errors="backslashreplace").decode()
 
 
+def check_sequence(sequence: Any) -> None:
+    """Refuse all but a sequence that has frames."""
+    if not isinstance(sequence, FrameSequence):
+        raise TypeError(f"expected a FrameSequence, which open_sequence makes, got {type(sequence).__name__}")
+    if len(sequence) == 0:
+        raise ValueError("expected a sequence with frames, got none")
+
+
 def reason_to_skip(error: Exception, name: str) -> str:
     """What is wrong with the frame of a name, in one line, if that is why it could not be read or fitted.
 
