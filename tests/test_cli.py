@@ -324,7 +324,7 @@ BAD_INPUT = {
     "empty depth": (cut("depth.png", 0.0), [], r"depth\.png: not a PNG"),
     "truncated camera": (cut("camera.json"), [], r"camera\.json"),
     "colour": (store(np.zeros((60, 80, 3), np.uint8)), [], "colour"),
-    "another size": (store(np.ones((50, 80), np.uint16)), [], r"\(60, 80\).*\(50, 80\)"),
+    "another size": (store(np.ones((50, 80), np.uint16)), [], r"depth\.png: .*\(60, 80\).*\(50, 80\)"),
     "no scale": (camera(depth_scale=None), [], "depth_scale .* disparity"),
     "unknown key": (camera(focal=3.0), [], "focal"),
     "lacking key": (camera(fx="none"), [], "fx"),

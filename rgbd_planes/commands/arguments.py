@@ -145,11 +145,13 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     from rgbd_planes.camera import Camera
     from rgbd_planes.depth import as_depth_frame
     from rgbd_planes.distances import warn_of_distances
+    from rgbd_planes.files import naming
     from rgbd_planes.images import read_depth
 
     camera = Camera.load(arguments.camera)
     depth = read_depth(arguments.depth)
-    frame = as_depth_frame(depth, camera)
+    with naming(arguments.depth):
+        frame = as_depth_frame(depth, camera)
     if frame.valid.any():
         warn_of_distances(frame, camera)
         return depth, camera, 0
