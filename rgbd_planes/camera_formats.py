@@ -98,6 +98,8 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
     matrix = _floats(name, _get(info, name, name.lower()))
     if matrix.size != 3 * columns:
         raise ValueError(f"expected {3 * columns} numbers in {name}, got {matrix.size}")
+    if not matrix.any():
+        raise ValueError(f"expected a camera that is calibrated: ROS writes {name} = 0 for one that is not")
     pinhole = _pinhole(_matrix(name, matrix.reshape(3, columns)[:, :3]))
 
     x_offset = y_offset = 0
@@ -139,7 +141,7 @@ def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ros_distortion(info: Any) -> dict[str, Any]:
-    coefficients = _floats("D", _get(info, "D", "d")).ravel().tolist()
+    coefficients = _floats("D, empty without distortion,", _get(info, "D", "d")).ravel().tolist()
     if not any(coefficients):
         return {}
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
@@ -241,6 +243,8 @@ def _whole(source: Any, name: str, **default: int) -> int:
 
 def _floats(name: str, values: ArrayLike) -> Floats:
     try:
+        if values is None:  # NaN to NumPy
+            raise TypeError
         return np.asarray(values, np.float64)
     except (OverflowError, TypeError, ValueError):
         raise TypeError(f"expected {name} as numbers, got {values!r}") from None

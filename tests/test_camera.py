@@ -467,7 +467,10 @@ def test_from_ros_models():
     with pytest.raises(ValueError, match="4 or 5 coefficients in D for plumb_bob, got 8"):
         Camera.from_ros(camera_info(D=RATIONAL))
     with pytest.raises(ValueError, match="fx and fy not 0"):
-        Camera.from_ros(camera_info(K=[0.0] * 9))  # ROS's way to say uncalibrated
+        Camera.from_ros(camera_info(K=[0.0] * 8 + [1.0]))
+    for options in ({}, {"rectified": True}):
+        with pytest.raises(ValueError, match=r"ROS writes [KP] = 0 for one that is not"):
+            Camera.from_ros(camera_info(K=[0.0] * 9, P=[0.0] * 12), **options)
     with pytest.raises(ValueError, match="expected 9 numbers in K, got 12"):
         Camera.from_ros(camera_info(K=[1.0] * 12))
     with pytest.raises(ValueError, match="expected K or k in the dict"):
@@ -612,6 +615,8 @@ def test_from_realsense_without_a_lens():
         (lambda: Camera.from_ros(camera_info(binning_y=-1)), "binning_y must be at least 0, got -1"),
         (lambda: Camera.from_ros(camera_info(roi={"x_offset": "4"})), "x_offset must be a whole number, got '4'"),
         (lambda: Camera.from_ros(camera_info(K=[10**400] * 9)), "expected K as numbers, got"),
+        (lambda: Camera.from_ros(camera_info(D=None)), "expected D, empty without distortion, as numbers, got None"),
+        (lambda: Camera.from_ros(camera_info(K=None)), "expected K as numbers, got None"),
         (lambda: Camera.from_ros(camera_info(D=5)), "4 or 5 coefficients in D for plumb_bob, got 1"),
         (lambda: Camera.from_open3d({"intrinsic": None}), "expected intrinsic_matrix in the NoneType"),
         (lambda: Camera.from_open3d({"intrinsic_matrix": [[1], 2]}), "expected intrinsic_matrix as numbers"),
