@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from rgbd_planes.wording import one_line
+
 # Bytes. Nonsense in a file may ask for any number of them: if this many are free, memory was not short of a frame.
 _MORE_THAN_A_FRAME = 2**28
 
@@ -88,15 +90,18 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextmanager
-def readable(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
-    """Turn whatever the block's library raises, for files that end early or hold nonsense, into a ValueError."""
+def readable(path: str | os.PathLike[str], expected: str, remedy: str = "") -> Iterator[None]:
+    """Turn whatever the block's library raises, for files that end early or hold nonsense, into a ValueError.
+
+    In one line, with the remedy at its end.
+    """
     try:
         yield
     except Exception as error:
         if isinstance(error, MemoryError) and not _is_free(_MORE_THAN_A_FRAME):
             raise
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason})") from error
+        reason = getattr(error, "strerror", None) or one_line(error) or type(error).__name__
+        raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason}){remedy}") from error
 
 
 def _is_free(size: int) -> bool:

@@ -531,3 +531,11 @@ def test_nonsense_that_asks_for_much_memory_is_told_from_memory_that_is_short(mo
     monkeypatch.setattr(files, "_MORE_THAN_A_FRAME", 2**62)  # as if nothing were free
     with pytest.raises(MemoryError), files.readable("a.mcap", "a bag"):
         bytearray(2**62)
+
+
+def test_what_a_library_says_of_a_damaged_file_is_one_line():
+    with (
+        pytest.raises(ValueError, match=r"^a\.bag: not a bag, or damaged \(no index at 7\)$"),
+        files.readable("a.bag", "a bag"),
+    ):
+        raise RuntimeError("no index\n  at 7\n")

@@ -691,6 +691,28 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
         rp.open_sequence(path, CAMERA)
 
 
+@pytest.mark.parametrize(
+    ("name", "tool"), [("a.bag", "rosbag reindex"), ("mcap", "mcap recover"), ("db3", r"sqlite3's \.recover")]
+)
+def test_a_rosbag_that_was_cut_off_says_what_saves_it(tmp_path, frames, name, tool):
+    pytest.importorskip("rosbags")
+    path = tmp_path / name
+    depth, info = messages(type_store(path)[0], frames)
+    write_bag(path, {"/depth": [(i, message) for i, message in enumerate(depth)], "/camera_info": [(0, info)]})
+    file = path if path.is_file() else next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    for place in (path, file):
+        with pytest.raises(ValueError, match=rf"{place.name}: not .*; if the recording was cut off, {tool} saves"):
+            rp.open_sequence(place)
+    if path.is_dir():
+        (path / "metadata.yaml").unlink()
+        with pytest.raises(ValueError, match=r"metadata\.yaml, found none; ros2 bag reindex makes one"):
+            rp.open_sequence(path)
+    else:
+        with pytest.raises(ValueError, match=r"a\.bag\.active: a ROS bag that was not closed: rosbag reindex mends it"):
+            rp.open_sequence(path.rename(tmp_path / "a.bag.active"))
+
+
 @pytest.mark.skipif(not real_data.sets(), reason=real_data.REASON)
 def test_every_real_set_is_a_folder():
     for root in real_data.sets():

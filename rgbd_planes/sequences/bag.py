@@ -28,6 +28,10 @@ _GREY = "mono16"  # infrared images have it, too
 _ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
 
+# What saves a recording that was cut off, as by a power cut, by the suffix of its files.
+_SAVED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3's .recover"}
+
+
 def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None) -> FrameSequence:
     """Open the depth images of a ROS 1 bag, a ROS 2 bag or a RealSense recording.
 
@@ -92,7 +96,12 @@ class _OpenBag:
     def __init__(self, path: Path) -> None:
         self.path = path
         if path.is_dir() and not (path / "metadata.yaml").is_file():
-            raise ValueError(f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none")
+            raise ValueError(
+                f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none; "
+                "ros2 bag reindex makes one for the files of a recording"
+            )
+        if path.name.endswith(".bag.active"):
+            raise ValueError(f"{path}: a ROS bag that was not closed: rosbag reindex mends it, to be named .bag then")
         if not path.is_dir():
             existing_file(path)
         with needs("rosbags", "ros"):
@@ -100,7 +109,10 @@ class _OpenBag:
             from rosbags.typesys import Stores, get_typestore
         self.identity = identity(path)
         # Bags of older ROS 2 do not define their messages; these three have been the same ever since.
-        with readable(self.path, _BAG):
+        suffixes = {file.suffix for file in (path.iterdir() if path.is_dir() else [path])}
+        tool = next((tool for suffix, tool in _SAVED_BY.items() if suffix in suffixes), None)
+        remedy = f"; if the recording was cut off, {tool} saves what is there" if tool else ""
+        with readable(self.path, _BAG, remedy):
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
 

@@ -85,7 +85,7 @@ def _recognise(path: Path, has_camera: bool) -> str:
         suffix = path.suffix.lower()
         if suffix == ".sens":
             return "scannet_sens"
-        if suffix in (".bag", ".mcap", ".db3"):
+        if suffix in (".bag", ".mcap", ".db3") or path.name.endswith(".bag.active"):
             return "rosbag"
         if suffix == ".mkv":
             return "mkv"
@@ -98,6 +98,8 @@ def _recognise(path: Path, has_camera: bool) -> str:
         return "folder"
     if (path / "depth.txt").is_file():
         return "tum"
+    if any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):  # its metadata.yaml is missing
+        return "rosbag"
     signs = ", ".join(f"{sign} ({format})" for sign, format in _SIGNS.items())
     names = [file.name for file in numbered(path.iterdir())]
     found = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
