@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -22,6 +22,7 @@ from rgbd_planes.noise.model import NoiseModel
 Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
 
+_PIXELS = "whole number of pixels"
 _FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; only fisheye lenses see farther
 
 
@@ -92,7 +93,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            self._set(name, check_whole(name, getattr(self, name), 1, "whole number of pixels", bits=31))
+            self._set(name, check_whole(name, getattr(self, name), 1, _PIXELS, bits=31))
         for name in ("fx", "fy", "cx", "cy"):
             self._set(name, number(name, getattr(self, name)))
         for name in ("fx", "fy"):
@@ -293,6 +294,65 @@ class Camera:
             pixels = np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
         finite = np.isfinite(array).all(axis=-1, keepdims=True) & np.isfinite(pixels).all(axis=-1, keepdims=True)
         return np.where(finite, pixels, np.nan)
+
+    def resized(self, width: int, height: int) -> Self:
+        """The camera of resized images, whose pixels look through the middle of those that they stand for.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of a resized frame in pixels.
+
+        Returns
+        -------
+        Camera
+            Without a noise model: that of resized frames depends on how they were resized, and
+            `rgbd_planes.estimate_noise` finds it.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The size is no size of a camera.
+
+        Notes
+        -----
+        ``frame[::n, ::n]``, and other ways that take one pixel of many, keep the centres of these pixels: the principal
+        point is (cx / n, cy / n) then. Other modes of a sensor may show another part of the scene.
+        """
+        x = check_whole("width", width, 1, _PIXELS) / self.width
+        y = check_whole("height", height, 1, _PIXELS) / self.height
+        cx, cy = x * (self.cx + 0.5) - 0.5, y * (self.cy + 0.5) - 0.5
+        return replace(self, width=width, height=height, fx=x * self.fx, fy=y * self.fy, cx=cx, cy=cy, noise=None)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Self:
+        """The camera of a part of the image, ``frame[top : top + height, left : left + width]``.
+
+        Parameters
+        ----------
+        left, top : int
+            Column and row of its first pixel.
+        width, height : int
+            Its size in pixels.
+
+        Returns
+        -------
+        Camera
+            With the same rays and noise in each pixel.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The part is not inside the image.
+        """
+        for first, size, whole, names in (
+            (left, width, self.width, ("left", "width")),
+            (top, height, self.height, ("top", "height")),
+        ):
+            if check_whole(names[0], first, 0, _PIXELS) + check_whole(names[1], size, 1, _PIXELS) > whole:
+                raise ValueError(
+                    f"expected a part of the image, of {names[1]} {whole}, got {names[0]} {first} and {names[1]} {size}"
+                )
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as a dict that JSON can hold, with "noise" if there is a model.

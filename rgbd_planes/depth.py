@@ -212,7 +212,11 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     elif array.shape == expected[::-1]:
         reason = ": is it transposed, or are the camera's width and height swapped?"
     elif array.ndim == 2 and array.size and array.shape[0] * expected[1] == array.shape[1] * expected[0]:
-        reason = ": is the calibration that of another resolution?"
+        height, width = array.shape
+        reason = (
+            ": is the calibration that of another resolution? "
+            f"camera.resized({width}, {height}) is that of frames that were resized"
+        )
     else:
         reason = ""
     raise ValueError(

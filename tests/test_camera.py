@@ -256,6 +256,64 @@ def test_points_project_back_to_their_pixels(distortion):
     assert np.isnan(landed[~valid]).all()
 
 
+LENSES = [
+    {},
+    {"distortion": KINECT, "fx": 80.0, "fy": -80.0},
+    {"distortion": RATIONAL},
+    {"distortion": (0.1, -0.02, 1e-3, 2e-3, 0.0), "distortion_model": "inverse_brown_conrady"},
+    {"distortion": FISHEYE, "distortion_model": "fisheye", "fx": 30.0, "fy": 30.0},
+]
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_part_of_an_image_has_its_rays_and_its_noise(lens):
+    camera = small(**lens, depth_scale=1000.0, noise=replace(noise.kinect_v1(), falloff=2.0, lateral=0.5))
+    part = camera.cropped(20, 9, 31, 25)
+    assert part == replace(camera, width=31, height=25, cx=camera.cx - 20, cy=camera.cy - 9)
+    inside = slice(9, 34), slice(20, 51)
+    for name in ("tan_x", "tan_y"):
+        np.testing.assert_allclose(getattr(part, name), getattr(camera, name)[inside], rtol=0, atol=1e-9)
+    assert camera.cropped(0, 0, *camera.shape[::-1]) == camera
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("size", [(32, 24), (21, 12), (128, 144)])
+def test_a_pixel_of_a_resized_image_looks_through_the_middle_of_its_pixels(lens, size):
+    camera = small(**lens, depth_scale=1000.0)
+    resized = camera.resized(*size)
+    pinhole = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    assert replace(resized, **pinhole) == camera
+    step = np.array([camera.width / size[0], camera.height / size[1]])
+    rays = np.stack([resized.tan_x, resized.tan_y, np.ones(resized.shape)], axis=-1)
+    middles = (np.stack(pixels(resized), axis=-1) + 0.5) * step - 0.5
+    np.testing.assert_allclose(camera.project(rays), middles, atol=1e-8)
+    if size == (32, 24) and not lens:
+        for name in ("tan_x", "tan_y"):
+            of_four = getattr(camera, name).reshape(24, 2, 32, 2).mean(axis=(1, 3))
+            np.testing.assert_allclose(getattr(resized, name), of_four, atol=1e-12)
+
+
+def test_a_resized_image_has_another_noise():
+    assert small(noise=noise.kinect_v1()).resized(640, 480).noise is None  # without a doubt about its intrinsics
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: small().resized(32.0, 24), TypeError, "width must be a whole number of pixels, got 32.0"),
+        (lambda: small().resized(32, 0), ValueError, "height must be at least 1, got 0"),
+        (lambda: small().cropped(-1, 0, 3, 3), ValueError, "left must be at least 0, got -1"),
+        (lambda: small().cropped(0, 0.5, 3, 3), TypeError, "top must be a whole number of pixels, got 0.5"),
+        (lambda: small().cropped(0, 0, 3, 0), ValueError, "height must be at least 1, got 0"),
+        (lambda: small().cropped(2, 0, 63, 3), ValueError, "part of the image, of width 64, got left 2 and width 63"),
+        (lambda: small().cropped(0, 46, 3, 3), ValueError, "part of the image, of height 48, got top 46 and height 3"),
+    ],
+)
+def test_images_that_no_camera_resizes_or_crops(make, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        make()
+
+
 def test_points_of_a_disparity_image():
     camera = small(disparity=(0.01, 0.1))
     points = camera.points(np.full(camera.shape, 40, np.uint16))
