@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rgbd_planes.batch.parts import Problem, in_words
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import warn_caller
 from rgbd_planes.colours import in_image, normal_colours
@@ -21,7 +22,6 @@ from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker
 from rgbd_planes.sequences.frames import Frame, FrameSequence, check_sequence, reason_to_skip
 from rgbd_planes.tiles import TileFitter
-from rgbd_planes.wording import ranges
 
 Fit = TypeVar("Fit")
 
@@ -171,24 +171,19 @@ def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
 def _each(sequence: FrameSequence, fit: Callable[[Frame], Fit]) -> Iterator[tuple[int, Frame, Fit]]:
     """Number, frame and fit of those that can be read and fitted; in the end a warning names the others."""
-    skipped: dict[str, list[int]] = {}  # by reason
+    problems = []
     for index, name in enumerate(sequence.names):
         try:
             frame = sequence[index]
             fitted = fit(frame)
         except Exception as error:
-            skipped.setdefault(reason_to_skip(error, name), []).append(index)
+            problems.append(Problem(index, name, reason_to_skip(error, name)))
             continue
         yield index, frame, fitted
-    said = [
-        f"frame {frames[0]}, {sequence.names[frames[0]]}: {reason}"
-        if len(frames) == 1
-        else f"{len(frames)} frames, {ranges(frames)}: {reason}"
-        for reason, frames in skipped.items()
-    ]
-    if sum(map(len, skipped.values())) == len(sequence):
-        raise ValueError(f"expected a frame that can be read and fitted, got none: {'; '.join(said)}")
-    for line in said:
+    lines = in_words(problems)
+    if len(problems) == len(sequence):
+        raise ValueError(f"expected a frame that can be read and fitted, got none: {'; '.join(lines)}")
+    for line in lines:
         warn_caller(f"skipped {line}")
 
 

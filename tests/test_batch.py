@@ -224,6 +224,9 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
         assert words in problem.reason
         assert str(recording) not in problem.reason  # the name says which
     check_rows(tmp_path / "out", sequence, bad=(0, 7, 29))
+    assert repr(report).startswith(
+        f"<BatchReport: 27 of 30 frames, {report.rows} rows in {tmp_path / 'out'}; skipped f"
+    )
     # An interrupted table has them, too.
     again = rp.fit_sequence(sequence, tmp_path / "out")
     assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
@@ -341,6 +344,8 @@ def test_a_table_of_bad_frames_alone_has_its_columns(recording, tmp_path, capsys
         file.write_bytes(b"")
     report = rp.fit_sequence(sequence, tmp_path / "bad")
     assert len(report.problems) == 30
+    said = "skipped 30 frames, 0 to 29: not a PNG image, or damaged"
+    assert repr(report) == f"<BatchReport: 0 of 30 frames, 0 rows in {tmp_path / 'bad'}; {said}>"
     assert cli.main(["batch", str(recording), "--out", str(tmp_path / "again")]) == 1
     assert "0 of 30 frames, 0 rows.\n" in capsys.readouterr().out
     good_table, bad_table = (parquet.read_table(tmp_path / name) for name in ("good", "bad"))

@@ -4,7 +4,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from functools import lru_cache, partial
 from pathlib import Path
@@ -26,6 +26,7 @@ from rgbd_planes.sequences.frames import Frame, FrameSequence, reason_to_skip
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
+from rgbd_planes.wording import ranges
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,19 @@ class Problem(NamedTuple):
     frame: int
     name: str
     reason: str
+
+
+def in_words(problems: Iterable[Problem]) -> list[str]:
+    """A line for each reason, with the frames that it is about."""
+    frames: dict[str, list[Problem]] = {}
+    for problem in problems:
+        frames.setdefault(problem.reason, []).append(problem)
+    return [
+        f"frame {some[0].frame}, {some[0].name}: {reason}"
+        if len(some) == 1
+        else f"{len(some)} frames, {ranges([problem.frame for problem in some])}: {reason}"
+        for reason, some in frames.items()
+    ]
 
 
 class Part(NamedTuple):

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rgbd_planes.batch.digest import UNKNOWN, digests
-from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part
+from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part, in_words
 from rgbd_planes.batch.rows import Columns
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads, warn_caller
@@ -32,6 +32,7 @@ from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, write_beside
 from rgbd_planes.sequences.frames import FrameSequence, check_sequence
 from rgbd_planes.threads import num_cores
+from rgbd_planes.wording import counted
 
 # The size of a part: how much an interruption loses, and what each thread holds in memory.
 MOST_FRAMES = 512
@@ -43,11 +44,12 @@ MOST_THREADS, MOST_THREADS_OF_SEGMENTS = 8, 16
 CONNECT_SECONDS = 30.0
 PROGRESS_SECONDS = 0.2  # between two calls, while no part is done
 _ABOUT = "_about.json"
+_SHOWN = 3  # reasons for which frames were skipped
 
 Task = tuple[int, int, int]  # number of the part, first frame, one after the last
 
 
-@dataclass
+@dataclass(repr=False)
 class BatchReport:
     """The outcome of a batch.
 
@@ -81,6 +83,12 @@ class BatchReport:
         self.status.update(part.status)
         self.problems.extend(part.problems)
         self.seconds.update(part.seconds)
+
+    def __repr__(self) -> str:
+        lines = in_words(self.problems)
+        skipped = [f"; skipped {line}" for line in lines[:_SHOWN]] + ["; ..."] * (len(lines) > _SHOWN)
+        done = f"{self.frames - len(self.problems)} of {counted(self.frames, 'frame')}"
+        return f"<BatchReport: {done}, {counted(self.rows, 'row')} in {self.out}{''.join(skipped)}>"
 
 
 class Progress(NamedTuple):

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections import Counter
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import (
@@ -12,7 +13,7 @@ from rgbd_planes.commands.arguments import (
     add_sequence_options,
     read_sequence,
 )
-from rgbd_planes.wording import percent, ranges
+from rgbd_planes.wording import percent
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
@@ -48,6 +49,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import FitSettings, fit_sequence
+        from rgbd_planes.batch.parts import in_words
         from rgbd_planes.batch.sequence import Progress
         from rgbd_planes.extras import needs
 
@@ -65,14 +67,14 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             min_size=arguments.min_size,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: only on a terminal
-        skipped: dict[str, list[int]] = {}  # frames by reason, which is printed once, and at the end
+        skipped: Counter[str] = Counter()  # by reason: each is printed once, and that of several frames at the end
 
         def progress(done: Progress) -> None:
             for frame, name, reason in done.problems:
                 if reason not in skipped:
                     line = f"rgbd-planes batch: skipped frame {frame}, {name}: {reason}"
                     bar.write(line, file=sys.stderr)
-                skipped.setdefault(reason, []).append(frame)
+                skipped[reason] += 1
             bar.update(done.frames)
 
         try:
@@ -101,9 +103,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             shares = ", ".join(f"{work} {percent(seconds / total)}" for work, seconds in report.seconds.items())
             print(f"Of the work: {shares}.")
         print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
-        for reason, frames in skipped.items():
-            if len(frames) > 1:
-                print(f"{len(frames)} frames, {ranges(frames)}: {reason}", file=sys.stderr)
+        for line in in_words(problem for problem in report.problems if skipped[problem.reason] > 1):
+            print(line, file=sys.stderr)
         if report.problems:
             print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
             if report.resumed and not arguments.retry:
