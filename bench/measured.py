@@ -17,6 +17,7 @@ from bench import (
     real_sensors,
     roofline,
     segmentation,
+    tracking,
     uncertainty_real,
     user_tasks,
 )
@@ -32,6 +33,7 @@ SECTIONS = {
     "first": first_call,
     "batch": batch_throughput,
     "segments": segmentation,
+    "tracking": tracking,
     "sensors": real_sensors,
     "uncertainty": uncertainty_real,
 }

@@ -18,6 +18,7 @@ from bench import (
     report,
     roofline,
     sequence,
+    tracking,
     uncertainty_real,
 )
 from bench.__main__ import main
@@ -218,6 +219,22 @@ def test_rings_show_what_the_model_lacks(rng):
     plain = uncertainty_real.real_result(data, rp.noise.NoiseModel((1.4e-3,)), 8).rings
     assert 1.0 < plain[0][0] < plain[1][0] < plain[2][0]
     assert plain[2][1] > 0.3
+
+
+def test_changes_of_ids_are_counted(monkeypatch):
+    views = tracking.turning(8.0)[:4]
+    row = tracking.changes(views)
+    assert row["frames"] == 4
+    assert row["seen"] > row["large"] > 30
+    assert row["changed"] <= 2
+
+    def with_new_ids(frames, camera):
+        for i, tracked in enumerate(rp.segment_sequence(frames, camera)):
+            yield rp.TrackedSegmentation(tracked.segmentation, tracked.ids + 1000 * np.int32(i))
+
+    monkeypatch.setattr(tracking, "segment_sequence", with_new_ids)
+    every = tracking.changes(views)
+    assert every["changed"] == row["seen"] - row["surfaces"]
 
 
 def test_a_batch_is_measured():
