@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+_LARGEST_CHANGE = 0.25  # by simplifying, as a share of the area of a part
 _SHARE_OF_BENDS = 0.25  # of the tolerance
 _ON_EDGE = np.linspace(0.0, 1.0, 5)  # where an edge is checked
 
@@ -246,7 +247,19 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
     areas = np.array([polygon(rings).area for rings in parts])
     kept = np.flatnonzero(areas >= least) if areas.max() >= least else [areas.argmax()]
     outline = shapely.MultiPolygon([polygon([_with_corners(ring) for ring in parts[i]]) for i in kept])
-    return _multi(outline.simplify(tolerance) if tolerance > 0.0 else outline, outline)
+    return _simplified(outline, tolerance) if tolerance > 0.0 else _multi(outline, outline)
+
+
+def _simplified(outline: MultiPolygon, tolerance: float) -> MultiPolygon:
+    """The outline with fewer corners; parts that hardly anything would be left of stay as they are."""
+    import shapely
+
+    parts = shapely.get_parts(outline)
+    simple = shapely.simplify(parts, tolerance)
+    off = np.abs(shapely.area(simple) - shapely.area(parts))
+    joined = shapely.MultiPolygon(list(np.where(off > _LARGEST_CHANGE * shapely.area(parts), parts, simple)))
+    # All parts together keep clear of each other, but take far longer.
+    return _multi(joined if joined.is_valid else outline.simplify(tolerance), outline)
 
 
 def _with_corners(ring: Floats) -> Floats:
@@ -271,7 +284,7 @@ def _multi(geometry: Geometry, otherwise: MultiPolygon) -> MultiPolygon:
 
     parts = [
         part
-        for part in shapely.get_parts(shapely.make_valid(geometry))
+        for part in shapely.get_parts(shapely.get_parts(shapely.make_valid(geometry)))  # a collection may hold several
         if part.geom_type == "Polygon" and not part.is_empty
     ]
     return shapely.MultiPolygon(parts) if parts else otherwise

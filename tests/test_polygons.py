@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera, presets, scenes, segment
 
 shapely = pytest.importorskip("shapely")
 
-from rgbd_planes.polygons import PlanePolygon, plane_polygons, rays_through  # noqa: E402
+from rgbd_planes.polygons import PlanePolygon, _multi, plane_polygons, rays_through  # noqa: E402
 from rgbd_planes.segmentation.result import Reason  # noqa: E402
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
@@ -239,6 +240,33 @@ def test_tolerance_saves_corners() -> None:
     for one, other in zip(every, few, strict=True):
         assert shapely.get_num_coordinates(other.image) < 0.3 * shapely.get_num_coordinates(one.image)
         assert one.image.hausdorff_distance(other.image) < 3.0
+
+
+@pytest.mark.parametrize("tolerance", [1.0, 3.0])
+def test_thin_parts_keep_their_area(tolerance: float) -> None:
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    found.labels[:] = 0
+    found.labels[40:100, 10:100] = 1
+    found.labels[20, 20:90] = 1  # one pixel wide
+    found.labels[20:90, 120:122] = 1
+    (own,) = plane_polygons(found, tolerance=tolerance)
+    assert sorted(part.area for part in own.image.geoms) == pytest.approx([70.0, 140.0, 5400.0], rel=0.02)
+
+
+def test_parts_are_simplified_each_for_itself(rng: np.random.Generator) -> None:
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    found.labels[:] = gaussian_filter(rng.normal(size=CAMERA.shape), 3.0) > 0.05
+    (every,), (few,) = (plane_polygons(found, tolerance=tolerance) for tolerance in (0.0, 1.0))
+    assert len(few.image.geoms) > 10
+    assert few.image.equals(every.image.simplify(1.0))
+
+
+def test_what_is_made_valid_keeps_all_of_its_parts() -> None:
+    """Where parts overlap, what is valid is a collection of polygons, in a geometry of their own, and of lines."""
+    crossing = shapely.MultiPolygon([shapely.box(0, 0, 2, 2), shapely.box(1, 0, 3, 2), shapely.box(5, 0, 6, 2)])
+    made = _multi(crossing, crossing)
+    assert made.is_valid
+    assert made.area == pytest.approx(8.0)
 
 
 def test_dictionary_is_json() -> None:
