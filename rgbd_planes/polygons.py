@@ -71,14 +71,19 @@ class PlanePolygon:
 
     @cached_property
     def hull(self) -> Polygon:
-        """Convex hull in the plane's coordinates."""
-        return self.metric.convex_hull
+        """Convex hull in the plane's coordinates; empty if the outline has no area."""
+        import shapely
+
+        hull = self.metric.convex_hull
+        return hull if isinstance(hull, shapely.Polygon) else shapely.Polygon()
 
     @cached_property
     def rectangle(self) -> Polygon:
-        """The smallest rectangle around the outline, at any angle, in the plane's coordinates."""
+        """The smallest rectangle around the outline, at any angle, in the plane's coordinates; empty as `hull` is."""
         import shapely
 
+        if self.hull.is_empty:
+            return self.hull
         # One of its sides lies along one of the hull's. GEOS's own may have no area where corners of the hull lie on a
         # line up to rounding, as those of pixels do.
         corners = np.asarray(self.hull.exterior.coords)
@@ -155,7 +160,7 @@ def plane_polygons(segmentation: Segmentation, *, tolerance: float = 1.0, min_pa
     Returns
     -------
     list of PlanePolygon
-        One for each label, in order.
+        One for each label, in order; empty for a plane without pixels.
 
     Raises
     ------
@@ -207,7 +212,7 @@ def _polygon(
     # Half a pixel beyond the farthest pixel of a plane seen along its surface, rays hardly meet it, or not at all. If
     # that pixel is one or more from the horizon, they do at no more than twice its depth.
     q = (alpha[0] * camera.tan_x[box] + alpha[1] * camera.tan_y[box] + alpha[2])[mask]
-    farthest = max(0.5 * float(q.min()), 1e-3 * float(np.linalg.norm(alpha)))
+    farthest = max(0.5 * float(q.min(initial=np.inf)), 1e-3 * float(np.linalg.norm(alpha)))
     metric = _in_plane(_bent_by_lens(image, camera, tolerance), camera, alpha, farthest, origin, axes)
     return PlanePolygon(label, plane, origin, axes, image, metric)
 
@@ -244,6 +249,8 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
     for points, offsets in zip(*generator.filled(0.5, np.inf), strict=True):
         outer, *holes = (points[i:j] for i, j in itertools.pairwise(offsets))
         parts.append([outer, *(hole for hole in holes if polygon([hole]).area >= least)])
+    if not parts:
+        return shapely.MultiPolygon()
     areas = np.array([polygon(rings).area for rings in parts])
     kept = np.flatnonzero(areas >= least) if areas.max() >= least else [areas.argmax()]
     outline = shapely.MultiPolygon([polygon([_with_corners(ring) for ring in parts[i]]) for i in kept])

@@ -6,6 +6,7 @@ All in the camera's frame (x right, y down, z forward) and in metres.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -40,7 +41,7 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
     -------
     dict
         camera (`Camera.to_dict`), sigma, and planes, by label: for each its label, plane [nx, ny, nz, d], covariance of
-        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres.
+        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres, None for a plane without pixels.
     """
     _check(segmentation)
     outlines = None if polygons is None else _by_label(segmentation, polygons)
@@ -49,7 +50,7 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
         segmentation.plane_covariance.tolist(),
         segmentation.sizes.tolist(),
         segmentation.rmse.tolist(),
-        segmentation.rmse_metric.tolist(),
+        (None if math.isnan(rmse) else rmse for rmse in segmentation.rmse_metric.tolist()),
         strict=True,
     )
     planes: list[dict[str, Any]] = [

@@ -301,6 +301,27 @@ def test_bad_arguments_are_refused() -> None:
         outline.corners(outline.metric)  # type: ignore[arg-type]
 
 
+def test_a_plane_without_pixels_has_an_empty_outline() -> None:
+    found = segment(board(CAMERA)[0].depth, CAMERA)
+    found.labels[found.labels == 1] = 0
+    gone, left = plane_polygons(found)
+    assert (gone.label, gone.area, gone.rings(), gone.corners().shape) == (1, 0.0, [], (0, 3))
+    assert gone.triangles().shape == (0, 3, 3)
+    assert repr(gone) == "<PlanePolygon 1: 0 m², 0 parts, 0 holes>"
+    assert left.area == pytest.approx(0.48, rel=0.04)
+
+
+def test_an_outline_without_area_has_an_empty_hull() -> None:
+    """Of a camera that is one pixel wide no rays lie side by side."""
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    camera = replace(CAMERA, width=1, cx=0.0)
+    narrow = replace(found, camera=camera, labels=found.labels[:, :1], reason=found.reason[:, :1])
+    (own,) = plane_polygons(narrow)
+    assert own.area == 0.0
+    assert own.hull.is_empty
+    assert own.to_dict()["rectangle"] == []
+
+
 def test_no_plane_no_polygon() -> None:
     assert plane_polygons(segment(np.zeros(CAMERA.shape), CAMERA)) == []
 

@@ -116,6 +116,23 @@ def test_polygons_go_with_their_planes_in_any_order(depth):
         segmentation_export.to_dict(moved, polygons)
 
 
+def test_a_plane_without_pixels(tmp_path, depth):
+    pytest.importorskip("shapely")
+    from rgbd_planes import plane_polygons
+
+    found = segment(depth, CAMERA)
+    cut = replace(found, labels=np.where(found.labels == 2, 0, found.labels).astype(np.int32))
+    polygons = plane_polygons(cut)
+    segmentation_export.write_json(tmp_path / "planes.json", cut, polygons)
+    planes = json.loads((tmp_path / "planes.json").read_text())["planes"]
+    none = {"label": 2, "rmse_metric": None, "area": 0.0, "rectangle": [], "hull": [], "outline": []}
+    assert planes[1] | none == planes[1]
+    assert all(plane["rmse_metric"] > 0.0 for plane in planes if plane["label"] != 2)
+    segmentation_export.write_polygons_ply(tmp_path / "mesh.ply", polygons)
+    ros = segmentation_export.to_ros_polygons(polygons)
+    assert 2 not in ros["labels"]
+
+
 def test_what_is_no_segmentation(tmp_path, depth):
     tiles = fit_tiles(depth, CAMERA)
     message = "expected a Segmentation, got TilePlanes"

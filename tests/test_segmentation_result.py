@@ -40,6 +40,23 @@ def test_table_has_one_row_a_plane(found):
     np.testing.assert_array_equal(table["offset_std"], found.offset_std)
 
 
+def test_planes_of_which_a_part_is_kept_or_nothing(found, frame):
+    kept = np.arange(CAMERA.height)[:, None] < 40
+    cut = replace(found, labels=np.where(kept, found.labels, 0).astype(np.int32))
+    depth = np.where(cut.labels > 0, found.fitted_depth(), np.nan)
+    gone = [label for label in range(1, len(found) + 1) if not (cut.labels == label).any()]
+    assert gone
+    for label in range(1, len(found) + 1):
+        if label in gone:
+            assert np.isnan(cut.mean_depth[label - 1])
+        else:
+            harmonic = 1.0 / np.mean(1.0 / depth[cut.labels == label])
+            assert cut.mean_depth[label - 1] == pytest.approx(harmonic)
+    numbers = {text.get_text() for text in cut.plot(frame).axes[0].texts}
+    assert numbers
+    assert not numbers & set(map(str, gone))
+
+
 @pytest.mark.parametrize("empty", [False, True])
 def test_save_and_load(found, empty, tmp_path):
     if empty:

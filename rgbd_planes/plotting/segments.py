@@ -134,9 +134,10 @@ def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.i
     points = 72.0 / axes.figure.dpi * np.array(axes.figure.bbox.size)
     high = _FONT * float(np.max(labels.shape[::-1] / points))  # height of the font in pixels of the frame
     boxes = segmentation._boxes
+    sizes = np.bincount(labels.ravel(), minlength=len(segmentation) + 1)[1:]  # of what is shown
     written: list[tuple[float, float, float]] = []
-    for i in np.argsort(-segmentation.sizes, kind="stable"):
-        if segmentation.sizes[i] < least:
+    for i in np.argsort(-sizes, kind="stable"):
+        if sizes[i] < least:
             break
         box = boxes[i]
         row, column = _middle(labels[box] == i + 1)

@@ -116,16 +116,18 @@ class Segmentation(Savable):
 
     @property
     def mean_depth(self) -> Floats:
-        """(N,) float64: Z in metres at the mean inverse depth of the plane's pixels."""
-        sums = np.bincount(self.labels.ravel(), self.fitted_inverse_depth().ravel(), len(self) + 1)[1:]
-        return np.asarray(self.sizes / sums)
+        """(N,) float64: Z in metres at the mean inverse depth of the plane's pixels; NaN where it has none."""
+        labels = self.labels.ravel()
+        counts = np.bincount(labels, minlength=len(self) + 1)[1:]
+        sums = np.bincount(labels, self.fitted_inverse_depth().ravel(), len(self) + 1)[1:]
+        return np.asarray(np.divide(counts, sums, out=np.full(len(self), np.nan), where=counts > 0))
 
     @property
     def _boxes(self) -> list[tuple[slice, slice]]:
-        """The rows and columns that each plane's pixels lie in."""
+        """The rows and columns that each plane's pixels lie in; none for a plane without pixels."""
         from scipy.ndimage import find_objects
 
-        nowhere = slice(0), slice(0)
+        nowhere = slice(0, 0), slice(0, 0)
         boxes = find_objects(self.labels, max_label=len(self))
         return [nowhere if box is None else (box[0], box[1]) for box in boxes]
 
