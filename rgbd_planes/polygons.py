@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _LARGEST_CHANGE = 0.25  # by simplifying, as a share of the area of a part
+_LEAST_TRIANGLE = 1e-12  # as a share of the area of the outline
 _SHARE_OF_BENDS = 0.25  # of the tolerance
 _ON_EDGE = np.linspace(0.0, 1.0, 5)  # where an edge is checked
 
@@ -48,8 +49,8 @@ class PlanePolygon:
     image : shapely MultiPolygon
         The outline, holes included, in pixels (x, y); pixel centres are at integers, edges half-way between.
     metric : shapely MultiPolygon
-        The same in the plane's coordinates, metres; with more corners where a lens bends its edges. No corner is more
-        than twice as far away as the farthest pixel.
+        The same in the plane's coordinates, metres; with more corners where a lens bends its edges. The depth of a
+        corner is at most about twice that of the farthest pixel.
     """
 
     label: int
@@ -66,7 +67,11 @@ class PlanePolygon:
 
     @property
     def area(self) -> float:
-        """Square metres, holes left out; missing pixels inside the outline count."""
+        """Square metres, holes left out; missing pixels inside the outline count.
+
+        Where a plane is seen nearly edge-on, close to its horizon, one pixel is many square metres: the area then
+        follows from few pixels, and may be far off.
+        """
         return float(self.metric.area)
 
     @cached_property
@@ -129,6 +134,7 @@ class PlanePolygon:
         import shapely
 
         pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(self.metric))
+        pieces = pieces[shapely.area(pieces) > _LEAST_TRIANGLE * self.area]  # others are of corners on a line
         corners = np.array([np.asarray(piece.exterior.coords)[:3] for piece in pieces]).reshape(-1, 2)
         return self.to_space(corners).reshape(-1, 3, 3)
 
@@ -152,7 +158,9 @@ def plane_polygons(segmentation: Segmentation, *, tolerance: float = 1.0, min_pa
     segmentation : Segmentation
     tolerance : float
         How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
-        twice as far; in the plane, if a lens distorts, by a quarter of it more. 0 keeps every corner.
+        twice as far; in the plane, if a lens distorts, by a quarter of it more. Outlines of neighbours, each simplified
+        by itself, may overlap by as much. 0 keeps every corner; where an edge steps aside at every pixel, its line
+        passes through the middles of the pixels' sides.
     min_part : float
         Parts and holes of fewer pixels are left out, unless nothing else is left of the plane. A missing pixel counts
         as the plane's if every square of that many pixels around it contains one of the plane's.

@@ -242,6 +242,17 @@ def test_tolerance_saves_corners() -> None:
         assert one.image.hausdorff_distance(other.image) < 3.0
 
 
+def test_no_triangle_is_without_area() -> None:
+    found = segment(scenes.plane((0.2, -0.1, -1.0), 2.0).render(CAMERA).depth, CAMERA)
+    for seed in range(4):
+        found.labels[:] = np.random.default_rng(seed).random(CAMERA.shape) < 0.8
+        (own,) = plane_polygons(found, min_part=3.0)
+        first, second, third = np.moveaxis(own.triangles(), 1, 0)
+        doubled = np.cross(second - first, third - first) @ own.plane[:3]
+        assert doubled.min() > 1e-12 * own.area
+        assert 0.5 * doubled.sum() == pytest.approx(own.area)
+
+
 @pytest.mark.parametrize("tolerance", [1.0, 3.0])
 def test_thin_parts_keep_their_area(tolerance: float) -> None:
     found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
