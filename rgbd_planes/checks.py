@@ -91,6 +91,19 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     return np.asarray(values)
 
 
+def label_array(name: str, labels: Any) -> NDArray[Any]:
+    """Return integers, or a mask, as an array, unless they are in a masked array."""
+    if isinstance(labels, (str, os.PathLike)):
+        kind = type(labels).__name__
+        raise TypeError(f"expected {name} as an array, got {kind}: rgbd_planes.images.read_depth reads a file")
+    if hasattr(labels, "labels"):
+        raise TypeError(f"expected {name} as an array, got {type(labels).__name__}: its .labels are one")
+    array = plain_array(name, labels)
+    if array.dtype.kind not in "iub":
+        raise TypeError(f"{name} must be integers, or a mask, got dtype {array.dtype}")
+    return array
+
+
 def real_array(name: str, values: Any) -> NDArray[np.float64]:
     """Return numbers as an array of floats, unless they are in a masked array."""
     array = plain_array(name, values)
@@ -141,10 +154,11 @@ def each_of(frames: Any) -> Iterator[Any]:
 def check_labels(labels: NDArray[Any], most: int) -> None:
     """Raise ValueError unless labels are 0 to ``most``: a result has a row for each, up to the largest."""
     if labels.size and (labels.min() < 0 or labels.max() > most):
-        raise ValueError(
-            f"labels must be 0 for none, and 1 to K, got {labels.min()} to {labels.max()}: "
-            "np.unique(labels, return_inverse=True) numbers others"
-        )
+        if labels.min() == -1 and labels.max() < most:
+            hint = "labels + 1 are, if -1 is none"
+        else:  # the smallest becomes 0
+            hint = f"np.unique(labels, return_inverse=True)[1]{'' if labels.min() == 0 else ' + 1'} numbers others"
+        raise ValueError(f"labels must be 0 for none, and 1 to K, got {labels.min()} to {labels.max()}: {hint}")
 
 
 _ROUNDED = 2e-3  # how far R·Rᵀ is off, at most, where the entries of R have three digits or more

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from rgbd_planes.checks import (
     check_error,
     check_labels,
     check_share,
-    plain_array,
+    label_array,
     warn_caller,
 )
 from rgbd_planes.compilation import announced
@@ -117,13 +116,7 @@ def fit_labels(
 
 def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:
     """Return the labels as a contiguous (H, W) int32 array of its own."""
-    if isinstance(labels, (str, os.PathLike)):
-        raise TypeError(
-            f"expected labels as an array, got {type(labels).__name__}: rgbd_planes.images.read_depth reads a file"
-        )
-    array = plain_array("labels", labels)
-    if array.dtype.kind not in "iub":
-        raise TypeError(f"labels must be integers, or a mask, got dtype {array.dtype}")
+    array = label_array("labels", labels)
     if array.shape != camera.shape:
         several = array.ndim == 3 and array.shape[1:] == camera.shape
         hint = ": (masks * np.arange(1, len(masks) + 1)[:, None, None]).max(axis=0) makes labels of masks"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import check_labels, plain_array
+from rgbd_planes.checks import check_labels, label_array
 from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
@@ -68,9 +68,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
-    array = plain_array("labels", labels)
-    if array.dtype.kind not in "iub":
-        raise TypeError(f"labels must be integers, or a mask, got dtype {array.dtype}")
+    array = label_array("labels", labels)
     if len(fits.shape) == 3:
         raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
     if array.shape != fits.shape:

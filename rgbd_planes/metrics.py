@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import number, plain_array, real_array
+from rgbd_planes.checks import label_array, number, shaped_array
 
 # Labels above are renumbered by sorting the pixels, others by a table of all labels.
 LARGEST_LISTED = 1 << 22
@@ -285,8 +285,8 @@ def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
     ValueError
         If the shapes differ or a label is negative.
     """
-    columns, predicted_labels = _consecutive(plain_array("predicted", predicted), "predicted")
-    rows, truth_labels = _consecutive(plain_array("truth", truth), "truth")
+    columns, predicted_labels = _consecutive(label_array("predicted", predicted), "predicted")
+    rows, truth_labels = _consecutive(label_array("truth", truth), "truth")
     if rows.shape != columns.shape:
         raise ValueError(f"predicted and truth must have one shape, got {columns.shape} and {rows.shape}")
     height, width = len(truth_labels) + 1, len(predicted_labels) + 1
@@ -296,8 +296,6 @@ def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
 
 def _consecutive(given: NDArray[np.generic], name: str) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Labels renumbered 0 (none), 1..N, and the old label of each."""
-    if given.dtype.kind not in "iub":
-        raise TypeError(f"{name} must hold integer labels, got {given.dtype}")
     labels: NDArray[np.intp] = given.astype(np.intp)
     if labels.size and labels.min() < 0:
         which = "labels of 2**63 or more" if given.dtype.kind == "u" else "negative labels"
@@ -319,9 +317,9 @@ class PlaneErrors:
 
     Attributes
     ----------
-    angle_deg : (K,) float64
+    angle_deg : (...) float64
         Between the normals, in degrees, 0 to 180.
-    offset : (K,) float64
+    offset : (...) float64
         Predicted less true distance from the camera, in metres.
     """
 
@@ -334,8 +332,8 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
 
     Parameters
     ----------
-    predicted, truth : (K, 4) float
-        Planes (nx, ny, nz, d), n of any length, one pair per row; the sign of both is taken as it is.
+    predicted, truth : (..., 4) float
+        Planes (nx, ny, nz, d), n of any length, as many of both; the sign of both is taken as it is.
 
     Returns
     -------
@@ -345,21 +343,23 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
     Raises
     ------
     TypeError, ValueError
-        The shapes differ, or are not (K, 4), an array is masked or not of numbers, or a normal has no length.
+        The shapes differ, or are not (..., 4), an array is masked or not of numbers, or a normal has no length.
     """
-    first, second = real_array("predicted", predicted), real_array("truth", truth)
-    if first.ndim != 2 or first.shape[1] != 4 or first.shape != second.shape:
-        raise ValueError(f"predicted and truth must both be (K, 4), got {first.shape} and {second.shape}")
+    first, second = shaped_array("predicted", predicted, (4,)), shaped_array("truth", truth, (4,))
+    if first.shape != second.shape:
+        raise ValueError(f"predicted and truth must have one shape, got {first.shape} and {second.shape}")
     first, second = _with_unit_normals("predicted", first), _with_unit_normals("truth", second)
     # The arctangent keeps its digits near 0 and 180 degrees, where the arccosine loses them.
-    sine = np.linalg.norm(np.cross(first[:, :3], second[:, :3]), axis=1)
-    cosine = (first[:, :3] * second[:, :3]).sum(axis=1)
-    return PlaneErrors(np.degrees(np.arctan2(sine, cosine)), first[:, 3] - second[:, 3])
+    sine = np.linalg.norm(np.cross(first[..., :3], second[..., :3]), axis=-1)
+    cosine = (first[..., :3] * second[..., :3]).sum(axis=-1)
+    return PlaneErrors(np.degrees(np.arctan2(sine, cosine)), first[..., 3] - second[..., 3])
 
 
 def _with_unit_normals(name: str, planes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, 4) planes with normals of length 1."""
-    length = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    """(..., 4) planes with normals of length 1."""
+    length = np.linalg.norm(planes[..., :3], axis=-1, keepdims=True)
     if (length == 0.0).any():
-        raise ValueError(f"expected planes with a normal in {name}, got {planes[length.argmin()].tolist()}")
+        raise ValueError(
+            f"expected planes with a normal in {name}, got {planes.reshape(-1, 4)[length.argmin()].tolist()}"
+        )
     return np.asarray(planes / length)

@@ -1,5 +1,6 @@
 """What cannot be used is refused at the door, with what was expected and what came."""
 
+import re
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
@@ -143,14 +144,14 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, clusters="a"), TypeError, "clusters must be a whole number"),
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, seed=-1), ValueError, "seed must be at least 0, got -1"),
         (lambda: rp.merge(DEPTH, DEPTH), TypeError, "expected the planes of a fit, got ndarray"),
-        (lambda: rp.plane_polygons(DEPTH), TypeError, "expected a Segmentation, got ndarray"),
+        (lambda: rp.plane_polygons(DEPTH), TypeError, "expected a Segmentation or LabelPlanes, got ndarray"),
         (lambda: rp.segment(DEPTH, CAMERA).tile_labels(0), ValueError, "at least 2 x 2 pixels, got 0"),
         (lambda: scenes.room().render(CAMERA).measure(holes="a"), TypeError, "holes as a number, got 'a'"),
         (lambda: rp.measurement_noise(DEPTH, CAMERA, "a"), TypeError, "sigma_inverse_depth as a number"),
         (lambda: noise.NoiseModel((-1e-3,)), ValueError, "got -0.001 at 0.0012207 1/m"),
         (lambda: rp.Camera.from_opencv(np.eye(3), None, 64), ValueError, "size as .width, height., got 64"),
         (lambda: metrics.compare_labels(LARGE, LARGE), ValueError, r"labels of 2\*\*63 or more, got 92233"),
-        (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must hold integer labels, got object"),
+        (lambda: metrics.compare_labels(DEPTH, None), TypeError, "truth must be integers, or a mask, got dtype object"),
         (lambda: metrics.compare_labels(DEPTH, DEPTH).hoover("0.8"), TypeError, "tolerance as a number, got '0.8'"),
         (lambda: metrics.compare_labels(DEPTH, DEPTH).detection(None), TypeError, "iou as a number, got None"),
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, 128), ValueError, r"frame of .height, width. = .48, 64.*128"),
@@ -250,11 +251,18 @@ def test_labels_that_count_something_else():
     """Each up to the largest would have a row, or int32 not hold them."""
     tiles = rp.fit_tiles(DEPTH, CAMERA)
     for label in (-1, DEPTH.size + 1, 200_000_000, 2**31, 2**32 + 1):
-        message = rf"1 to K, got {label} to {label}: np\.unique\(labels, return_inverse=True\) numbers others"
+        hint = (
+            "labels + 1 are, if -1 is none" if label == -1 else "np.unique(labels, return_inverse=True)[1] + 1 numbers"
+        )
+        message = re.escape(f"1 to K, got {label} to {label}: {hint}")
         with pytest.raises(ValueError, match=message):
             rp.merge(tiles, np.full(tiles.shape, label))
         with pytest.raises(ValueError, match=message):
             rp.fit_labels(DEPTH, CAMERA, np.full(CAMERA.shape, label))
+    some = np.full(CAMERA.shape, 2**31)
+    some[:2, :3] = 0
+    with pytest.raises(ValueError, match=re.escape("np.unique(labels, return_inverse=True)[1] numbers others")):
+        rp.fit_labels(DEPTH, CAMERA, some)
     # Of segments there may be more than tiles, and of windows that overlap more than pixels.
     assert rp.merge(tiles, np.full(tiles.shape, DEPTH.size)).fitted.tolist() == [False] * (DEPTH.size - 1) + [True]
     windows = rp.fit_windows(DEPTH, CAMERA, np.tile([0, 0, 8, 8], (DEPTH.size + 1, 1)))

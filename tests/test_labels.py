@@ -131,7 +131,7 @@ def test_the_labels_are_copied(rng):
         (np.ones((48, 65), int), ValueError, r"the shape of the frame, \(48, 64\), got \(48, 65\)"),
         (np.ones((48, 64, 3), int), ValueError, r"got \(48, 64, 3\)$"),
         (np.ones((3, 48, 64), bool), ValueError, r"got \(3, 48, 64\): .* makes labels of masks"),
-        (np.full((48, 64), -1), ValueError, "got -1 to -1: np.unique"),
+        (np.full((48, 64), -1), ValueError, r"got -1 to -1: labels \+ 1 are"),
         (np.full((48, 64), 0xFFFF00), ValueError, "got 16776960 to 16776960: np.unique"),
         (np.full((48, 64), 2**63, np.uint64), ValueError, "got 9223372036854775808 to"),
         (np.ma.masked_equal(np.ones((48, 64), int), 0), TypeError, r"fill it first, labels.filled\(0\)"),

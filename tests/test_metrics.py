@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from rgbd_planes import presets, scenes
 from rgbd_planes.metrics import compare_labels, plane_errors
 
 SMALL_LABELS = arrays(np.int32, (5, 6), elements=st.integers(0, 4))
@@ -150,8 +151,12 @@ def test_labels_need_not_be_consecutive() -> None:
 
 
 def test_bad_labels_are_refused() -> None:
-    with pytest.raises(TypeError, match="integer labels, got float64"):
+    with pytest.raises(TypeError, match="predicted must be integers, or a mask, got dtype float64"):
         compare_labels(np.zeros((2, 2)), np.zeros((2, 2), dtype=int))
+    with pytest.raises(TypeError, match=r"expected truth as an array, got str: rgbd_planes\.images\.read_depth reads"):
+        compare_labels(row((1, 2)), "labels.png")
+    with pytest.raises(TypeError, match=r"expected predicted as an array, got Rendering: its \.labels are one"):
+        compare_labels(scenes.room().render(presets.primesense()), row((1, 2)))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="negative labels, got -1"):
         compare_labels(row((-1, 2)), row((1, 2)))
     with pytest.raises(ValueError, match=r"one shape, got \(1, 2\) and \(1, 3\)"):
@@ -197,8 +202,12 @@ def test_plane_errors() -> None:
     errors = plane_errors(predicted, truth)
     assert errors.angle_deg == pytest.approx([90.0, 1e-6, 0.0], rel=1e-6)
     assert errors.offset == pytest.approx([0.5, 0.0, 0.0])
-    with pytest.raises(ValueError, match=r"must both be \(K, 4\)"):
+    single = plane_errors(predicted[0], truth[0])
+    assert (single.angle_deg, single.offset) == (errors.angle_deg[0], errors.offset[0])
+    with pytest.raises(ValueError, match=r"expected predicted of shape \(\.\.\., 4\), got \(1, 3\)"):
         plane_errors([[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]])
+    with pytest.raises(ValueError, match=r"must have one shape, got \(3, 4\) and \(4,\)"):
+        plane_errors(predicted, truth[0])
 
 
 def test_detection_below_one_half_takes_the_best_of_as_many() -> None:
