@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number, shaped_array
 from rgbd_planes.extras import needs
-from rgbd_planes.segmentation.result import Reason, Segmentation
+from rgbd_planes.labels import LabelPlanes
+from rgbd_planes.segmentation.result import Reason, Segmentation, boxes_of, no_segmentation
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
@@ -150,12 +151,15 @@ class PlanePolygon:
         }
 
 
-def plane_polygons(segmentation: Segmentation, *, tolerance: float = 1.0, min_part: float = 16.0) -> list[PlanePolygon]:
+def plane_polygons(
+    segmentation: Segmentation | LabelPlanes, *, tolerance: float = 1.0, min_part: float = 16.0
+) -> list[PlanePolygon]:
     """Outline every plane of a segmentation.
 
     Parameters
     ----------
-    segmentation : Segmentation
+    segmentation : Segmentation or LabelPlanes
+        Of the latter, the result of `fit_labels`, all pixels without a label count as missing.
     tolerance : float
         How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
         twice as far; in the plane, if a lens distorts, by a quarter of it more. Outlines of neighbours, each simplified
@@ -168,7 +172,7 @@ def plane_polygons(segmentation: Segmentation, *, tolerance: float = 1.0, min_pa
     Returns
     -------
     list of PlanePolygon
-        One for each label, in order; empty for a plane without pixels.
+        One for each label that has a plane, in order; empty for a plane without pixels.
 
     Raises
     ------
@@ -177,15 +181,19 @@ def plane_polygons(segmentation: Segmentation, *, tolerance: float = 1.0, min_pa
     TypeError, ValueError
         For an argument that cannot be used: a `tolerance` or a `min_part` that is negative.
     """
-    if not isinstance(segmentation, Segmentation):
-        raise TypeError(f"expected a Segmentation, got {type(segmentation).__name__}")
+    if not isinstance(segmentation, Segmentation | LabelPlanes):
+        raise no_segmentation(segmentation, "a Segmentation or LabelPlanes")
     tolerance, min_part = _pixels("tolerance", tolerance), _pixels("min_part", min_part)
     with needs("shapely", "polygons"):
         import shapely  # noqa: F401
 
+    missing = (
+        segmentation.reason == Reason.MISSING if isinstance(segmentation, Segmentation) else segmentation.labels == 0
+    )
     return [
-        _polygon(segmentation, label, box, tolerance, min_part)
-        for label, box in enumerate(segmentation._boxes, start=1)
+        _polygon(segmentation, label, missing, box, tolerance, min_part)
+        for label, box in enumerate(boxes_of(segmentation.labels, len(segmentation.planes)), start=1)
+        if np.isfinite(segmentation.planes[label - 1]).all()
     ]
 
 
@@ -198,7 +206,12 @@ def _pixels(name: str, value: float) -> float:
 
 
 def _polygon(
-    segmentation: Segmentation, label: int, box: tuple[slice, slice], tolerance: float, min_part: float
+    segmentation: Segmentation | LabelPlanes,
+    label: int,
+    missing: NDArray[np.bool_],
+    box: tuple[slice, slice],
+    tolerance: float,
+    min_part: float,
 ) -> PlanePolygon:
     plane = segmentation.planes[label - 1]
     normal, d = plane[:3], plane[3]
@@ -214,8 +227,7 @@ def _polygon(
 
     camera, alpha = segmentation.camera, segmentation.alpha[label - 1]
     mask = segmentation.labels[box] == label
-    missing = segmentation.reason[box] == Reason.MISSING
-    whole = mask | (missing & _without_gaps(mask, min_part))
+    whole = mask | (missing[box] & _without_gaps(mask, min_part))
     image = _outline(whole, box[1].start, box[0].start, tolerance, min_part)
     # Half a pixel beyond the farthest pixel of a plane seen along its surface, rays hardly meet it, or not at all. If
     # that pixel is one or more from the horizon, they do at no more than twice its depth.

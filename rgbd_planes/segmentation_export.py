@@ -21,7 +21,8 @@ from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plotting.segments import NO_PLANE, label_colours
 from rgbd_planes.polygons import PlanePolygon
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
-from rgbd_planes.segmentation.result import Segmentation
+from rgbd_planes.segmentation.result import Segmentation, no_segmentation
+from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
@@ -244,15 +245,18 @@ def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0
 
 
 def _check(segmentation: Segmentation) -> None:
+    if isinstance(segmentation, TilePlanes):
+        raise TypeError("expected a Segmentation, got TilePlanes; rp.export is for tiles")
     if not isinstance(segmentation, Segmentation):
-        raise TypeError(f"expected a Segmentation, got {type(segmentation).__name__}")
+        raise no_segmentation(segmentation)
 
 
 def _all_polygons(polygons: Iterable[PlanePolygon]) -> list[PlanePolygon]:
     listed = list(polygons) if isinstance(polygons, Iterable) else [polygons]
     for polygon in listed:
         if not isinstance(polygon, PlanePolygon):
-            raise TypeError(f"expected a sequence of PlanePolygon, got {polygons!r}")
+            made = ": rp.plane_polygons makes them of it" if isinstance(polygon, Segmentation) else ""
+            raise TypeError(f"expected a sequence of PlanePolygon, got {polygons!r}{made}")
     return listed
 
 

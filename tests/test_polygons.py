@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rgbd_planes import Camera, presets, scenes, segment
+from rgbd_planes import Camera, fit_labels, presets, scenes, segment
 
 shapely = pytest.importorskip("shapely")
 
@@ -331,6 +331,22 @@ def test_an_outline_without_area_has_an_empty_hull() -> None:
     assert own.area == 0.0
     assert own.hull.is_empty
     assert own.to_dict()["rectangle"] == []
+
+
+@pytest.mark.parametrize("holes", [0.0, 0.25])
+def test_parts_of_one_plane_have_one_outline(holes: float) -> None:
+    """As of a wall with something in front of it, after `fit_labels` to both of its parts."""
+    camera = replace(CAMERA, depth_scale=1000.0)
+    labels = np.zeros(camera.shape, int)
+    labels[:, :60], labels[:, 100:] = 1, 1
+    labels[50:60, 70:80] = 3  # of 2 there is none
+    depth = scenes.plane((0.2, 0.1, -1.0), 2.0).render(camera).measure(holes=holes)
+    of_labels = fit_labels(depth, camera, np.where(depth > 0, labels, 0))
+    wall, small = plane_polygons(of_labels)
+    assert (wall.label, small.label) == (1, 3)
+    np.testing.assert_array_equal(wall.plane, of_labels.planes[0])
+    assert len(wall.image.geoms) == 2
+    assert wall.image.area == pytest.approx(120 * 120, rel=0.01)
 
 
 def test_no_plane_no_polygon() -> None:

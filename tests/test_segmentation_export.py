@@ -135,7 +135,7 @@ def test_a_plane_without_pixels(tmp_path, depth):
 
 def test_what_is_no_segmentation(tmp_path, depth):
     tiles = fit_tiles(depth, CAMERA)
-    message = "expected a Segmentation, got TilePlanes"
+    message = "expected a Segmentation, got TilePlanes; rp.export is for tiles"
     with pytest.raises(TypeError, match=message):
         segmentation_export.write_json(tmp_path / "planes.json", tiles)
     with pytest.raises(TypeError, match=message):
@@ -145,6 +145,11 @@ def test_what_is_no_segmentation(tmp_path, depth):
     for to_ros in (segmentation_export.to_ros_planes, segmentation_export.to_ros_labels):
         with pytest.raises(TypeError, match=message):
             to_ros(tiles)
+    (tracked,) = segment_sequence([depth], CAMERA)
+    with pytest.raises(TypeError, match=r"got TrackedSegmentation: its \.segmentation is one"):
+        segmentation_export.write_json(tmp_path / "planes.json", tracked)
+    with pytest.raises(TypeError, match=r"of PlanePolygon, got <Segmentation: .*>: rp\.plane_polygons makes them"):
+        write_polygons_ply(tmp_path / "mesh.ply", tracked.segmentation)
     assert not any(tmp_path.iterdir())
 
 

@@ -124,12 +124,7 @@ class Segmentation(Savable):
 
     @property
     def _boxes(self) -> list[tuple[slice, slice]]:
-        """The rows and columns that each plane's pixels lie in; none for a plane without pixels."""
-        from scipy.ndimage import find_objects
-
-        nowhere = slice(0, 0), slice(0, 0)
-        boxes = find_objects(self.labels, max_label=len(self))
-        return [nowhere if box is None else (box[0], box[1]) for box in boxes]
+        return boxes_of(self.labels, len(self))
 
     @property
     def plane_covariance(self) -> Floats:
@@ -237,6 +232,20 @@ class Segmentation(Savable):
         from rgbd_planes.plotting.segments import plot_segments
 
         return plot_segments(self, depth, figure)
+
+
+def boxes_of(labels: NDArray[np.int32], count: int) -> list[tuple[slice, slice]]:
+    """The rows and columns that the pixels of labels 1 to ``count`` lie in; none for a label without pixels."""
+    from scipy.ndimage import find_objects
+
+    nowhere = slice(0, 0), slice(0, 0)
+    return [nowhere if box is None else (box[0], box[1]) for box in find_objects(labels, max_label=count)]
+
+
+def no_segmentation(given: Any, expected: str = "a Segmentation") -> TypeError:
+    """The error for something else, which says where one is."""
+    own = ": its .segmentation is one" if isinstance(getattr(given, "segmentation", None), Segmentation) else ""
+    return TypeError(f"expected {expected}, got {type(given).__name__}{own}")
 
 
 def _allocate(camera: Camera, count: int) -> dict[str, NDArray[Any]]:
