@@ -11,6 +11,8 @@ from rgbd_planes.checks import check_whole, number
 
 Floats = NDArray[np.float64]
 
+_SECOND = 1_000_000_000  # in nanoseconds
+
 
 def ros_header(frame_id: str, stamp: Any) -> dict[str, Any]:
     """std_msgs/Header; an unknown time is 0."""
@@ -24,25 +26,30 @@ def _time(stamp: Any) -> dict[str, int]:
     for names in (("sec", "nanosec"), ("secs", "nsecs")):  # of ROS 2 and ROS 1
         fields = stamp if isinstance(stamp, Mapping) else {n: getattr(stamp, n) for n in names if hasattr(stamp, n)}
         if all(name in fields for name in names):
-            sec, nanosec = (check_whole(f"stamp's {name}", fields[name], 0) for name in names)
+            # Before 1970 seconds are negative; nanoseconds always count upwards.
+            sec = check_whole(f"stamp's {names[0]}", fields[names[0]], -(2**31))
+            nanosec = check_whole(f"stamp's {names[1]}", fields[names[1]], 0)
+            if nanosec >= _SECOND:
+                raise ValueError(f"stamp's {names[1]} must be below {_SECOND}, got {nanosec}")
             return {"sec": sec, "nanosec": nanosec}
     seconds = number("stamp", stamp, finite=False)
     nanoseconds = round(seconds * 1e9) if math.isfinite(seconds * 1e9) else 0
-    return {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
+    return {"sec": nanoseconds // _SECOND, "nanosec": nanoseconds % _SECOND}
 
 
 def ros_planes(planes: Floats, frame_id: str, stamp: Any) -> dict[str, Any]:
     """(N, 4) planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray."""
-    header = ros_header(frame_id, stamp)
-    coefficients = [{"header": header, "values": plane} for plane in planes.tolist()]
-    return {"header": header, "coefficients": coefficients}
+    coefficients = [{"header": ros_header(frame_id, stamp), "values": plane} for plane in planes.tolist()]
+    return {"header": ros_header(frame_id, stamp), "coefficients": coefficients}
 
 
 def ros_polygons(rings: list[Floats], labels: list[int], frame_id: str, stamp: Any) -> dict[str, Any]:
     """Polygons of (K, 3) corners each in the shape of jsk_recognition_msgs/PolygonArray."""
-    header = ros_header(frame_id, stamp)
     polygons = [
-        {"header": header, "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in ring.tolist()]}}
+        {
+            "header": ros_header(frame_id, stamp),
+            "polygon": {"points": [{"x": x, "y": y, "z": z} for x, y, z in ring.tolist()]},
+        }
         for ring in rings
     ]
-    return {"header": header, "polygons": polygons, "labels": labels, "likelihood": []}
+    return {"header": ros_header(frame_id, stamp), "polygons": polygons, "labels": labels, "likelihood": []}

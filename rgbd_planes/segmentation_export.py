@@ -182,7 +182,8 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0
     frame_id : str
         Name of the camera's optical frame.
     stamp : float, or a message's stamp
-        Seconds; or an object or mapping with sec and nanosec, or ROS 1's secs and nsecs, which is kept exactly.
+        Seconds, an unknown time, NaN, as 0; or an object or mapping with sec and nanosec, or ROS 1's secs and nsecs,
+        which is kept exactly.
 
     Returns
     -------

@@ -179,9 +179,21 @@ def test_a_stamp_is_that_of_the_message(tiles):
     ros_1 = {"secs": exact["sec"], "nsecs": exact["nanosec"]}
     for stamp in (exact, ros_1, SimpleNamespace(**exact), SimpleNamespace(**ros_1)):
         assert export.to_ros_planes(tiles, "camera", stamp)["header"]["stamp"] == exact
+    early = export.to_ros_planes(tiles, "camera", -0.25)["header"]["stamp"]
+    assert export.to_ros_planes(tiles, "camera", early)["header"]["stamp"] == early
     for wrong in ({"sec": 1}, {"sec": 1.5, "nanosec": 0}, "now"):
         with pytest.raises(TypeError, match="stamp"):
             export.to_ros_planes(tiles, "camera", wrong)
+    for wrong in ({"sec": 1, "nanosec": 10**9}, {"sec": 1, "nanosec": -1}, {"secs": 1, "nsecs": 10**9}):
+        with pytest.raises(ValueError, match=r"stamp's (nanosec|nsecs) must be (below 1000000000|at least 0)"):
+            export.to_ros_planes(tiles, "camera", wrong)
+
+
+def test_each_message_has_a_header_of_its_own(tiles):
+    planes, polygons = export.to_ros_planes(tiles, "camera", 1.0), export.to_ros_polygons(tiles, "camera", 1.0)
+    for message, parts in ((planes, planes["coefficients"]), (polygons, polygons["polygons"])):
+        parts[0]["header"]["frame_id"], parts[0]["header"]["stamp"]["sec"] = "other", 2
+        assert message["header"] == parts[1]["header"] == {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "camera"}
 
 
 def test_what_is_no_tiles_is_refused(tmp_path, tiles):
