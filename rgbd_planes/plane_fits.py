@@ -97,9 +97,9 @@ class PlaneFits:
         It is that of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
         spread, of its ratio to a variance that differs from place to place. On flat surfaces it is uniform between 0
         and 1; below the significance level a tile is ROUGH. For the ``standard_`` methods, whose residual is in metres,
-        this holds only where a part spans a small range of depths, and is much larger than the noise. This, the
-        covariances and the standard deviations are computed together, when one of them is first asked for, and from
-        then on by each fit that writes into this result.
+        this holds only where a part spans a small range of depths, and is much larger than the noise. A part of exactly
+        three pixels, which fit exactly, has 1. This, the covariances and the standard deviations are computed together,
+        when one of them is first asked for, and from then on by each fit that writes into this result.
 
         Raises
         ------
@@ -115,7 +115,8 @@ class PlaneFits:
         For labels by ``range_explicit`` it is exact wherever the noise is independent from pixel to pixel; for tiles,
         windows and unions of them if σq is also constant over each. Where it changes with the depth, or by a falloff,
         their pixels count as if they filled a parallelogram. For the other methods it is, to first order in the spread
-        of depths, that of ``range_explicit`` on the same pixels: the bound that they reach at best.
+        of depths, that of ``range_explicit`` on the same pixels: where σq is constant, the bound that they
+        reach at best.
         """
         return self._statistics.matrix(ALPHA_COVARIANCE, 3)
 
@@ -184,8 +185,9 @@ class PlaneFits:
         """Return one row per plane as a dict of equally long columns, which `pandas.DataFrame` takes.
 
         Columns: of a tile its row and column, for a batch after its frame, and top, left, height and width in pixels;
-        of a window the last four; of others the label. Then status (its name), valid_count; nx, ny, nz, d; rmse,
-        rmse_metric. If the camera has a noise model: p_value; angle_std in degrees, offset_std in metres.
+        of a window the last four, of an element of a quadtree its level, too; of others the label. Then status (its
+        name), valid_count; nx, ny, nz, d; rmse, rmse_metric. If the camera has a noise model: p_value; angle_std in
+        degrees, offset_std in metres.
         """
         names = np.array([status.name for status in TileStatus])
         planes = self.planes.reshape(-1, 4)
