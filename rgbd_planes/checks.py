@@ -57,6 +57,13 @@ def check_share(name: str, value: float) -> float:
     return share
 
 
+def check_bool(name: str, value: Any) -> bool:
+    """Return True or False, which may be NumPy's."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"expected {name} as True or False, got {value!r}")
+    return bool(value)
+
+
 def check_whole(name: str, value: int, least: int, kind: str = "whole number", bits: int = 63) -> int:
     """Return a whole number of at least ``least`` as an int: NumPy's small integers would overflow."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
@@ -130,6 +137,7 @@ def as_motion(name: str, motion: NDArray[np.float64]) -> NDArray[np.float64]:
     off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(initial=0.0)
     if not (
         off < _ROUNDED
+        and bool(np.isfinite(motion).all())
         and np.allclose(motion[..., 3, :], [0.0, 0.0, 0.0, 1.0])
         and bool((np.linalg.det(rotation) > 0.0).all())
     ):

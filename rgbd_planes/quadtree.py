@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,9 @@ class QuadtreePlanes(WindowPlanes):
     """
 
     level: Indices
+
+    def _places(self) -> dict[str, npt.NDArray[Any]]:
+        return super()._places() | {"level": self.level}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_num_threads, check_share, check_whole
+from rgbd_planes.checks import check_bool, check_camera, check_num_threads, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, some_of, step_of
 from rgbd_planes.fitting import valid_needed
@@ -141,7 +141,7 @@ def _surfaces(
     check_camera(camera)
     window = _check_window(window)
     needed = valid_needed(np.arange(window**2 + 1), check_share("max_missing", max_missing))
-    avoid_edges = bool(avoid_edges)  # otherwise Numba would compile again for a 1
+    avoid_edges = check_bool("avoid_edges", avoid_edges)
     frame = as_depth_frame(depth, camera)
     height, width = frame.raw.shape
     needs_surfaces = avoid_edges or not normals_only or not camera.is_separable

@@ -219,7 +219,7 @@ def test_whole_numbers_of_numpy():
     assert rp.fit_windows(DEPTH, CAMERA, windows, num_threads=few).fitted.all()
     found = rp.segment_quadtree(DEPTH, CAMERA, many, max_subdivisions=few)
     np.testing.assert_array_equal(found.labels, rp.segment_quadtree(DEPTH, CAMERA, 16).labels)
-    for edges in (True, 1):
+    for edges in (True, np.True_):
         normals = rp.normals(DEPTH, CAMERA, np.uint8(17), avoid_edges=edges, num_threads=few)
         np.testing.assert_array_equal(normals, rp.normals(DEPTH, CAMERA, 17, avoid_edges=True))
 

@@ -111,7 +111,9 @@ def test_propagation_against_draws(two_planes, rng):
     normals = normals + np.cross(pose[:, :3], normals)
     offsets = draws[:, 3] - np.sum(normals * (motion[:3, 3] + pose[:, 3:]), axis=1)
     np.testing.assert_allclose(np.cov(np.column_stack([normals, offsets]).T), moved_covariance, rtol=0.03, atol=1e-7)
-    for no_motion in (2.0 * motion, np.diag([1.0, 1.0, -1.0, 1.0]), np.nan * motion):
+    endless = motion.copy()
+    endless[0, 3] = np.inf
+    for no_motion in (2.0 * motion, np.diag([1.0, 1.0, -1.0, 1.0]), np.nan * motion, endless):
         with pytest.raises(ValueError, match=r"rigid motion .*\]$"):
             rp.uncertainty.transform_planes(plane, covariance, no_motion)
 

@@ -402,6 +402,9 @@ def test_bad_arguments_are_refused():
         rp.normals(depth, {})
     with pytest.raises(ValueError, match="max_missing must be between 0 and 1"):
         rp.curvature(depth, camera, max_missing=1.5)
+    with pytest.raises(TypeError, match="expected avoid_edges as True or False, got 'no'"):
+        rp.normals(depth, camera, avoid_edges="no")
+    rp.normals(depth, camera, avoid_edges=np.bool_(False))
     with pytest.raises(ValueError, match="num_threads must be at least 1"):
         rp.normals(depth, camera, num_threads=0)
     with pytest.raises(ValueError, match="expected a depth frame of shape"):

@@ -47,6 +47,7 @@ def test_elements_cover_the_frame_once(max_subdivisions, camera, frame):
         covered[row : row + height, column : column + width] += 1
     assert (covered == 1).all()
     assert set(elements.level) == set(range(max_subdivisions + 1))
+    np.testing.assert_array_equal(elements.to_table()["level"], elements.level)
 
 
 @pytest.mark.parametrize("implementation", ["direct", "integral"])
