@@ -95,7 +95,7 @@ def segments_html(segments: "Segmentation", title: str | None = None, ids: NDArr
     return (
         f"<div><div>{html.escape((title or repr(segments)).strip('<>'))}</div>"
         f'<img alt="the planes in colours" src="data:image/png;base64,{_png(picture)}">'
-        f"<div><small>The largest: {largest} "
+        f"<div><small>{f'The largest: {largest} ' if largest else ''}"
         f"{_square(NO_PLANE)}&nbsp;on no plane, white not measured.</small></div></div>"
     )
 

@@ -462,7 +462,9 @@ def test_figure_says_that_edges_look_flat_unless_they_are_avoided(folder, monkey
     monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
     assert cli.main(["normals", "depth.png", "--camera", "camera.json", "--figure", "normals.png", *options]) == 0
     texts = [axes.get_xlabel() for below in figures[0].axes for axes in below.child_axes]
-    assert ["edges look flat" in text for text in texts if "variance" in text] == [not options]
+    (text,) = (text for text in texts if "variance" in text)
+    assert ("edges look flat" in text) == (not options)
+    assert "noise looks curved" in text
 
 
 def test_figure_of_a_frame_with_nothing_in_it():

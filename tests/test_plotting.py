@@ -182,8 +182,22 @@ def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
     normals = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     others = (rp.fit_tiles(depth, camera, 8), rp.segment(depth, camera), rp.segment_quadtree(depth, camera, 16))
     for figure in (normals, *(fitted.plot(depth) for fitted in others)):
-        assert 0.15 <= figure.get_figheight() / figure.get_figwidth() <= 2.0
+        assert 0.08 <= figure.get_figheight() / figure.get_figwidth() <= 2.0
         figure.savefig(io.BytesIO())
+
+
+def test_figures_of_low_frames_are_low():
+    camera = rp.Camera(1024, 64, 300.0, 300.0, 511.5, 31.5)
+    depth = scenes.plane((0.1, 0.2, -1.0), 2.0).render(camera).depth
+    for fitted in (rp.fit_tiles(depth, camera, 8), rp.segment(depth, camera)):
+        figure = fitted.plot(depth)
+        figure.draw_without_rendering()
+        text = [axes.title.get_window_extent() for axes in figure.axes if axes.get_title()]
+        images = [axes.get_window_extent() for axes in figure.axes if axes.images]
+        assert all(0.0 <= box.y0 <= box.y1 <= figure.bbox.height for box in (*text, *images))
+        pixels = sum(axes.get_window_extent().height for axes in figure.axes[:1])
+        assert pixels == pytest.approx(images[0].width / 16, rel=0.1)
+        assert figure.bbox.height < pixels + 1.3 * figure.dpi
 
 
 @pytest.mark.parametrize("shape", [(600, 60), (640, 160), (480, 640), (80, 1600)])

@@ -100,6 +100,16 @@ def test_frames_of_any_size_show_themselves(width, height):
     assert picture_of(rp.fit_tiles(depth, camera)._repr_html_()).shape[0] == picture.shape[0]
 
 
+def test_nothing_measured_is_said():
+    camera = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
+    found = rp.segment(np.zeros(camera.shape, np.uint16), camera)
+    assert repr(found) == "<Segmentation: 0 planes, nothing measured of 64 x 48>"
+    assert found.plot().axes[0].get_title() == "0 planes, nothing measured"
+    text = found._repr_html_()
+    assert "The largest" not in text
+    assert "on no plane" in text
+
+
 def test_tracked_segments_show_themselves_by_their_ids(tiles):
     depth = scenes.room().render(tiles.camera).measure(seed=2)
     first, second = rp.segment_sequence([depth[:, ::-1], depth], tiles.camera, memory=0)

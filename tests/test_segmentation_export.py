@@ -161,7 +161,7 @@ def test_command_writes_everything(folder, capsys, depth):
     assert cli.main(["segment", "depth.png", "--camera", "camera.json", "--polygons", *options]) == 0
     out = capsys.readouterr().out
     found = segment(depth, CAMERA)
-    assert f"{len(found)} planes on" in out
+    assert f"{len(found)} planes, " in out
     assert all(f"Wrote {file}" in out for file in names.values())
     with Image.open("labels.png") as labels:
         assert (np.asarray(labels) == found.labels).all()

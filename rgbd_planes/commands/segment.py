@@ -14,7 +14,6 @@ from rgbd_planes.commands.arguments import (
     read_frame,
     write_figure,
 )
-from rgbd_planes.wording import counted, percent
 
 
 def segment(parser: argparse.ArgumentParser) -> Run:
@@ -54,7 +53,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
                 import shapely  # noqa: F401 (now, not after the work)
         depth, camera, status = read_frame(arguments)
         found = segment_depth(depth, camera, noise=arguments.noise, min_size=arguments.min_size)
-        print(f"{counted(len(found), 'plane')} on {percent(found.share)} of the measured pixels.")
+        print(f"{found._summary}.")
         polygons = plane_polygons(found) if outlined else []
         if arguments.out is not None:
             outlines = polygons if arguments.polygons else None

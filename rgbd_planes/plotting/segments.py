@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import check_figure
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.wording import counted, percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -114,13 +113,12 @@ def plot_segments(
 
     check_figure(figure)
     if figure is None:
-        size = 8.0, panel_height(8.0, segmentation.camera) + 0.4
-        figure = NotebookFigure(size, layout="constrained")
+        height = max(panel_height(8.0, segmentation.camera) + 0.4, 1.1)  # room for the text, however low the frame
+        figure = NotebookFigure((8.0, height), layout="constrained")
     axes = figure.add_subplot()
     axes.imshow(label_image(segmentation, depth, ids), interpolation="nearest")
     _write_numbers(segmentation, axes, np.arange(len(segmentation)) + 1 if ids is None else ids)
-    share = f"{percent(segmentation.share)} of the measured pixels"
-    axes.set_title(f"{counted(len(segmentation), 'plane')}, {share}")
+    axes.set_title(segmentation._summary)
     axes.set_xlabel("grey: on no plane     white: not measured", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])

@@ -50,7 +50,7 @@ class NotebookFigure(Figure):
 
 def panel_height(width: float, camera: Camera) -> float:
     """Height of a panel: that of its image, unless that is very narrow or very low."""
-    return width * min(max(camera.height / camera.width, 0.3), 1.6)
+    return width * min(max(camera.height / camera.width, 0.06), 1.6)
 
 
 def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figure | None = None) -> Figure:

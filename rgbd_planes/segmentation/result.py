@@ -90,9 +90,14 @@ class Segmentation(Savable):
         return len(self.planes)
 
     def __repr__(self) -> str:
-        share = f"{percent(self.share)} of the measured pixels"
-        size = f"{self.camera.width} x {self.camera.height}"
-        return f"<Segmentation: {counted(len(self), 'plane')}, {share} of {size}>"
+        return f"<Segmentation: {self._summary} of {self.camera.width} x {self.camera.height}>"
+
+    @property
+    def _summary(self) -> str:
+        """How many planes there are, and on how much of what was measured."""
+        nothing = bool((self.reason == Reason.MISSING).all())
+        share = "nothing measured" if nothing else f"{percent(self.share)} of the measured pixels"
+        return f"{counted(len(self), 'plane')}, {share}"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""
