@@ -376,14 +376,14 @@ def picture(frames: Sequence[Frame], path: Path) -> None:
     """Truth beside result."""
     from matplotlib.figure import Figure
 
-    from rgbd_planes.plotting.segments import label_colours
+    from rgbd_planes.plotting.segments import NO_PLANE, label_colours
 
     figure = Figure((8.0, 3.1 * len(frames)), layout="constrained")
     panels = figure.subfigures(len(frames), 2, squeeze=False)
     for (left, right), frame in zip(panels, frames, strict=True):
         found = segment(frame.depth, frame.camera)
         _, truth = np.unique(np.append(0, frame.truth), return_inverse=True)
-        colours = np.vstack([[(0.62, 0.62, 0.62)], label_colours(int(truth.max()))])
+        colours = np.vstack([[NO_PLANE], label_colours(int(truth.max()))])
         axes = left.add_subplot()
         axes.imshow(colours[truth[1:].reshape(frame.truth.shape)], interpolation="nearest")
         axes.set_title(f"{frame.name}: truth, {truth.max()} planes")

@@ -124,7 +124,7 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> No
 def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, depth: ArrayLike) -> None:
     """Write the measured points as a PLY file, each in the colour of its plane and with its normal.
 
-    Points on no plane are grey and their normals zero.
+    Points on no plane are dark grey and their normals zero.
 
     Parameters
     ----------

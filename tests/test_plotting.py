@@ -61,6 +61,13 @@ def as_seen(colours, cones):
 
 
 @pytest.mark.parametrize("cones", BLIND)
+def test_what_is_on_no_plane_looks_like_no_label(cones):
+    labels, none = as_seen(segments.label_colours(400), cones), as_seen(np.array(segments.NO_PLANE), cones)
+    assert np.linalg.norm(labels - none, axis=-1).min() > 10.0
+    assert none[0] < labels[:, 0].min() - 5.0
+
+
+@pytest.mark.parametrize("cones", BLIND)
 def test_colours_of_statuses_differ_for_the_colour_blind(cones):
     """In every light that a tile may have; two colours that are 10 apart do not look alike."""
     light = np.linspace(0.6, 1.15, 12)[:, None]

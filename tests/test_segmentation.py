@@ -347,7 +347,7 @@ def test_plot_draws(room):
     share = f"{100.0 * found.share:.1f} % of the measured pixels"
     assert axes.get_title() == f"{len(found)} planes, {share}"
     assert repr(found) == f"<Segmentation: {axes.get_title()} of {CAMERA.width} x {CAMERA.height}>"
-    assert axes.get_xlabel().startswith("grey: on no plane")
+    assert axes.get_xlabel().startswith("dark grey: on no plane")
     assert len(axes.images) == 1
     for text in axes.texts:
         label, (column, row) = int(text.get_text()), np.rint(text.get_position()).astype(int)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-NO_PLANE = (0.62, 0.62, 0.62)
+NO_PLANE = (0.22, 0.22, 0.22)  # darker than any label, so that nobody takes it for one
 _NOT_MEASURED = (1.0, 1.0, 1.0)
 _GOLDEN = 0.618033988749895
 _NUMBERED = 400  # pixels that a plane must have for its number to be written on it, at 640 x 480
@@ -43,8 +43,8 @@ def label_image(
 ) -> Floats:
     """(H, W, 3) float64: each pixel in the colour of its plane, light and dark following the surface.
 
-    Grey is measured but on no plane, white is missing. Without ``depth`` there is no relief; with ``ids`` a plane has
-    the colour of its id instead of its label.
+    Dark grey is measured but on no plane, white is missing. Without ``depth`` there is no relief; with ``ids`` a plane
+    has the colour of its id instead of its label.
     """
     from rgbd_planes.segmentation.result import Reason
 
@@ -119,7 +119,7 @@ def plot_segments(
     axes.imshow(label_image(segmentation, depth, ids), interpolation="nearest")
     _write_numbers(segmentation, axes, np.arange(len(segmentation)) + 1 if ids is None else ids)
     axes.set_title(segmentation._summary)
-    axes.set_xlabel("grey: on no plane     white: not measured", fontsize=9)
+    axes.set_xlabel("dark grey: on no plane     white: not measured", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
     return figure
