@@ -51,7 +51,7 @@ def parts_of(shape, height, scale=1):
 ORDER = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
 
 
-def are_faces(shape, height, noise, scale=1):
+def are_faces(shape, height, noise, scale=1, ajar=False):
     labels, means, moments = parts_of(shape, height, scale)
     strips = len(moments)
     joined = np.zeros_like(moments)
@@ -59,7 +59,7 @@ def are_faces(shape, height, noise, scale=1):
     chosen = np.zeros(strips, np.bool_)
     chosen[0] = True
     parent, again = np.zeros(strips, np.int64), np.arange(strips)
-    folds.keep_faces(labels, means, joined, moments, parent, again, noise, chosen)
+    folds.keep_faces(labels, means, joined, moments, parent, again, noise, np.full(strips, ajar), chosen)
     return bool(chosen[0])
 
 

@@ -25,10 +25,14 @@ STRICT = 0.5
 FACE, FACE_SHARE = 100, 0.025
 # Root mean square angle by which the normals of faces turn, and those of the quadric that fits them best.
 TURNED = math.radians(4.0)
+# A face that is ajar, as a door is to its wall, turns the normals of both together by less. How far it is turned
+# against the rest, the pixels of either, since rims are tilted, too, and what a quadric leaves at least of the bend of
+# the two: 1/16 if they are of one size, more than AJAR_MARGIN if one has less than a quarter of both.
+AJAR, AJAR_FACE, AJAR_MARGIN = math.radians(6.0), 2048, 0.25
 
 
 @kernel()
-def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
+def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, ajar):
     """Mark the joined regions that are several planes, and those that may be.
 
     Parameters
@@ -44,6 +48,8 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
     several : (N,) bool, written
         The others with two or more parts that may be faces, turned against each other, and a residual larger than
         that of a plane.
+    ajar : (N,) bool, written
+        Those with a part that is turned against the rest.
 
     Returns
     -------
@@ -65,6 +71,7 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
             several[a] = faces[a] > 1 and not rough[a] and rss > allowed
             found |= rough[a]
             uneven |= several[a]
+    ajar[:] = False
     if not uneven:
         return found
     alphas, weight = np.full((len(parent), 3), np.inf), np.empty(len(parent))
@@ -75,9 +82,35 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
     turn_square, total = np.empty(len(parent)), np.empty(len(parent))
     turn_of_groups(parent, weight, alphas, np.zeros(len(parent)), turn_square, total, faces)
     for a in range(len(parent)):
-        several[a] &= turn_square[a] > TURNED**2
+        root = parent[a]
+        if several[root] and not ajar[root] and first_moments[a, 0] >= AJAR_FACE and alphas[a, 0] < math.inf:
+            ajar[root] = is_ajar(first_moments[a], alphas[a], moments[root], noise, rules)
+    for a in range(len(parent)):
+        several[a] &= turn_square[a] > TURNED**2 or ajar[a]
         found |= several[a]
     return found
+
+
+@kernel()
+def is_ajar(part, alpha, whole, noise, rules):
+    """Whether a part, with plane ``alpha``, is turned against the rest of a region, and rough about its plane."""
+    rest, of_rest = whole - part, np.empty(3)
+    if rest[0] < AJAR_FACE or fit(rest, of_rest) < 0.0:
+        return False
+    a, b, c = alpha[0] - of_rest[0], alpha[1] - of_rest[1], alpha[2] - of_rest[2]
+    along, square, of_rest_square = 0.0, 0.0, 0.0
+    for k in range(3):
+        along += alpha[k] * of_rest[k]
+        square += alpha[k] ** 2
+        of_rest_square += of_rest[k] ** 2
+    if along > math.cos(AJAR) * math.sqrt(square * of_rest_square):
+        return False
+    # What the rest's plane adds to the squared residuals of the part.
+    more = (
+        a * (a * part[4] + 2.0 * (b * part[5] + c * part[1])) + b * (b * part[7] + 2.0 * c * part[2]) + c * c * part[0]
+    )
+    allowed = part[0] * variance(part, alpha, noise) * waviness(whole[0], noise.growth) ** 2
+    return more > rules.rough**2 * allowed
 
 
 @kernel(inline="compiled")
@@ -99,8 +132,10 @@ def label_blocks(region, numbers, parent, chosen, labels):
 
 
 @kernel()
-def keep_turned(labels, means, moments, noise, rules, chosen):
+def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
     """Of the chosen regions, keep those chosen whose normals turn: those of the quadric that fits them best.
+
+    And those that are ajar; ``ajar`` (N,) bool says afterwards which are chosen for that alone.
 
     Parameters
     ----------
@@ -122,7 +157,8 @@ def keep_turned(labels, means, moments, noise, rules, chosen):
             fit(m, alpha)
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
             turned, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
-            chosen[a] = turned > TURNED**2
+            ajar[a] &= not turned > TURNED**2
+            chosen[a] = turned > TURNED**2 or ajar[a]
 
 
 @kernel()
@@ -141,7 +177,7 @@ def planes_fit_better(products):
 
 
 @kernel()
-def keep_faces(labels, means, moments, first_moments, parent, again, noise, chosen):
+def keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar, chosen):
     """Of the chosen regions, keep those chosen whose parts are faces: planes that meet in edges.
 
     Every two of them, and all together, are fitted better by planes than by one quadric. Arguments as in `keep_turned`,
@@ -154,7 +190,8 @@ def keep_faces(labels, means, moments, first_moments, parent, again, noise, chos
     for root in range(len(chosen)):
         if not chosen[root]:
             continue
-        least = max(FACE, FACE_SHARE * moments[root, 0])
+        least = max(AJAR_FACE if ajar[root] else FACE, FACE_SHARE * moments[root, 0])
+        margin = AJAR_MARGIN if ajar[root] else MARGIN
         faces = [a for a in range(len(parent)) if parent[a] == root and again[a] == a and first_moments[a, 0] >= least]
         window[0], window[1], window[2], window[3] = labels.shape[0], 0, labels.shape[1], 0
         for a in faces:
@@ -169,7 +206,7 @@ def keep_faces(labels, means, moments, first_moments, parent, again, noise, chos
             add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, products[k])
         better, bend = planes_fit_better(products)
         sure = SURE * noise.together * waviness(m[0], noise.growth) ** 2 / (step * step)
-        are_faces = better > max(MARGIN * bend, sure * (len(faces) - 1))
+        are_faces = better > max(margin * bend, sure * (len(faces) - 1))
         for k in range(len(faces)):
             for i in range(k if len(faces) > 2 else 0):
                 better, bend = planes_fit_better(products[i : k + 1 : k - i])
@@ -204,13 +241,14 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     bool
         Whether there were any.
     """
-    rough, several = np.empty(len(parent), np.bool_), np.empty(len(parent), np.bool_)
-    if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several):
+    rough, several, ajar = np.empty((3, len(parent)), np.bool_)
+    if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several, ajar):
         return False
     labels = np.empty_like(region)
     if any_of(several):
         label_blocks(region, parent, parent, several, labels)
-        keep_turned(labels, owned_means(Owned(labels, parent, owners, shares), pyramid), moments, noise, rules, several)
+        means = owned_means(Owned(labels, parent, owners, shares), pyramid)
+        keep_turned(labels, means, moments, noise, rules, ajar, several)
     chosen = rough | several
     if not any_of(chosen):
         return False
@@ -219,7 +257,7 @@ def part_again(region, pyramid, owners, shares, moments, first_moments, first, n
     if any_of(several):
         label_blocks(region, again, parent, several, labels)
         means = owned_means(Owned(labels, again, owners, shares), pyramid)
-        keep_faces(labels, means, moments, first_moments, parent, again, noise, several)
+        keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar, several)
     chosen = rough | several
     for a in range(len(parent)):
         if chosen[parent[a]]:
