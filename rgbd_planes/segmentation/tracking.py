@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_whole, each_of
 from rgbd_planes.segmentation.known_planes import KnownPlanes, View, motion_since, remember, same_planes
-from rgbd_planes.segmentation.result import Segmentation
+from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment
 from rgbd_planes.sequences.frames import Frame
 from rgbd_planes.wording import counted
@@ -158,7 +158,7 @@ class PlaneTracker:
             It is no `Segmentation`.
         """
         if not isinstance(found, Segmentation):
-            raise TypeError(f"expected a Segmentation, got {type(found).__name__}")
+            raise no_segmentation(found)
         if found.labels.shape != self._shape:
             self._shape, self._known = found.camera.shape, KnownPlanes()
         view, ids = View.of(found), np.zeros(len(found), np.int32)
