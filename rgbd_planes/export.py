@@ -23,6 +23,7 @@ from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes.rays import rays_through
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
 from rgbd_planes.tile_planes import TilePlanes
 
@@ -43,15 +44,15 @@ def tile_polygons(tiles: TilePlanes) -> Floats:
     Returns
     -------
     (N, 4, 3) float64
-        X, Y, Z in metres where the rays of the tile's corner pixels meet its plane, counter-clockwise about
-        its normal: from the top left corner down, where the camera's fx and fy have the same sign. One for
-        each tile that is fitted and that these rays all meet, row by row; see `exported`.
+        X, Y, Z in metres where the rays through the corners of the tile's corner pixels meet its plane,
+        counter-clockwise about its normal: from the top left corner down, where the camera's fx and fy have the same
+        sign. One for each tile that is fitted and that these rays all meet, row by row; see `exported`.
     """
     return _corners(tiles)[exported(tiles)]
 
 
 def exported(tiles: TilePlanes) -> NDArray[np.bool_]:
-    """(R, C) bool: which tiles `tile_polygons` has: fitted, and met by the rays of their corner pixels."""
+    """(R, C) bool: which tiles `tile_polygons` has: fitted, and met by the rays through their corners."""
     return np.asarray(np.isfinite(_corners(tiles)).all(axis=(2, 3)))
 
 
@@ -60,12 +61,12 @@ def _corners(tiles: TilePlanes) -> Floats:
     _check_one_frame(tiles)
     top = np.concatenate([[0], np.cumsum(tiles.tile_heights)])
     left = np.concatenate([[0], np.cumsum(tiles.tile_widths)])
-    rows = np.stack([top[:-1], top[1:] - 1, top[1:] - 1, top[:-1]], axis=1)[:, None]
-    columns = np.stack([left[:-1], left[:-1], left[1:] - 1, left[1:] - 1], axis=1)[None]
+    # Pixels reach half a pixel beyond their centres: so neighbouring tiles of one plane leave no gap.
+    rows = np.stack([top[:-1], top[1:], top[1:], top[:-1]], axis=1)[:, None] - 0.5
+    columns = np.stack([left[:-1], left[:-1], left[1:], left[1:]], axis=1)[None] - 0.5
     if tiles.camera.fx * tiles.camera.fy < 0:  # a mirror image, in which clockwise is the other way round
         rows, columns = rows[..., ::-1], columns[..., ::-1]
-    rays = np.stack([tiles.camera.tan_x[rows, columns], tiles.camera.tan_y[rows, columns]], axis=-1)
-    rays = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
+    rays = rays_through(tiles.camera, np.stack(np.broadcast_arrays(columns, rows), axis=-1))
     alpha = np.where(tiles.fitted[..., None], tiles.alpha, np.nan)
     inverse_depth = np.einsum("rci,rcki->rck", alpha, rays)
     depth = 1.0 / np.where(inverse_depth > 0.0, inverse_depth, np.nan)

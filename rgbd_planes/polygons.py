@@ -18,6 +18,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number, shaped_array
 from rgbd_planes.extras import needs
 from rgbd_planes.labels import LabelPlanes
+from rgbd_planes.rays import rays_through
 from rgbd_planes.segmentation.result import Reason, Segmentation, boxes_of, no_segmentation
 from rgbd_planes.wording import counted
 
@@ -338,7 +339,7 @@ def _with_bends(ring: Floats, camera: Camera, tolerance: float) -> Floats:
     while True:
         start, edge = ring[:-1], np.diff(ring, axis=0)
         places = start + _ON_EDGE[:, None, None] * edge
-        rays = rays_through(camera, places.reshape(-1, 2))[:, :2].reshape(*places.shape)
+        rays = rays_through(camera, places)[..., :2]
         first, *between, last = rays
         along = last - first
         length, pixels = np.linalg.norm(along, axis=-1), np.linalg.norm(edge, axis=-1)
@@ -364,21 +365,3 @@ def _in_plane(
     metric = shapely.transform(image, meet)
     # Axes and normal are left-handed: clockwise in the plane's coordinates is counter-clockwise about the normal.
     return shapely.orient_polygons(_multi(metric, metric), exterior_cw=True)
-
-
-def rays_through(camera: Camera, pixels: ArrayLike) -> Floats:
-    """(K, 3) float64: rays (tanθx, tanθy, 1) through any points (x, y) of the image.
-
-    Between pixel centres the camera's tables are interpolated; up to a pixel outside they are continued.
-    """
-    x, y = np.asarray(pixels, dtype=np.float64).T
-    column = np.clip(np.floor(x).astype(int), 0, max(camera.width - 2, 0))
-    row = np.clip(np.floor(y).astype(int), 0, max(camera.height - 2, 0))
-    s, t = x - column, y - row
-    next_column, next_row = np.minimum(column + 1, camera.width - 1), np.minimum(row + 1, camera.height - 1)
-    tables = [
-        (1 - t) * ((1 - s) * table[row, column] + s * table[row, next_column])
-        + t * ((1 - s) * table[next_row, column] + s * table[next_row, next_column])
-        for table in (camera.tan_x, camera.tan_y)
-    ]
-    return np.column_stack([*tables, np.ones_like(x)])

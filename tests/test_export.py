@@ -33,7 +33,7 @@ def tiles(depth):
     return made
 
 
-def test_polygons_lie_on_their_planes_behind_the_corner_pixels(tiles):
+def test_polygons_lie_on_their_planes_behind_the_corners_of_the_tiles(tiles):
     polygons = export.tile_polygons(tiles)
     chosen = export.exported(tiles)
     assert polygons.shape == (chosen.sum(), 4, 3)
@@ -43,9 +43,20 @@ def test_polygons_lie_on_their_planes_behind_the_corner_pixels(tiles):
     distance = np.einsum("nki,ni->nk", polygons, planes[:, :3]) + planes[:, 3:]
     np.testing.assert_allclose(distance, 0.0, atol=1e-12)
     row, column = np.argwhere(chosen)[5]
-    x, y = 16 * column, 12 * row
-    corners = [(x, y), (x, y + 11), (x + 15, y + 11), (x + 15, y)]
-    np.testing.assert_allclose(CAMERA.project(polygons[5]), corners, atol=1e-6)
+    x, y = 16 * column - 0.5, 12 * row - 0.5
+    corners = [(x, y), (x, y + 12), (x + 16, y + 12), (x + 16, y)]
+    np.testing.assert_allclose(CAMERA.project(polygons[5]), corners, atol=1e-3)  # rays between pixels are interpolated
+
+
+@pytest.mark.parametrize("tile", [2, 4, (5, 7), 16])
+def test_polygons_of_a_wall_leave_no_gap(tile):
+    """Nor do they overlap: together they have the area that the image sees, whatever their size."""
+    camera = rp.Camera(70, 50, 60.0, 55.0, 34.5, 24.5)
+    tiles = rp.fit_tiles(np.full(camera.shape, 2.0), camera, tile, max_missing=1.0)
+    a, b, c, d = np.moveaxis(export.tile_polygons(tiles), 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1).sum()
+    covered = tiles.valid_count[tiles.fitted].sum() / camera.width / camera.height
+    assert area == pytest.approx(covered * (2.0 * 70 / 60.0) * (2.0 * 50 / 55.0))
 
 
 def test_polygons_turn_about_their_normals(tiles):

@@ -11,7 +11,8 @@ from rgbd_planes import Camera, fit_labels, presets, scenes, segment
 
 shapely = pytest.importorskip("shapely")
 
-from rgbd_planes.polygons import PlanePolygon, _multi, plane_polygons, rays_through  # noqa: E402
+from rgbd_planes.polygons import PlanePolygon, _multi, plane_polygons  # noqa: E402
+from rgbd_planes.rays import rays_through  # noqa: E402
 from rgbd_planes.segmentation.result import Reason  # noqa: E402
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)

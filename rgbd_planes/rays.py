@@ -1,0 +1,26 @@
+"""The rays through any points of the image, between pixels, too."""
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+
+Floats = npt.NDArray[np.float64]
+
+
+def rays_through(camera: Camera, pixels: npt.ArrayLike) -> Floats:
+    """(..., 3) float64: rays (tanθx, tanθy, 1) through any points (x, y) of the image, (..., 2).
+
+    Between pixel centres the camera's tables are interpolated; up to a pixel outside they are continued.
+    """
+    x, y = np.moveaxis(np.asarray(pixels, dtype=np.float64), -1, 0)
+    column = np.clip(np.floor(x).astype(int), 0, max(camera.width - 2, 0))
+    row = np.clip(np.floor(y).astype(int), 0, max(camera.height - 2, 0))
+    s, t = x - column, y - row
+    next_column, next_row = np.minimum(column + 1, camera.width - 1), np.minimum(row + 1, camera.height - 1)
+    tables = [
+        (1 - t) * ((1 - s) * table[row, column] + s * table[row, next_column])
+        + t * ((1 - s) * table[next_row, column] + s * table[next_row, next_column])
+        for table in (camera.tan_x, camera.tan_y)
+    ]
+    return np.stack([*tables, np.ones_like(x)], axis=-1)
