@@ -198,8 +198,9 @@ def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int
     seen[ids[there]] += 1
     label_of[ids[there]] = there + 1
     old = known.points.of_planes(known.ids)
-    hidden = _is_hidden(old, label_of[old.of], view) & (old.unseen < memory)
-    hidden_points = old.some(np.flatnonzero(hidden)).of_planes(place)
+    hidden_points = old.some(np.flatnonzero((label_of[old.of] > 0) & (old.unseen < memory)))
+    hidden = _is_hidden(hidden_points, label_of[hidden_points.of], view)
+    hidden_points = hidden_points.some(np.flatnonzero(hidden)).of_planes(place)
     hidden_points = hidden_points.some(np.argsort(hidden_points.of, kind="stable"))
     kept, of_each = thin(hidden_points.of, len(every))
     hidden_points = hidden_points.some(kept)
@@ -217,8 +218,8 @@ def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int
 
 
 def _is_hidden(points: Points, label: Indices, view: View) -> NDArray[np.bool_]:
-    """Of planes in sight, by label, the points that are not: something is before them, or they left the image."""
+    """Which points of planes with these labels are out of sight: something is before them, or they left the image."""
     row, column, inside = view.squares_of(points.xyz)
     there = view.labels[row, column]
     is_nearer = view.inverse_depth(there, row, column) * points.xyz[:, 2] > NEARER
-    return np.asarray((label > 0) & (~inside | ((there != label) & is_nearer)))
+    return np.asarray(~inside | ((there != label) & is_nearer))
