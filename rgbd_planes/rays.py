@@ -1,5 +1,7 @@
 """The rays through any points of the image, between pixels, too."""
 
+from __future__ import annotations
+
 import numpy as np
 import numpy.typing as npt
 
