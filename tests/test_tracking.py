@@ -116,6 +116,14 @@ def test_what_is_forgotten_takes_no_room() -> None:
         assert len(tracker._known.ids) == min(i + 1, 3)
 
 
+def test_work_does_not_grow_with_the_ids() -> None:
+    """After days of video; an array with an entry for each id would not fit into memory."""
+    tracker = PlaneTracker()
+    tracker._newest = 2**31 - 3
+    tracked = [tracker.follow(segment(wall_and_board(True), CAMERA)) for _ in range(2)]
+    assert [t.ids.tolist() for t in tracked] == [[2**31 - 2, 2**31 - 1]] * 2
+
+
 def test_another_plane_in_the_same_place_is_new() -> None:
     nearer = np.where(wall_and_board(True) == 1.5, 1.0, 2.0)
     frames = [wall_and_board(True), wall_and_board(False), nearer]

@@ -187,34 +187,31 @@ def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int
     """What is known after a frame: the planes in it, whose ids are given, and for a while what is out of sight."""
     points = view.points()
     there = np.flatnonzero(np.bincount(points.of, minlength=len(ids)))
-    lost = np.flatnonzero(~np.isin(known.ids, ids) & (known.missed < memory))
-    every = np.concatenate([ids[there], known.ids[lost]])
-    order = np.argsort(every)
-    every = every[order]
-    # By id: the plane's place in the new order, the frames it was seen in, and its label in the frame.
-    place, seen, label_of = np.zeros((3, 1 + max(ids.max(initial=0), known.ids.max(initial=0))), np.intp)
-    place[every] = np.arange(len(every))
-    seen[known.ids] = known.seen
-    seen[ids[there]] += 1
-    label_of[ids[there]] = there + 1
-    old = known.points.of_planes(known.ids)
-    hidden_points = old.some(np.flatnonzero((label_of[old.of] > 0) & (old.unseen < memory)))
-    hidden = _is_hidden(hidden_points, label_of[hidden_points.of], view)
-    hidden_points = hidden_points.some(np.flatnonzero(hidden)).of_planes(place)
-    hidden_points = hidden_points.some(np.argsort(hidden_points.of, kind="stable"))
-    kept, of_each = thin(hidden_points.of, len(every))
-    hidden_points = hidden_points.some(kept)
-    hidden_points = hidden_points._replace(squares=hidden_points.squares * of_each, unseen=hidden_points.unseen + 1)
-    lost_points = old.some(np.flatnonzero(np.isin(old.of, known.ids[lost]))).of_planes(place)
-    parts = points.of_planes(ids).of_planes(place), hidden_points, lost_points
+    is_lost = ~np.isin(known.ids, ids) & (known.missed < memory)
+    lost = np.flatnonzero(is_lost)
+    every = np.sort(np.concatenate([ids[there], known.ids[lost]]))
+    # Where planes stand among all, those in the frame and those known before, and the labels of these in the frame.
+    place, place_before = np.searchsorted(every, ids), np.searchsorted(every, known.ids)
+    _, again, now = np.intersect1d(known.ids, ids[there], assume_unique=True, return_indices=True)
+    label = np.zeros(len(known.ids), np.intp)
+    label[again] = there[now] + 1
+    planes, (seen, missed) = np.empty((len(every), 4)), np.zeros((2, len(every)), np.intp)
+    planes[place[there]] = view.found.planes[there]
+    planes[place_before[lost]] = known.planes[lost]
+    for kept in (again, lost):
+        seen[place_before[kept]] = known.seen[kept]
+    seen[place[there]] += 1
+    missed[place_before[lost]] = known.missed[lost] + 1
+    old = known.points
+    hidden = old.some(np.flatnonzero((label[old.of] > 0) & (old.unseen < memory)))
+    hidden = hidden.some(np.flatnonzero(_is_hidden(hidden, label[hidden.of], view)))
+    chosen, of_each = thin(hidden.of, len(known.ids))
+    hidden = hidden.some(chosen)
+    hidden = hidden._replace(squares=hidden.squares * of_each, unseen=hidden.unseen + 1)
+    out_of_sight = old.some(np.flatnonzero(is_lost[old.of]))
+    parts = points.of_planes(place), hidden.of_planes(place_before), out_of_sight.of_planes(place_before)
     together = Points(*(np.concatenate(values) for values in zip(*parts, strict=True)))
-    return KnownPlanes(
-        every,
-        np.concatenate([view.found.planes[there], known.planes[lost]])[order],
-        seen[every],
-        np.concatenate([np.zeros(len(there), np.intp), known.missed[lost] + 1])[order],
-        together.some(np.argsort(together.of, kind="stable")),
-    )
+    return KnownPlanes(every, planes, seen, missed, together.some(np.argsort(together.of, kind="stable")))
 
 
 def _is_hidden(points: Points, label: Indices, view: View) -> NDArray[np.bool_]:
