@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import plain_array, warn_caller
+from rgbd_planes.files import naming
 
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
@@ -124,6 +125,12 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     array = plain_array("depth", depth)
     _check_shape(depth, array, camera)
     return _read(array, camera)
+
+
+def as_numbered_frame(number: int, depth: ArrayLike, camera: Camera) -> DepthFrame:
+    """`as_depth_frame` of one of many: an error begins with its number, from 0."""
+    with naming(f"frame {number}"):
+        return as_depth_frame(depth, camera)
 
 
 def as_depth_frames(frames: NDArray[Any], camera: Camera) -> DepthFrame:

@@ -87,7 +87,8 @@ def fit_labels(
     Warns
     -----
     UserWarning
-        As `fit_tiles`, and for labels that are an image of 0 and 255, most likely a mask.
+        As `fit_tiles`, and for labels that are an image of 0 and 255, most likely a mask, or in which 255 seems to be
+        none.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
@@ -124,6 +125,13 @@ def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32
             f"labels must have the shape of the frame, {camera.shape}, got {array.shape}{hint if several else ''}"
         )
     check_labels(array, array.size)
-    if array.dtype == np.uint8 and array.max() == 255 and not np.any((array > 0) & (array < 255)):
-        warn_caller("the only label is 255: is it a mask? mask > 0 is one label, and not the last of 255")
+    if array.dtype == np.uint8 and array.max() == 255:
+        most = np.max(array, initial=0, where=array < 255)
+        if most == 0:
+            warn_caller("the only label is 255: is it a mask? mask > 0 is one label, and not the last of 255")
+        elif most < 254:
+            warn_caller(
+                f"labels are 0 to {most}, and 255: if that is none, and 0 a label, as OpenCV has them, "
+                "labels + np.uint8(1) has 0 for none"
+            )
     return np.array(array, np.int32, order="C")

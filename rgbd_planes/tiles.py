@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import operator
 from collections import deque
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share, each_of
 from rgbd_planes.compilation import announced
-from rgbd_planes.depth import DepthFrame, as_depth_frame, as_depth_frames
+from rgbd_planes.depth import DepthFrame, as_depth_frame, as_depth_frames, as_numbered_frame
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import ARRAYS, METHODS, SOLVES, Arrays, in_order, solve_planes, valid_needed
 from rgbd_planes.kernels import grid
@@ -136,7 +137,9 @@ class TileFitter:
         UserWarning
             As `fit_tiles`.
         """
-        frame = as_depth_frame(depth, self.camera)
+        return self._fit(as_depth_frame(depth, self.camera), out)
+
+    def _fit(self, frame: DepthFrame, out: TilePlanes | None = None) -> TilePlanes:
         if out is None:
             arrays = self._arrays((), None)
             fit, out = self._into(arrays), self._result(arrays)
@@ -193,7 +196,7 @@ class TileFitter:
             for first in range(start // rows, end, at_once):
                 last = min(first + at_once, end)
                 if stack is None:
-                    frame = as_depth_frame(frames[first], self.camera)
+                    frame = as_numbered_frame(first, frames[first], self.camera)
                 else:
                     frame = as_depth_frames(stack[first:last], self.camera)
                 fit = self._into({name: array[first:last] for name, array in arrays.items()})
@@ -236,12 +239,12 @@ class TileFitter:
         ahead = 1 if self._num_threads is None else self._num_threads
         source = each_of(frames)
         if ahead == 1:
-            for frame in source:
-                yield self.fit(frame)
+            for number, frame in enumerate(source):
+                yield self._fit(as_numbered_frame(number, frame, self.camera))
             return
         waiting: deque[Callable[[], TilePlanes]] = deque()
         wrong: Exception | None = None
-        while True:
+        for number in itertools.count():
             try:
                 frame = next(source)
             except StopIteration:  # not kept: it refers to this call's variables, which would refer to it
@@ -249,7 +252,7 @@ class TileFitter:
             except Exception as error:  # raised after the planes of earlier frames
                 wrong = error
                 break
-            waiting.append(submit(self._fit_alone, ahead, frame))
+            waiting.append(submit(self._fit_alone, ahead, number, frame))
             if len(waiting) == ahead:
                 yield waiting.popleft()()
         while waiting:
@@ -257,10 +260,10 @@ class TileFitter:
         if wrong is not None:
             raise wrong
 
-    def _fit_alone(self, depth: npt.ArrayLike) -> TilePlanes:
+    def _fit_alone(self, number: int, depth: npt.ArrayLike) -> TilePlanes:
         """Fit a frame in this thread."""
         arrays = self._arrays((), None)
-        frame = as_depth_frame(depth, self.camera)
+        frame = as_numbered_frame(number, depth, self.camera)
         with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
             self._into(arrays)(frame)(0, self._grid[0])
         return self._result(arrays)

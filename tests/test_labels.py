@@ -104,8 +104,20 @@ def test_an_image_of_a_mask_is_said_to_be_one(rng):
         fits = rp.fit_labels(depth, camera, mask)
     assert caught[0].filename == __file__
     assert fits.shape == (255,)
-    mask[0, 0] = 7  # labels, then
-    rp.fit_labels(depth, camera, mask)
+
+
+def test_labels_in_which_255_is_none_are_not_taken_for_255_labels_in_silence(rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    labels = np.where(depth < np.median(depth), 255, 0).astype(np.uint8)
+    labels[:10] = 1
+    with pytest.warns(UserWarning, match=r"labels are 0 to 1, and 255: .* labels \+ np\.uint8\(1\) has 0 for none"):
+        rp.fit_labels(depth, camera, labels)
+    fits = rp.fit_labels(depth, camera, labels + np.uint8(1))
+    assert fits.shape == (2,)
+    np.testing.assert_array_equal(fits.labels == 0, labels == 255)
+    labels[20] = 254  # as many as that, then
+    rp.fit_labels(depth, camera, labels)
 
 
 def test_a_label_without_pixels_has_no_plane(rng):

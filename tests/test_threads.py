@@ -259,9 +259,9 @@ def test_bad_frame_in_a_stream_or_batch_raises_in_the_caller():
     good, bad = np.ones(camera.shape), np.ones((3, 3))
     for num_threads in (1, 2):
         fitter = rp.TileFitter(camera, num_threads=num_threads)
-        with pytest.raises(ValueError, match="expected a depth frame of shape"):
+        with pytest.raises(ValueError, match=r"^frame 1: expected a depth frame of shape"):
             list(fitter.fit_stream([good, bad]))
-        with pytest.raises(ValueError, match="expected a depth frame of shape"):
+        with pytest.raises(ValueError, match=r"^frame 2: expected a depth frame of shape"):
             fitter.fit_batch([good, good, bad])
 
 

@@ -340,6 +340,15 @@ def test_frames_of_a_sequence_bring_their_cameras() -> None:
         segment_sequence(frames, noise=-1.0)
 
 
+def test_a_bad_frame_of_a_sequence_is_named_and_the_last() -> None:
+    good = wall_and_board(True)
+    found = segment_sequence([good, good[1:], good], CAMERA)
+    next(found)
+    with pytest.raises(ValueError, match=r"^frame 1: expected a depth frame of shape"):
+        next(found)
+    assert list(found) == []
+
+
 def test_a_tracker_is_given_one_segmentation_after_the_other() -> None:
     tracker = PlaneTracker()
     depth = wall_and_board(True)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from statistics import NormalDist
 from typing import Any
@@ -22,9 +21,8 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, warn_caller
-from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
+from rgbd_planes.depth import DepthFrame, as_depth_frame, as_numbered_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.files import naming
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
 from rgbd_planes.noise.large_planes import TILE, LargePlanes, bends_by_side, large_planes
@@ -125,8 +123,7 @@ def estimate_noise(
         )
     steps = []
     for index, depth in enumerate(opened):
-        with nullcontext() if is_one else naming(f"frame {index}"):
-            frame = as_depth_frame(depth, bare)
+        frame = as_depth_frame(depth, bare) if is_one else as_numbered_frame(index, depth, bare)
         warn_of_distances(frame, bare)
         steps.append(step_of(frame))
     for most_missing in MOST_MISSING:

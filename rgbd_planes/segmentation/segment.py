@@ -88,9 +88,7 @@ def segment(
     """
     check_camera(camera)
     given, min_size = check_settings(camera, noise, min_size)
-    frame = as_depth_frame(depth, camera)
-    with announced(("segment", frame.raw.dtype), "a minute or two"):
-        return segment_frame(frame, camera, given, min_size, Rules())
+    return segment_frame(as_depth_frame(depth, camera), camera, given, min_size, Rules())
 
 
 def check_settings(camera: Camera | None, noise: Any, min_size: int) -> tuple[Given, int]:
@@ -128,8 +126,8 @@ def _given(noise: Any) -> Given:
 
 
 def segment_frame(frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules) -> Segmentation:
-    """`segment` with other rules, for experiments."""
-    with workspaces.lent(camera) as work:
+    """`segment` of a frame that is checked, by rules that may be others."""
+    with announced(("segment", frame.raw.dtype), "a minute or two"), workspaces.lent(camera) as work:
         return _segment(frame, camera, given, min_size, rules, rays_of(camera), work)
 
 
