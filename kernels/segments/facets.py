@@ -11,7 +11,7 @@ import numpy as np
 from .._jit import kernel
 from ..disjoint_sets import root_of, unite
 from .blocks import BLOCK
-from .moments import difference, jump_at
+from .moments import are_within, difference, jump_at
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
 FACETS = 4  # planes that something round has at least: a ceiling between two slopes has three
@@ -28,10 +28,7 @@ def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     jump = jump_at(alpha, a, b, where)
     if not jump * jump <= BLOCK * BLOCK * ((d_u * rays.pitch_x) ** 2 + (d_v * rays.pitch_y) ** 2):
         return STRAIGHT
-    along = alpha[a, 0] * alpha[b, 0] + alpha[a, 1] * alpha[b, 1] + alpha[a, 2] * alpha[b, 2]
-    square_a = alpha[a, 0] ** 2 + alpha[a, 1] ** 2 + alpha[a, 2] ** 2
-    square_b = alpha[b, 0] ** 2 + alpha[b, 1] ** 2 + alpha[b, 2] ** 2
-    if not along > math.cos(blunt) * math.sqrt(square_a * square_b):
+    if not are_within(blunt, alpha[a], alpha[b]):
         return STRAIGHT
     # From a's middle to b's, the plane of a comes nearer than that of b, or falls behind.
     nearer = d_u * (m_b[1] / m_b[0] - m_a[1] / m_a[0]) + d_v * (m_b[2] / m_b[0] - m_a[2] / m_a[0])

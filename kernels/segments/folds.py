@@ -13,7 +13,7 @@ from .._jit import kernel
 from ..copying import copy
 from .facets import turn_of_groups
 from .merge import keep_pairs_inside, merge
-from .moments import fit
+from .moments import are_within, fit
 from .noise import variance, waviness
 from .quadrics import PLANE_TERMS, SURE, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
 from .records import Owned
@@ -97,14 +97,9 @@ def is_ajar(part, alpha, whole, noise, rules):
     rest, of_rest = whole - part, np.empty(3)
     if rest[0] < AJAR_FACE or fit(rest, of_rest) < 0.0:
         return False
-    a, b, c = alpha[0] - of_rest[0], alpha[1] - of_rest[1], alpha[2] - of_rest[2]
-    along, square, of_rest_square = 0.0, 0.0, 0.0
-    for k in range(3):
-        along += alpha[k] * of_rest[k]
-        square += alpha[k] ** 2
-        of_rest_square += of_rest[k] ** 2
-    if along > math.cos(AJAR) * math.sqrt(square * of_rest_square):
+    if are_within(AJAR, alpha, of_rest):
         return False
+    a, b, c = alpha[0] - of_rest[0], alpha[1] - of_rest[1], alpha[2] - of_rest[2]
     # What the rest's plane adds to the squared residuals of the part.
     more = (
         a * (a * part[4] + 2.0 * (b * part[5] + c * part[1])) + b * (b * part[7] + 2.0 * c * part[2]) + c * c * part[0]
