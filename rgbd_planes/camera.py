@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Self, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,17 @@ from rgbd_planes.noise.model import NoiseModel
 
 Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
+
+
+class OfDepth(TypedDict, total=False):
+    """What other systems' calibrations don't say: parameters of `Camera`."""
+
+    depth_scale: float | None
+    disparity: tuple[float, float] | None
+    depth_range: tuple[float, float] | None
+    invalid_values: Sequence[float]
+    noise: NoiseModel | None
+
 
 _PIXELS = "whole number of pixels"
 _FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; only fisheye lenses see farther
@@ -83,12 +94,12 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    distortion: tuple[float, ...] = ()
+    distortion: Sequence[float] = ()  # kept as a tuple
     distortion_model: str = "brown_conrady"
     depth_scale: float | None = None
     disparity: tuple[float, float] | None = None
     depth_range: tuple[float, float] | None = None
-    invalid_values: tuple[float, ...] = ()
+    invalid_values: Sequence[float] = ()  # kept as a tuple
     noise: NoiseModel | None = None
 
     def __post_init__(self) -> None:
@@ -324,6 +335,16 @@ class Camera:
         cx, cy = x * (self.cx + 0.5) - 0.5, y * (self.cy + 0.5) - 0.5
         return replace(self, width=width, height=height, fx=x * self.fx, fy=y * self.fy, cx=cx, cy=cy, noise=None)
 
+    def with_noise(self, noise: NoiseModel | None) -> Self:
+        """The same camera with a noise model, such as `rgbd_planes.estimate_noise` returns, or without one.
+
+        Raises
+        ------
+        TypeError
+            It is neither a `NoiseModel` nor None.
+        """
+        return replace(self, noise=noise)
+
     def cropped(self, left: int, top: int, width: int, height: int) -> Self:
         """The camera of a part of the image, ``frame[top : top + height, left : left + width]``.
 
@@ -444,7 +465,7 @@ class Camera:
         *,
         distortion_model: str = "brown_conrady",
         pixel_center: float = 0.0,
-        **depth: Any,
+        **depth: Unpack[OfDepth],
     ) -> Self:
         """Make a camera from OpenCV's calibration.
 
@@ -472,7 +493,7 @@ class Camera:
         return cls(**made, **depth)
 
     @classmethod
-    def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Any) -> Self:
+    def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Unpack[OfDepth]) -> Self:
         """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo, or from the content of a ROS calibration file.
 
         Parameters
@@ -501,7 +522,7 @@ class Camera:
         return cls(**camera_formats.from_ros(info, rectified), **depth)
 
     @classmethod
-    def from_open3d(cls, source: Any, **depth: Any) -> Self:
+    def from_open3d(cls, source: Any, **depth: Unpack[OfDepth]) -> Self:
         """Make a camera from Open3D's PinholeCameraIntrinsic or PinholeCameraParameters, or from their JSON.
 
         Parameters
@@ -523,7 +544,7 @@ class Camera:
             return cls(**camera_formats.from_open3d(values), **depth)
 
     @classmethod
-    def from_realsense(cls, intrinsics: Any, *, depth_units: float | None = None, **depth: Any) -> Self:
+    def from_realsense(cls, intrinsics: Any, *, depth_units: float | None = None, **depth: Unpack[OfDepth]) -> Self:
         """Make a camera from the intrinsics of a RealSense stream.
 
         Parameters

@@ -85,15 +85,22 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
     -------
     dict
         camera (`Camera.to_dict`), method, tile [height, width], and planes: for each tile that has one, its row,
-        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points; None for a
-        residual that is not known, and for a polygon whose plane some ray of its corners does not meet.
+        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points; if the camera
+        has a noise model, also p_value and the covariance of the plane (4 x 4). None for a residual that is not known,
+        and for a polygon whose plane some ray of its corners does not meet.
     """
     _check_one_frame(tiles)
     corners = _corners(tiles)
+    has_noise = tiles.camera.noise is not None
     planes = []
     for row, column in np.argwhere(tiles.fitted).tolist():
         at = (row, column)
         polygon = corners[at]
+        uncertainty = (
+            {"p_value": _number(tiles.p_value[at]), "covariance": tiles.plane_covariance[at].tolist()}
+            if has_noise
+            else {}
+        )
         planes.append(
             {
                 "row": row,
@@ -103,6 +110,7 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
                 "rmse": _number(tiles.rmse[at]),
                 "rmse_metric": _number(tiles.rmse_metric[at]),
                 "valid_count": int(tiles.valid_count[at]),
+                **uncertainty,
                 "polygon": polygon.tolist() if np.isfinite(polygon).all() else None,
             }
         )

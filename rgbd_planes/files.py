@@ -10,6 +10,24 @@ from pathlib import Path
 
 from rgbd_planes.wording import one_line
 
+_OF_FILES = frozenset(
+    (
+        ".csv",
+        ".tsv",
+        ".txt",
+        ".json",
+        ".npz",
+        ".npy",
+        ".png",
+        ".jpg",
+        ".pdf",
+        ".svg",
+        ".ply",
+        ".xlsx",
+        ".feather",
+        ".h5",
+    )
+)
 # Bytes. Nonsense in a file may ask for any number of them: if this many are free, memory was not short of a frame.
 _MORE_THAN_A_FRAME = 2**28
 
@@ -46,6 +64,23 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     finally:
         beside.unlink(missing_ok=True)
+
+
+def check_folder_name(path: str | os.PathLike[str], what: str) -> None:
+    """Raise where a new folder, for ``what``, would have the name of a file of another format.
+
+    Raises
+    ------
+    ValueError, NotADirectoryError
+        Saying what was expected.
+    """
+    folder = Path(path)
+    if folder.is_dir():
+        return
+    if folder.exists():
+        raise NotADirectoryError(f"{folder}: expected a folder for {what}, got a file; choose another name")
+    if folder.suffix.lower() in _OF_FILES:
+        raise ValueError(f"{folder}: expected the name of a folder for {what}, got one that ends in {folder.suffix}")
 
 
 @contextmanager

@@ -590,6 +590,9 @@ def test_arguments_that_cannot_be_used_are_refused(recording, tmp_path):
     with pytest.raises(NotADirectoryError, match="expected a folder for the table, got a file; choose another"):
         rp.fit_sequence(sequence, out)
     assert out.read_text() == "mine"
+    with pytest.raises(ValueError, match=r"expected the name of a folder for the table, got one that ends in \.csv"):
+        rp.fit_sequence(sequence, tmp_path / "planes.csv")
+    assert not (tmp_path / "planes.csv").exists()
 
 
 @pytest.mark.parametrize("name", ["pyarrow", "pyarrow.parquet"])

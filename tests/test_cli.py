@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 import rgbd_planes as rp
-from rgbd_planes import cli, images, scenes
+from rgbd_planes import cli, export, images, scenes
 from rgbd_planes.commands import COMMANDS
 from rgbd_planes.fitting import METHODS
 
@@ -110,7 +110,8 @@ def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
     assert "fit into the frame" in fails(capsys, "demo", "--out", tmp_path / "new", "--tile", "481")
     assert not (tmp_path / "new").exists()
     (tmp_path / "file").touch()
-    assert "file: expected a folder, got a file" in fails(capsys, "demo", "--out", tmp_path / "file")
+    assert "file: expected a folder for the files, got a file" in fails(capsys, "demo", "--out", tmp_path / "file")
+    assert "expected the name of a folder" in fails(capsys, "demo", "--out", tmp_path / "new.png")
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -127,6 +128,15 @@ def test_fit_writes_what_fit_tiles_returns(folder, capsys, method):
         count = (expected.status == status).sum()
         assert (f"{count} {status.name}" in out) == (count > 0)
     assert "Wrote p.npz" in out
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--out", "p.json", *arguments]) == 0
+    assert json.loads((folder / "p.json").read_text()) == export.to_dict(expected)
+
+
+def test_fit_says_where_rough_tiles_need_the_noise(folder, capsys):
+    arguments = ["fit", "depth.png", "--camera", "camera.json"]
+    for options, is_said in (([], True), (["--max-error", "0.02"], False), (["--noise", "kinect_v1"], False)):
+        assert cli.main([*arguments, *options]) == 0
+        assert ("rgbd-planes noise finds it" in capsys.readouterr().out) == is_said
 
 
 def test_noise_writes_the_camera_with_what_estimate_noise_finds(tmp_path, monkeypatch, capsys):
@@ -335,7 +345,7 @@ BAD_INPUT = {
     "method": (None, ["--method", "ransac"], "range_explicit.*ransac"),
     "share": (None, ["--max-missing", "2"], "max_missing"),
     "threads": (None, ["--threads", "0"], "num_threads"),
-    "out is no npz": (None, ["--out", "p.csv"], r"ends in \.npz"),
+    "out is no npz": (None, ["--out", "p.csv"], r"ends in \.npz or \.json"),
     "figure is no picture": (None, ["--figure", "p.docx"], r"\.png or"),
     "out in no folder": (None, ["--out", "none/p.npz"], "no folder"),
     "out is a folder": (lambda folder: os.mkdir("p.npz"), ["--out", "p.npz"], "is a folder"),

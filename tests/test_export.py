@@ -70,6 +70,17 @@ def test_polygons_turn_about_their_normals(tiles):
         np.testing.assert_allclose(cosine, 1.0, atol=1e-9)
 
 
+def test_planes_in_json_have_their_uncertainty_if_the_noise_is_known(depth):
+    plain = export.to_dict(rp.fit_tiles(depth, CAMERA))["planes"]
+    tiles = rp.fit_tiles(depth, CAMERA.with_noise(rp.noise.kinect_v1()))
+    planes = export.to_dict(tiles)["planes"]
+    assert {"p_value", "covariance"} == set(planes[0]) - set(plain[0])
+    for plane in planes:
+        at = plane["row"], plane["column"]
+        assert plane["p_value"] == tiles.p_value[at]
+        np.testing.assert_array_equal(plane["covariance"], tiles.plane_covariance[at])
+
+
 def test_a_tile_that_its_corner_rays_miss_has_no_polygon():
     # A plane that the rays of the right-hand columns run away from: q falls below zero.
     camera = rp.Camera(width=16, height=8, fx=8.0, fy=8.0, cx=7.5, cy=3.5)

@@ -15,6 +15,7 @@ from ros_messages import round_trip
 
 from rgbd_planes import (
     Camera,
+    Segmentation,
     cli,
     fit_tiles,
     images,
@@ -172,6 +173,8 @@ def test_command_writes_everything(folder, capsys, depth):
     assert np.array([plane["plane"] for plane in read["planes"]]) == pytest.approx(found.planes)
     assert np.array([plane["covariance"] for plane in read["planes"]]).shape == (len(found), 4, 4)
     assert all(plane["area"] > 0 and plane["outline"] for plane in read["planes"])
+    assert cli.main(["segment", "depth.png", "--camera", "camera.json", "--out", "planes.npz"]) == 0
+    np.testing.assert_array_equal(Segmentation.load("planes.npz").labels, found.labels)
 
 
 @pytest.mark.filterwarnings("default:the noise that is given")
@@ -191,7 +194,8 @@ def test_command_passes_its_options_on(folder, capsys):
     ("options", "message"),
     [
         (["--polygons"], "give --out"),
-        (["--out", "planes.txt"], "ends in .json"),
+        (["--polygons", "--out", "planes.npz"], "give --out with a name that ends in .json"),
+        (["--out", "planes.txt"], "ends in .json or .npz"),
         (["--min-size", "1"], "min_size must be at least 3"),
         (["--labels", "a.png", "--figure", "a.png"], "a.png: --figure would write over another file"),
         (["--points", "a.ply", "--mesh", "./a.ply"], "a.ply: --mesh would write over another file"),

@@ -29,7 +29,7 @@ from rgbd_planes.batch.rows import Columns
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads, warn_caller
 from rgbd_planes.extras import needs
-from rgbd_planes.files import alone_in, write_beside
+from rgbd_planes.files import alone_in, check_folder_name, write_beside
 from rgbd_planes.sequences.frames import FrameSequence, check_sequence
 from rgbd_planes.threads import num_cores
 from rgbd_planes.wording import counted
@@ -165,8 +165,8 @@ def fit_sequence(
     MemoryError
         There is not enough memory to read or fit a frame.
     TypeError, ValueError
-        `out` holds another table, or one that cannot be told from another, or something else; or an argument
-        cannot be used.
+        `out` holds another table, or one that cannot be told from another, or something else, or is named like a file
+        of another format; or an argument cannot be used.
 
     Warns
     -----
@@ -188,8 +188,7 @@ def fit_sequence(
     timed = not bool(np.isnan(sequence.timestamps).any())
     columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
     folder = Path(out)
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"{folder}: expected a folder for the table, got a file; choose another name")
+    check_folder_name(folder, "the table")
     with _workers(scheduler, num_threads, settings) as workers, alone_in(folder):
         size = _open_table(folder, sequence, settings, workers.slots)
         tasks: list[Task] = [

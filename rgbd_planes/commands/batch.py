@@ -13,7 +13,7 @@ from rgbd_planes.commands.arguments import (
     add_sequence_options,
     read_sequence,
 )
-from rgbd_planes.wording import percent
+from rgbd_planes.wording import counted, percent
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
@@ -92,10 +92,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             print("rgbd-planes batch: stopped; the same command does the rest", file=sys.stderr)
             raise
         rows = ", ".join(f"{count} {status}" for status, count in report.status.items())
-        print(
-            f"{report.frames - len(report.problems)} of {report.frames} frames, {report.rows} rows"
-            + (f": {rows}." if rows else ".")
-        )
+        done = f"{report.frames - len(report.problems)} of {counted(report.frames, 'frame')}"
+        print(f"{done}, {counted(report.rows, 'row')}" + (f": {rows}." if rows else "."))
         if report.resumed:
             print(f"{report.resumed} frames had been done before.")
         total = sum(report.seconds.values())
@@ -106,7 +104,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         for line in in_words(problem for problem in report.problems if skipped[problem.reason] > 1):
             print(line, file=sys.stderr)
         if report.problems:
-            print(f"Skipped {len(report.problems)} of {report.frames} frames.", file=sys.stderr)
+            print(f"Skipped {len(report.problems)} of {counted(report.frames, 'frame')}.", file=sys.stderr)
             if report.resumed and not arguments.retry:
                 print("What was skipped before is tried again with --retry.", file=sys.stderr)
         return 1 if report.problems else 0

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rgbd_planes.commands.arguments import CommandError, Run, describe_tiles, tile_size, write_figure
+from rgbd_planes.commands.arguments import Run, describe_tiles, tile_size, write_figure
 from rgbd_planes.wording import percent
 
 if TYPE_CHECKING:
@@ -33,15 +33,14 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         import numpy as np
 
         from rgbd_planes import Camera, TileFitter, fit_tiles, noise, scenes
-        from rgbd_planes.files import check_writable
+        from rgbd_planes.files import check_folder_name, check_writable
         from rgbd_planes.images import write_png
 
         camera = Camera(
             width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5, depth_scale=1000.0,
             noise=noise.kinect_v1(),
         )  # fmt: skip
-        if arguments.out.exists() and not arguments.out.is_dir():
-            raise CommandError(f"{arguments.out}: expected a folder, got a file")
+        check_folder_name(arguments.out, "the files")
         fitter = TileFitter(camera, tile=arguments.tile, num_threads=1)
         arguments.out.mkdir(parents=True, exist_ok=True)
         picture, frame_file, camera_file = (

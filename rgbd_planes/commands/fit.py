@@ -1,7 +1,6 @@
 """``rgbd-planes fit``."""
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 from rgbd_planes.commands.arguments import (
@@ -26,18 +25,18 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     add_fit_options(parser)
     add_noise(parser, "calls tiles ROUGH that it does not explain, and goes into the NPZ, for covariances and p-values")
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
-    parser.add_argument("--out", type=Path, metavar="NPZ", help="write the planes; TilePlanes.load reads them")
+    parser.add_argument("--out", type=Path, metavar="NPZ/JSON", help="write the planes; TilePlanes.load reads an NPZ")
     parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and tiles")
 
     def run(arguments: argparse.Namespace) -> int:
-        from rgbd_planes import fit_tiles
+        from rgbd_planes import export, fit_tiles
         from rgbd_planes.depth import as_depth_frame
         from rgbd_planes.noise.model import warn_of_noise
 
-        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz",), figure=FIGURES)
+        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz", ".json"), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         if arguments.noise is not None:
-            camera = replace(camera, noise=arguments.noise)
+            camera = camera.with_noise(arguments.noise)
             warn_of_noise(as_depth_frame(depth, camera), arguments.noise)
         tiles = fit_tiles(
             depth,
@@ -49,8 +48,13 @@ def fit(parser: argparse.ArgumentParser) -> Run:
             num_threads=arguments.threads,
         )
         print(describe_tiles(tiles))
+        if camera.noise is None and arguments.max_error is None:
+            print("Without the sensor's noise, tiles across edges are OK, too: rgbd-planes noise finds it.")
         if arguments.out is not None:
-            tiles.save(arguments.out)
+            if arguments.out.suffix.lower() == ".json":
+                export.write_json(arguments.out, tiles)
+            else:
+                tiles.save(arguments.out)
             print(f"Wrote {arguments.out}")
         if arguments.figure is not None:
             write_figure(tiles.plot(depth), arguments.figure)

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,7 +73,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         print(f"Noise: {found._summary()}.".replace("; ", ";\n  "))
         print(f"By it {evidence._rejected()} of the flat tiles have a p-value below 1 %; 1 % should.")
         if arguments.out is not None:
-            replace(camera, noise=found).save(arguments.out)
+            camera.with_noise(found).save(arguments.out)
             print(f"Wrote {arguments.out}")
         if arguments.figure is not None:
             write_figure(evidence.plot(), arguments.figure)

@@ -24,7 +24,9 @@ def segment(parser: argparse.ArgumentParser) -> Run:
     add_frame(parser)
     add_noise(parser, "without either, it is estimated from the frame", number_is_model=False)
     add_min_size(parser)
-    parser.add_argument("--out", type=Path, metavar="JSON", help="write the planes")
+    parser.add_argument(
+        "--out", type=Path, metavar="JSON/NPZ", help="write the planes; Segmentation.load reads an NPZ, labels included"
+    )
     parser.add_argument("--polygons", action="store_true", help="add the outlines to the JSON; needs shapely")
     parser.add_argument("--labels", type=Path, metavar="PNG", help="write the labels, 16 bits, 0 for none")
     parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw the planes over the depth's relief")
@@ -39,14 +41,14 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         check_outputs(
             arguments,
             (arguments.depth, arguments.camera),
-            out=(".json",),
+            out=(".json", ".npz"),
             labels=(".png",),
             figure=FIGURES,
             points=(".ply",),
             mesh=(".ply",),
         )
-        if arguments.polygons and arguments.out is None:
-            raise CommandError("--polygons goes into the JSON: give --out, too")
+        if arguments.polygons and (arguments.out is None or arguments.out.suffix.lower() != ".json"):
+            raise CommandError("--polygons goes into the JSON: give --out with a name that ends in .json")
         outlined = arguments.polygons or arguments.mesh is not None
         if outlined:
             with needs("shapely", "polygons"):
@@ -55,9 +57,10 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         found = segment_depth(depth, camera, noise=arguments.noise, min_size=arguments.min_size)
         print(f"{found._summary}.")
         polygons = plane_polygons(found) if outlined else []
-        if arguments.out is not None:
-            outlines = polygons if arguments.polygons else None
-            segmentation_export.write_json(arguments.out, found, outlines)
+        if arguments.out is not None and arguments.out.suffix.lower() == ".npz":
+            found.save(arguments.out)
+        elif arguments.out is not None:
+            segmentation_export.write_json(arguments.out, found, polygons if arguments.polygons else None)
         if arguments.labels is not None:
             segmentation_export.write_labels(arguments.labels, found)
         if arguments.points is not None:

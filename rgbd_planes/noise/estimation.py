@@ -116,7 +116,7 @@ def estimate_noise(
     opened: list[Any] = [frames] if is_one else list(frames)
     if not opened:
         raise ValueError("expected at least one frame, got none")
-    bare = replace(camera, noise=None)
+    bare = camera.with_noise(None)
     if min(camera.shape) < WINDOW:
         raise ValueError(
             f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
@@ -166,7 +166,7 @@ def estimate_noise(
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
     # Biases over hundreds of pixels are nearly planar on any tile, and make little residual.
-    model = _fit_reach(reaching, model, large_planes(opened, replace(camera, noise=model), num_threads))
+    model = _fit_reach(reaching, model, large_planes(opened, camera.with_noise(model), num_threads))
     model = _fit_scale(samples[REFERENCE], model)
     if model.spread >= SPREADS[-1] or unevenness(tiles[WINDOW], tiles[8], flat) > _UNEVEN:
         warn_caller(

@@ -1,7 +1,7 @@
 """What an estimated noise model was estimated from, and where in the image the sensor is not flat."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,7 +103,7 @@ def evidence_of(
     ratio = chosen.rss / expected
     bins = bins_of(chosen.q, 60)
     sizes = np.array(list(samples))
-    wide = replace(camera, noise=model)
+    wide = camera.with_noise(model)
     large = large_planes(frames, wide, num_threads)  # once more, by the floor that they have shown
     sides, bends, _ = bends_by_side(large)
     residuals = np.append(

@@ -58,7 +58,7 @@ def large_planes(frames: Sequence[Any], camera: Camera, num_threads: int | None 
     assert noise is not None
     # With no bias assumed, the most bent planes would be rejected and their bias missed.
     wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
-    fitter = TileFitter(replace(camera, noise=wavy), TILE, significance=1e-3, num_threads=num_threads)
+    fitter = TileFitter(camera.with_noise(wavy), TILE, significance=1e-3, num_threads=num_threads)
     return [_of_frame(fitter.fit(depth), noise) for depth in frames]
 
 

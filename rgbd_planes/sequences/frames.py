@@ -129,7 +129,7 @@ class FrameSequence(Sequence[Frame]):
 
     def with_noise(self, noise: NoiseModel | None) -> "FrameSequence":
         """The same frames, whose cameras have a noise model (`rgbd_planes.noise`)."""
-        cameras = {camera: replace(camera, noise=noise) for camera in self.cameras}
+        cameras = {camera: camera.with_noise(noise) for camera in self.cameras}
         return FrameSequence((replace(e, camera=cameras[e.camera]) for e in self.entries), self._read)
 
     def __repr__(self) -> str:
