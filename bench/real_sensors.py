@@ -5,7 +5,6 @@ method: the median angle between them, and how often larger PCA's is. Reads the 
 ``../shared/data``, where there are any.
 """
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 import rgbd_planes as rp
 from rgbd_planes.images import read_depth
 from tests.real_data import FOLDER as DATA
+from tests.real_data import needed
 
 SETS = {
     "abw_segcomp_cal0": "ABW, calibration 0",
@@ -49,6 +49,7 @@ def angles(folder: Path, tile: int) -> NDArray[np.float64]:
 
 def measure() -> list[dict[str, Any]]:
     """A row for each data set and size of tile: medians in degrees, and PCA's error in units of ours."""
+    needed(SETS)
     rng = np.random.default_rng(1)
     rows: list[dict[str, Any]] = []
     for name in SETS:
@@ -78,14 +79,10 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> int:
+def main() -> None:
     """Print the table."""
-    if not DATA.is_dir():
-        print(f"no labelled frames in {DATA.parent.name}/{DATA.name}", file=sys.stderr)
-        return 1
     print(table(measure()))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

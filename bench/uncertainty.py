@@ -19,8 +19,9 @@ import numpy as np
 
 import rgbd_planes as rp
 from bench.fitting import case, ratio, take_turns
-from bench.uncertainty_real import real_report
+from bench.uncertainty_real import SETS, real_report
 from bench.uncertainty_simulation import simulate, simulation_report
+from tests.real_data import FOLDER, needed
 
 EVERYTHING = ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std")
 
@@ -83,13 +84,15 @@ def cost_report(repeats: int = 300) -> list[str]:
 def main() -> None:
     """Run the parts asked for and write the report."""
     parser = argparse.ArgumentParser(description="Is the uncertainty right, and what does it cost?")
-    parser.add_argument("parts", nargs="*", metavar="simulate | real | cost", help="all, if none is named")
+    parser.add_argument("parts", nargs="*", metavar="simulate | real | cost", help="all that can be, if none is named")
     parser.add_argument("--runs", type=int, default=10000, help="measurements of each plane (10000)")
     parser.add_argument("--out", type=Path, default=Path("report"), help="folder of the report")
     arguments = parser.parse_args()
-    parts = arguments.parts or ["simulate", "real", "cost"]
+    parts = arguments.parts or ["simulate", *(["real"] if FOLDER.is_dir() else []), "cost"]
     if unknown := set(parts) - {"simulate", "real", "cost"}:
         parser.error(f"unknown: {', '.join(sorted(unknown))}")
+    if "real" in parts:
+        needed(SETS)  # now, not after the simulation
     arguments.out.mkdir(parents=True, exist_ok=True)
     lines = ["# Uncertainty", ""]
     if "simulate" in parts:

@@ -14,6 +14,7 @@ from rgbd_planes.noise.samples import mean_depth
 from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.tile_grid import central_rays, tile_footprints
 from tests.real_data import FOLDER as DATA
+from tests.real_data import needed
 
 FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
 RINGS = ("centre", "middle", "edge")
@@ -49,10 +50,9 @@ def real_sets() -> list[RealSet]:
     """The sets of the data folder that are of a real sensor and in metres; each once in either direction."""
     from rgbd_planes.images import read_depth
 
+    needed(SETS)
     sets = []
     for folder in SETS:
-        if not (DATA / folder / "camera.json").exists():
-            continue
         camera = rp.Camera.load(DATA / folder / "camera.json")
         paths = sorted((DATA / folder / "depth").glob("*.png"))
         frames = [read_depth(path) for path in paths]

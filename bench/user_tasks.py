@@ -360,8 +360,12 @@ def short_table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
+    """Print the table, the times, and what is missing."""
     result = measure()
     print(table(result))
+    left_out = {"opencv", "open3d", "pcl"} - {row["with"] for row in result["rows"]}
+    if left_out:
+        print(f"Not installed, so left out: {', '.join(sorted(left_out))}; docs/measured.md says what they need.")
     for row in result["rows"]:
         print(f"{row['task']:10} {row['with']:7} {row['milliseconds']:8.1f} ms")
 

@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from collections.abc import Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 
@@ -46,9 +47,11 @@ def _watch(done: threading.Event, takes: str) -> None:
 
 
 def _report_until(done: threading.Event) -> None:
+    begin = time.monotonic()
     while not done.wait(SECONDS_BETWEEN_NOTICES):
         if _compiling.is_compiling:
-            _logger.warning(f"still compiling kernels: {_compiling.compiled} are done")
+            seconds = time.monotonic() - begin  # the last kernel takes many of them
+            _logger.warning(f"still compiling kernels: {_compiling.compiled} are done after {seconds:.0f} s")
 
 
 def _announce(takes: str) -> bool:

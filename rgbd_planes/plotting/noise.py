@@ -43,7 +43,7 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     _draw_p_values(panels[2], evidence)
     maps = lower.subplots(1, 2)
     title = "Noise over the image, as a multiple of the model's"
-    _draw_map(maps[0], evidence.noise_map, title, cmap="viridis", vmin=0.5, vmax=2.0)
+    _draw_map(maps[0], evidence.noise_map, title, "nothing flat there", cmap="viridis", vmin=0.5, vmax=2.0)
     if evidence.edge_growth > 1.0:
         note = f"     the model's grows to {two_digits(evidence.edge_growth)} times towards the edge"
         maps[0].set_xlabel(maps[0].get_xlabel() + note, fontsize=9)
@@ -54,11 +54,11 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
         chance = 1e3 * float(np.median(evidence.flatness_std[some]))
         # Wide enough for chance alone to stay pale.
         limit = max(float(np.quantile(np.abs(bias[some]), 0.98)), _PALE * chance)
-        _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+        _draw_map(maps[1], bias, title, "no large plane", cmap="RdBu_r", vmin=-limit, vmax=limit)
         note = f"     chance alone: ±{two_digits(chance)}e-3 / m (standard deviation)"
         maps[1].set_xlabel(maps[1].get_xlabel() + note, fontsize=9)
     else:
-        _draw_map(maps[1], bias, title, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        _draw_map(maps[1], bias, title, "no large plane", cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     return figure
 
 
@@ -94,14 +94,14 @@ def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
     _finish(axes, title, "p-value", "density")
 
 
-def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, **style: Any) -> None:
+def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, grey: str, **style: Any) -> None:
     axes.set_facecolor((0.86, 0.86, 0.86))
     image = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
     # Beside the map. A colour bar that takes its room from the axes would move the map to the side of its half of the
     # figure, where titles that are wider than a narrow map are cut off.
     axes.figure.colorbar(image, cax=axes.inset_axes((1.03, 0.075, 0.05, 0.85)))
     axes.set_title(title, fontsize=10)
-    axes.set_xlabel("grey: nothing flat there", fontsize=9)
+    axes.set_xlabel(f"grey: {grey}", fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])
 
