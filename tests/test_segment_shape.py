@@ -2,14 +2,17 @@
 
 import numpy as np
 import pytest
+from real_data import FOLDER
+from real_data import REASON as NO_FRAMES
 from scipy import ndimage
 
-from rgbd_planes import Camera, segment
+from rgbd_planes import Camera, images, segment
 from rgbd_planes.kernels.segments.blocks import BLOCK, EMPTY, MIXED, UNSEEN
+from rgbd_planes.kernels.segments.moments import angle_between
 from rgbd_planes.kernels.segments.planes import fit_regions
 from rgbd_planes.kernels.segments.quadrics import boxes, inner_pixels
 from rgbd_planes.kernels.segments.records import Noise, Owned, Owners, Planes, Rules, Shares
-from rgbd_planes.kernels.segments.shape import find_curled
+from rgbd_planes.kernels.segments.shape import BENT_SHARE, find_curled, find_turns
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import rays_of
 
@@ -178,3 +181,44 @@ def test_a_small_part_that_bends_and_goes_on_is_no_plane():
     """By itself neither of the two parts bends by more than noise."""
     assert np.count_nonzero(on_column(0.8, 24) > 0.4) >= 2
     assert not on_column(np.inf, 24).any()
+
+
+def turns_and_angle(q, cut):
+    """By how much the surface turns within its two parts, left and right of a column of blocks, and between them."""
+    rows, columns = q.shape
+    u, v = np.meshgrid(0.02 * np.arange(columns), 0.02 * np.arange(rows))
+    means = np.stack([np.full_like(u, 16.0), u, v, q], axis=-1).astype(np.float32)
+    region = np.full(q.shape, 0, np.int32)
+    region[:, cut:] = 1
+    terms = [np.stack([np.ones(here.sum()), u[here], v[here], q[here]]) for here in (region == 0, region == 1)]
+    moments = 16.0 * np.stack([(of @ of.T)[np.triu_indices(4)] for of in terms])
+    noise = Noise(np.array([10.0, SIGMA, SIGMA, SIGMA]), 0.0, 0.0, 0.0, np.zeros((2, 0)), np.ones(3), 1.0)
+    planes = Planes(np.empty((2, 3)), np.empty(2), np.empty(2), np.empty(2), np.ones(1))
+    fit_regions(moments, noise, planes)
+    box = np.empty((2, 4), np.int64)
+    boxes(region, box)
+    turned, bending, bent = np.empty(2), np.empty(2), np.empty(2, np.bool_)
+    find_turns(region, means, moments, planes, noise.sigma, Rules(), box, turned, bending, bent)
+    return np.sqrt(bending).sum(), angle_between(*planes.alpha)
+
+
+@pytest.mark.parametrize("cut", [3, 6, 12, 20, 22])
+def test_the_parts_of_an_arc_turn_within_themselves_and_faces_do_not(cut):
+    q = np.broadcast_to(1.0 + 0.5 * (0.02 * (np.arange(25.0) - 12.0)) ** 2, (10, 25))
+    turns, angle = turns_and_angle(q, cut)
+    assert turns == pytest.approx(2.0 * BENT_SHARE * angle, rel=0.15)
+    turns, angle = turns_and_angle(
+        np.broadcast_to(1.0 + 0.5 * np.maximum(0.02 * (np.arange(25.0) - cut), 0.0), q.shape), cut
+    )
+    assert angle > 0.2
+    assert turns < 0.1 * BENT_SHARE * angle
+
+
+@pytest.mark.skipif(not FOLDER.is_dir(), reason=NO_FRAMES)
+def test_the_seat_of_a_chair_and_its_side_are_two_planes():
+    folder = FOLDER / "kinect1_7scenes_seq"
+    depth = images.read_depth(sorted((folder / "depth").glob("*.png"))[3])
+    found = segment(depth, Camera.load(folder / "camera.json"))
+    seat, side = found.labels[255, 210], found.labels[290, 200]
+    assert seat > 0
+    assert side not in (0, seat)

@@ -11,7 +11,7 @@ import numpy as np
 from .._jit import kernel
 from ..disjoint_sets import root_of, unite
 from .blocks import BLOCK
-from .moments import are_within, difference, jump_at
+from .moments import angle_between, difference, jump_at
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
 FACETS = 4  # planes that something round has at least: a ceiling between two slopes has three
@@ -28,7 +28,7 @@ def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     jump = jump_at(alpha, a, b, where)
     if not jump * jump <= BLOCK * BLOCK * ((d_u * rays.pitch_x) ** 2 + (d_v * rays.pitch_y) ** 2):
         return STRAIGHT
-    if not are_within(blunt, alpha[a], alpha[b]):
+    if not angle_between(alpha[a], alpha[b]) < blunt:
         return STRAIGHT
     # From a's middle to b's, the plane of a comes nearer than that of b, or falls behind.
     nearer = d_u * (m_b[1] / m_b[0] - m_a[1] / m_a[0]) + d_v * (m_b[2] / m_b[0] - m_a[2] / m_a[0])

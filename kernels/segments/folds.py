@@ -13,7 +13,7 @@ from .._jit import kernel
 from ..copying import copy
 from .facets import turn_of_groups
 from .merge import keep_pairs_inside, merge
-from .moments import are_within, fit
+from .moments import angle_between, fit
 from .noise import variance, waviness
 from .quadrics import PLANE_TERMS, SURE, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
 from .records import Owned
@@ -97,7 +97,7 @@ def is_ajar(part, alpha, whole, noise, rules):
     rest, of_rest = whole - part, np.empty(3)
     if rest[0] < AJAR_FACE or fit(rest, of_rest) < 0.0:
         return False
-    if are_within(AJAR, alpha, of_rest):
+    if angle_between(alpha, of_rest) < AJAR:
         return False
     a, b, c = alpha[0] - of_rest[0], alpha[1] - of_rest[1], alpha[2] - of_rest[2]
     # What the rest's plane adds to the squared residuals of the part.
@@ -151,7 +151,7 @@ def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
             m = moments[a]
             fit(m, alpha)
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
+            turned, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
             ajar[a] &= not turned > TURNED**2
             chosen[a] = turned > TURNED**2 or ajar[a]
 

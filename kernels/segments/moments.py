@@ -93,12 +93,12 @@ def jump_at(alpha, a, b, where):
 
 
 @kernel(inline="compiled")
-def are_within(angle, alpha, beta):
-    """Whether the normals of two planes are less than ``angle`` radians apart."""
+def angle_between(alpha, beta):
+    """Angle between the normals of two planes, radians."""
     along = alpha[0] * beta[0] + alpha[1] * beta[1] + alpha[2] * beta[2]
     square_a = alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2
     square_b = beta[0] ** 2 + beta[1] ** 2 + beta[2] ** 2
-    return along > math.cos(angle) * math.sqrt(square_a * square_b)
+    return math.acos(min(max(along / math.sqrt(square_a * square_b), -1.0), 1.0))
 
 
 @kernel(inline="compiled")

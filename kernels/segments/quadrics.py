@@ -349,6 +349,8 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
     Returns
     -------
     turned : float
+    bending : float
+        The same, also where noise explains it.
     gain, rest : float
         By how much the quadric lowers the mean squared residual of the plane, and what it leaves, in variances.
     """
@@ -357,10 +359,9 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
     products[:] = 0.0
     pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, products)
     if pixels == 0.0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     flat = eliminate(products, 0, PLANE_TERMS)
     rest = eliminate(products, PLANE_TERMS, TERMS)
-    turned = 0.0
-    if (flat - rest) * step * step > rules.region_spread * waviness_square:
-        turned = turn(m, alpha, second_derivatives(products, scale, deviation))
-    return turned, (flat - rest) / pixels, rest / pixels
+    bending = turn(m, alpha, second_derivatives(products, scale, deviation))
+    turned = bending if (flat - rest) * step * step > rules.region_spread * waviness_square else 0.0
+    return turned, bending, (flat - rest) / pixels, rest / pixels

@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..disjoint_sets import root_of, unite
 from .facets import find_faceted, turn_of_groups
-from .moments import jump_at
+from .moments import angle_between, jump_at
 from .noise import about_plane, sensor_variance
 from .quadrics import (
     PLANE_TERMS,
@@ -30,6 +30,9 @@ from .quadrics import (
 
 # Of what two planes gain over one, a quadric gains 1/15 more on a parabola, and 1/16 less on an edge.
 MARGIN = 1.0 / 32.0
+# Cut in two anywhere, an arc's parts turn within themselves by 1/√12 of their angles, root mean square, and their
+# normals are half of both apart: so the two turns make 1/√3 of the angle between them, and none for faces of an edge.
+BENT_SHARE = 0.5 / math.sqrt(3.0)
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
@@ -44,23 +47,24 @@ def breadth(window):
 
 
 @kernel()
-def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent):
+def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent):
     """How far the normals of each region turn within it, see `own_turn`, and whether a sensor bends planes less.
 
-    ``turned`` (N,) float64 and ``bent`` (N,) bool are written.
+    ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
     """
     alpha, slope_variance, waviness_square, stretch, _ = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     for a in range(len(turned)):
-        turned[a] = 0.0
+        turned[a] = bending[a] = 0.0
         bent[a] = False
         m = region_moments[a]
-        if breadth(box[a]) < FEWEST_ACROSS or not alpha[a, 0] < math.inf:
+        if breadth(box[a]) < FEWEST_BESIDE or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         waves = waviness_square[a]
-        turned[a], gain, _ = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
-        bent[a] = gain > rules.bent * waves
+        by, bending[a], gain, _ = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
+        if breadth(box[a]) >= FEWEST_ACROSS:
+            turned[a], bent[a] = by, gain > rules.bent * waves
 
 
 @kernel()
@@ -81,7 +85,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[0])
-        turned, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
+        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
 
@@ -134,11 +138,11 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
 def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noise, rules, contacts, count, curved):
     """Mark the regions that are part of a curved surface.
 
-    Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread``
-    variances, form groups. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square:
-    if by less, it is the sensor that bends a plane. Of small regions it is not: those with such a neighbour are curved
-    if they turn by more than SLIGHTLY. Also curved are those of `find_curled`, the groups of `facets.find_faceted`, and
-    smaller neighbours as which a curve goes on.
+    Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread`` variances,
+    and that turn within themselves as parts of an arc do, form groups. A group is curved if its normals turn by more
+    than ``sharp`` degrees, root mean square: if by less, it is the sensor that bends a plane. Of small regions it is
+    not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are those of
+    `find_curled`, the groups of `facets.find_faceted`, and smaller neighbours as which a curve goes on.
 
     Parameters
     ----------
@@ -161,9 +165,9 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
     box = np.empty((regions, 4), np.int64)
     boxes(region, box)
     means = owned_means(owned, pyramid)
-    turned = np.empty(regions)
+    turned, bending = np.empty(regions), np.empty(regions)
     bent, goes_on = np.empty(regions, np.bool_), np.zeros(regions, np.bool_)
-    find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bent)
+    find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
     find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
     parent = np.arange(regions)
     smooth = 0
@@ -183,8 +187,10 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
         smooth += 1
         enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
         if enough and better > max(MARGIN * bend, significant * planes.waviness_square[a]):
-            unite(parent, a, b)
-            bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
+            turns = math.sqrt(bending[a]) + math.sqrt(bending[b])
+            if turns > BENT_SHARE * angle_between(alpha[a], alpha[b]):
+                unite(parent, a, b)
+                bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
     turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
     for a in range(regions):
