@@ -14,7 +14,7 @@ def root_of(parent, i):
 
 @kernel(inline="compiled")
 def unite(parent, i, j):
-    """Make two sets one; the older root stays."""
+    """Make two sets one; the smaller root stays."""
     i, j = root_of(parent, i), root_of(parent, j)
     if i < j:
         parent[j] = i
