@@ -4,6 +4,8 @@ import contextlib
 import hashlib
 import os
 import pickle
+import re
+import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +15,10 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+
+OUTDATED = 7 * 24 * 3600.0
+"""Seconds for which compiled kernels of other sources are kept."""
+_OF_SOURCES = re.compile(r"_[0-9a-f]{12}-\d+\.")  # in a file's name: a digest of them, and the line of the function
 
 
 class CacheFiles:
@@ -60,6 +66,17 @@ class CacheFiles:
             os.replace(beside, path)
         finally:
             beside.unlink(missing_ok=True)
+        self._remove_outdated()
+
+    def _remove_outdated(self) -> None:
+        """Remove what was compiled from other sources of this kernel, before an update: nobody else does."""
+        kernel, *python = _OF_SOURCES.split(self._base)
+        for path in self._folder.glob(f"{kernel}_*.nbc"):
+            base = path.name.rsplit(".", 2)[0]
+            if base != self._base and _OF_SOURCES.split(base) == [kernel, *python]:
+                with contextlib.suppress(OSError):
+                    if time.time() - path.stat().st_mtime > OUTDATED:
+                        path.unlink()
 
     def flush(self) -> None:
         """Forget all that was saved."""

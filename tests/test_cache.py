@@ -5,6 +5,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+import time
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,22 @@ def test_a_kernel_elsewhere_is_another_one_if_its_file_changes(of_a_process, fil
     path.write_text(path.read_text().replace("def twice(x): return x + x", "def twice(x): return 2 + x"))
     _jit._digest.cache_clear()  # as in another process
     assert of_a_process()(3) == 5
+
+
+def test_kernels_of_other_sources_are_removed_after_a_while(of_a_process, files, tmp_path):
+    others = files[0].with_name(files[0].name.replace("twice_", "twice_again_"))
+    others.write_bytes(files[0].read_bytes())
+    path = tmp_path / "doubling.py"
+    for changed, remain in (("x * 2", True), ("2 * x", False)):
+        path.write_text(path.read_text().partition("def twice")[0] + f"def twice(x): return {changed}\n")
+        _jit._digest.cache_clear()
+        assert of_a_process()(3) == 6
+        assert files[0].exists() == remain
+        for each in (files[0], others):
+            if each.exists():
+                os.utime(each, (0.0, time.time() - _cache.OUTDATED - 1.0))
+    assert others.exists()
+    assert len(list(files[0].parent.glob("doubling.twice_*"))) == 3  # the last two, and that of another kernel
 
 
 @pytest.mark.parametrize(("option", "value"), [("BOUNDSCHECK", 1), ("OPT", 1)])
