@@ -16,6 +16,7 @@ from rgbd_planes import camera_formats
 from rgbd_planes.checks import check_not_a_maker, check_whole, number, numbers, real_array, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
+from rgbd_planes.keeping import kept
 from rgbd_planes.lenses import distortion
 from rgbd_planes.noise.model import NoiseModel
 
@@ -231,15 +232,8 @@ class Camera:
         return self._tables[2] if self.distortion_model == "fisheye" else None
 
     @property
+    @kept
     def _tables(self) -> Tables:
-        tables: Tables | None = self.__dict__.get("_tables_made")
-        if tables is None:
-            # Threads that come at the same time may each make them, but all get the same ones. A lock would make
-            # cameras wait for each other, and for ever in a process that is forked meanwhile.
-            tables = self.__dict__.setdefault("_tables_made", self._make_tables())
-        return tables
-
-    def _make_tables(self) -> Tables:
         image_x = np.tile(self.tan_x_columns, (self.height, 1))
         image_y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
         if not self.is_distorted:

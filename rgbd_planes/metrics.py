@@ -8,12 +8,12 @@ those that the truth leaves unlabelled.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import label_array, number, shaped_array
+from rgbd_planes.keeping import kept
 
 # Labels above are renumbered by sorting the pixels, others by a table of all labels.
 LARGEST_LISTED = 1 << 22
@@ -91,17 +91,20 @@ class LabelComparison:
         regions = f"{len(self.truth_labels)} true and {len(self.predicted_labels)} predicted regions"
         return f"<LabelComparison: {regions}, {self.table.sum()} pixels>"
 
-    @cached_property
+    @property
+    @kept
     def truth_sizes(self) -> NDArray[np.int64]:
         """(T,) int64: pixels of each true region."""
         return np.asarray(self.table[1:].sum(axis=1))
 
-    @cached_property
+    @property
+    @kept
     def predicted_sizes(self) -> NDArray[np.int64]:
         """(P,) int64: pixels of each predicted region."""
         return np.asarray(self.table[:, 1:].sum(axis=0))
 
-    @cached_property
+    @property
+    @kept
     def iou(self) -> NDArray[np.float64]:
         """(T, P) float64: intersection over union of every pair of regions."""
         shared = self.table[1:, 1:]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import functools
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.keeping import kept
 from rgbd_planes.kernels.statistics.room import ALPHA_COVARIANCE, ANGLE_STD, OFFSET_STD, P_VALUE, PLANE_COVARIANCE
 from rgbd_planes.noise.falloff import growth_of_parts
 from rgbd_planes.noise.residuals import like_rectangles
@@ -90,7 +90,8 @@ class PlaneFits:
         """Leading shape of the arrays."""
         return self.status.shape
 
-    @functools.cached_property
+    @property
+    @kept
     def p_value(self) -> Floats:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
@@ -108,7 +109,8 @@ class PlaneFits:
         """
         return self._statistics.row(P_VALUE)
 
-    @functools.cached_property
+    @property
+    @kept
     def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
@@ -120,17 +122,20 @@ class PlaneFits:
         """
         return self._statistics.matrix(ALPHA_COVARIANCE, 3)
 
-    @functools.cached_property
+    @property
+    @kept
     def plane_covariance(self) -> Floats:
         """S + (4, 4) float64: covariance of (n, d), from that of α to first order; its rank is 3."""
         return self._statistics.matrix(PLANE_COVARIANCE, 4)
 
-    @functools.cached_property
+    @property
+    @kept
     def angle_std(self) -> Floats:
         """S float64, degrees: root mean square of the angle between the normal and the true one, √tr Σn."""
         return self._statistics.row(ANGLE_STD)
 
-    @functools.cached_property
+    @property
+    @kept
     def offset_std(self) -> Floats:
         """S float64, metres: standard deviation of d.
 
@@ -139,7 +144,8 @@ class PlaneFits:
         """
         return self._statistics.row(OFFSET_STD)
 
-    @functools.cached_property
+    @property
+    @kept
     def _statistics(self) -> FitStatistics:
         """What the camera's noise says about these planes, computed when first asked for."""
         from rgbd_planes.fit_statistics import FitStatistics

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number, shaped_array
 from rgbd_planes.extras import needs
+from rgbd_planes.keeping import kept
 from rgbd_planes.labels import LabelPlanes
 from rgbd_planes.rays import rays_through
 from rgbd_planes.segmentation.result import Reason, Segmentation, boxes_of, no_segmentation
@@ -76,7 +76,8 @@ class PlanePolygon:
         """
         return float(self.metric.area)
 
-    @cached_property
+    @property
+    @kept
     def hull(self) -> Polygon:
         """Convex hull in the plane's coordinates; empty if the outline has no area."""
         import shapely
@@ -84,7 +85,8 @@ class PlanePolygon:
         hull = self.metric.convex_hull
         return hull if isinstance(hull, shapely.Polygon) else shapely.Polygon()
 
-    @cached_property
+    @property
+    @kept
     def rectangle(self) -> Polygon:
         """The smallest rectangle around the outline, at any angle, in the plane's coordinates; empty as `hull` is."""
         import shapely

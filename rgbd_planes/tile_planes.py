@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
 from rgbd_planes.fitting import ARRAYS, METHODS
+from rgbd_planes.keeping import kept
 from rgbd_planes.noise.falloff import growth_of_tiles
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.saved import Arrays, Savable, check_alike
@@ -97,7 +97,8 @@ class TilePlanes(Savable, PlacedFits):
         one.__dict__["_batch"] = self, frame
         return one
 
-    @functools.cached_property
+    @property
+    @kept
     def _statistics(self) -> FitStatistics:
         """The statistics of a frame are its batch's: a fit into one shows in the other."""
         batch = self.__dict__.get("_batch")

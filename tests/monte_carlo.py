@@ -34,7 +34,7 @@ def repeat(camera: rp.Camera, times: int) -> rp.Camera:
     no_bend = (1e-300, 0.0, 0.0, 0.0)  # distorted, as far as the library knows, so that it uses the tables
     many = rp.Camera(*size, 1.0, 1.0, 0.0, 0.0, no_bend, noise=camera.noise)
     tables = tuple(np.tile(table, (times, times)) for table in (camera.tan_x, camera.tan_y))
-    object.__setattr__(many, "_tables_made", tables)
+    many.__dict__["_tables"] = tables
     return many
 
 

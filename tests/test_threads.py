@@ -101,6 +101,54 @@ def test_a_fork_while_a_thread_makes_the_tables_of_a_camera():
     assert done.stdout.split() == ["0", "True"]
 
 
+STATISTICS_WHILE_A_THREAD_WORKS_THEM_OUT = """
+import os, signal, threading
+import numpy as np
+import rgbd_planes as rp
+from rgbd_planes import fit_statistics
+
+camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, noise=rp.noise.kinect_v1())
+fitter = rp.TileFitter(camera, 8)
+one, other = fitter.fit(np.full((48, 64), 1.5)), fitter.fit(np.full((48, 64), 1.6))
+settings_of = fit_statistics.settings_of
+begun, go_on, seen = threading.Event(), threading.Event(), []
+
+def slowly(camera):
+    begun.set()
+    go_on.wait()
+    return settings_of(camera)
+
+fit_statistics.settings_of = slowly
+thread = threading.Thread(target=lambda: seen.append(one.p_value))
+thread.start()
+begun.wait()
+fit_statistics.settings_of = settings_of
+signal.alarm(60)  # which ends what waits for a thread that waits, or that it does not have
+child = os.fork()
+if child == 0:
+    signal.alarm(60)
+    os._exit(0 if (one.p_value > 0.0).all() and (other.p_value > 0.0).all() else 1)
+status = os.waitpid(child, 0)[1]
+first = one.p_value, other.p_value
+go_on.set()
+thread.join()
+print(status, first[0] is seen[0] is one.p_value)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_nobody_waits_for_the_statistics_of_another_thread():
+    """Neither a forked child nor another thread."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", STATISTICS_WHILE_A_THREAD_WORKS_THEM_OUT],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["0", "True"]
+
+
 THREADS_IN_THREADS = """
 import contextlib, sys, threading
 import numpy as np

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import check_noise, for_each, number, numbers, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame, some_of
+from rgbd_planes.keeping import kept
 from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
 from rgbd_planes.wording import counted, two_digits
 
@@ -186,7 +186,8 @@ class NoiseModel:
         z = np.asarray(depth, np.float64)
         return np.asarray(self.sigma(1.0 / z, tan_x, tan_y) * z * z)
 
-    @functools.cached_property
+    @property
+    @kept
     def _variances(self) -> Floats:
         """σq² before rounding, on the axis, as `kernels.statistics.pixel_variances` takes it."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:

@@ -1,11 +1,11 @@
 """The flat tiles of frames, by size: what a sensor's noise is estimated from."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.keeping import kept
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import ratio_at
 from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES, rays_in, slope_square
@@ -126,7 +126,8 @@ class Samples:
         """σq² before rounding."""
         return np.asarray(WEIGHTS_OF_PLACES @ (model._along(self.depths) ** 2 * model._growth(*self.rays)))
 
-    @cached_property
+    @property
+    @kept
     def seen(self) -> Floats:
         """Variance of each tile's errors, if they are independent: as often too large as too small."""
         freedom = np.maximum(self.count - 3.0, 1.0)
