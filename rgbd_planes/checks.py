@@ -10,7 +10,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,19 @@ def check_camera(camera: Any) -> None:
         if isinstance(camera, np.ndarray) and max(camera.shape, default=0) > 4:
             reason = f" of shape {camera.shape}: is it the depth? The camera comes after it"
         raise TypeError(f"expected a Camera, got {type(camera).__name__}{reason}")
+
+
+class FixedArguments:
+    """A base of classes that prepare their work from their arguments, and would not follow a change of them."""
+
+    if not TYPE_CHECKING:  # which would take it for leave to set anything
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            if not name.startswith("_"):
+                raise AttributeError(
+                    f"expected no change of a {type(self).__name__}, got {name} = {value!r}: make a new one with it"
+                )
+            object.__setattr__(self, name, value)
 
 
 def check_figure(figure: Any) -> None:

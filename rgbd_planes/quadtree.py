@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_share, check_whole
+from rgbd_planes.checks import FixedArguments, check_camera, check_choice, check_error, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fitting import METHODS, Arrays, solve_planes, valid_needed
@@ -102,7 +102,7 @@ class QuadtreeSegmentation:
         return plot_quadtree(self, metres, figure)
 
 
-class QuadtreeFitter:
+class QuadtreeFitter(FixedArguments):
     """Fits quadtrees to one camera's frames; what depends on the camera alone is computed once, here.
 
     Parameters
@@ -112,6 +112,10 @@ class QuadtreeFitter:
     implementation : {"direct", "integral"}
         Where an element's moments come from: those of the finest tiles, added up, or summed-area tables.
     """
+
+    camera: Camera
+    method: str
+    implementation: str
 
     def __init__(
         self,
@@ -136,9 +140,7 @@ class QuadtreeFitter:
                 f"for max_subdivisions {max_subdivisions}"
             )
         check_tile(tile, camera.shape)
-        self.camera = camera
-        self.method = method
-        self.implementation = implementation
+        vars(self).update(camera=camera, method=method, implementation=implementation)
         # Of all squares of each level, (R, C, 4).
         self._windows = [_squares(camera, tile >> level) for level in range(max_subdivisions + 1)]
         self._max_error = check_error(max_error)

@@ -14,7 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share, each_of
+from rgbd_planes.checks import (
+    FixedArguments,
+    check_camera,
+    check_choice,
+    check_error,
+    check_num_threads,
+    check_share,
+    each_of,
+)
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, as_depth_frames, as_numbered_frame
 from rgbd_planes.fit_statistics import Assessment
@@ -36,8 +44,10 @@ _PIXELS_AT_ONCE = 5_000_000
 _arrays_of = operator.attrgetter(*ARRAYS)
 
 
-class TileFitter:
+class TileFitter(FixedArguments):
     """Fits the tiles of one camera's frames; what depends on the camera alone is computed once, here.
+
+    Its attributes camera, tile, method and implementation cannot be changed: make a new one.
 
     Parameters
     ----------
@@ -49,6 +59,11 @@ class TileFitter:
     TypeError, ValueError
         For an argument that cannot be used, saying what was expected and what came.
     """
+
+    camera: Camera
+    tile: tuple[int, int]
+    method: str
+    implementation: str
 
     def __init__(
         self,
@@ -66,10 +81,8 @@ class TileFitter:
         check_choice("method", method, METHODS)
         check_choice("implementation", implementation, IMPLEMENTATIONS)
         max_missing = check_share("max_missing", max_missing)
-        self.camera = camera
-        self.tile = check_tile(tile, camera.shape)
-        self.method = method
-        self.implementation = implementation
+        tile = check_tile(tile, camera.shape)
+        vars(self).update(camera=camera, tile=tile, method=method, implementation=implementation)
         self._options: dict[str, Any] = {
             "implementation": implementation, "max_missing": max_missing, "max_error": max_error,
             "significance": significance, "num_threads": num_threads,

@@ -1,5 +1,6 @@
 """What cannot be used is refused at the door, with what was expected and what came."""
 
+import pickle
 import re
 from dataclasses import replace
 from decimal import Decimal
@@ -11,6 +12,7 @@ import pytest
 
 import rgbd_planes as rp
 from rgbd_planes import export, images, metrics, noise, scenes, segmentation_export, sequences, uncertainty
+from rgbd_planes.quadtree import QuadtreeFitter
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
@@ -278,6 +280,27 @@ def test_results_keep_what_was_asked():
     windows[:], labels[:] = 0, 0
     assert fits.windows.tolist() == [[0, 0, 8, 8], [8, 8, 16, 16]]
     assert merged.labels.tolist() == [1, 1]
+
+
+@pytest.mark.parametrize(
+    ("made", "name", "value"),
+    [
+        (rp.TileFitter(CAMERA), "camera", replace(CAMERA, fx=60.0)),
+        (rp.TileFitter(CAMERA), "tile", (8, 8)),
+        (rp.TileFitter(CAMERA), "method", "standard_pca"),
+        (rp.TileFitter(CAMERA), "implementation", "naive"),
+        (rp.TileFitter(CAMERA), "max_error", 0.01),
+        (pickle.loads(pickle.dumps(rp.TileFitter(CAMERA))), "tile", (8, 8)),
+        (QuadtreeFitter(CAMERA), "max_error", 0.01),
+        (pickle.loads(pickle.dumps(QuadtreeFitter(CAMERA))), "method", "standard_pca"),
+        (rp.PlaneTracker(), "memory", 90),
+    ],
+)
+def test_what_is_prepared_from_its_arguments_refuses_others(made, name, value):
+    before = dict(vars(made))
+    with pytest.raises(AttributeError, match=rf"change of a {type(made).__name__}, got {name} = .*: make a new one"):
+        setattr(made, name, value)
+    assert vars(made) == before
 
 
 def test_faces_of_points_that_are_not_there(tmp_path):

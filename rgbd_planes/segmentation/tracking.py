@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_whole, each_of
+from rgbd_planes.checks import FixedArguments, check_whole, each_of
 from rgbd_planes.depth import as_numbered_frame
 from rgbd_planes.kernels.segments.records import Rules
 from rgbd_planes.segmentation.known_planes import KnownPlanes, View, motion_since, remember, same_planes
@@ -126,7 +126,7 @@ def _with_camera(frame: Any, camera: Camera | None) -> tuple[Any, Camera]:
     return frame, camera
 
 
-class PlaneTracker:
+class PlaneTracker(FixedArguments):
     """Gives planes the ids of `segment_sequence`, where frames come one by one and there is nothing to iterate over.
 
     Parameters
