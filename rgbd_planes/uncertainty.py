@@ -2,10 +2,13 @@
 
 Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
 ``plane_covariance`` of a fit. Everything is to first order in the errors. Leading shapes broadcast. Arrays of other
-shapes raise a ValueError that names them, masked ones, or such as are not of numbers, a TypeError.
+shapes, and planes whose normals are not of length 1, raise a ValueError that names them, masked arrays, or such as are
+not of numbers, a TypeError.
 """
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +21,7 @@ Floats = npt.NDArray[np.float64]
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
 # larger: the square of its width over its length.
 _RANK = 1e-12
+_ROUNDED = 1e-3  # how far a normal's length is from 1, at most, where its numbers have three digits or more
 
 
 def same_plane(
@@ -53,7 +57,8 @@ def same_plane(
     >>> p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
     """
     entries = 4 if np.shape(alpha)[-1:] == (4,) else 3
-    first, second = shaped_array("alpha", alpha, (entries,)), shaped_array("other_alpha", other_alpha, (entries,))
+    read = _planes if entries == 4 else partial(shaped_array, entries=(3,))
+    first, second = read("alpha", alpha), read("other_alpha", other_alpha)
     first_covariance = shaped_array("covariance", covariance, (entries, entries))
     second_covariance = shaped_array("other_covariance", other_covariance, (entries, entries))
     shape = _leading(
@@ -110,7 +115,7 @@ def point_distance(
     distance, std : (...) float64
         Metres.
     """
-    point, plane = shaped_array("points", points, (3,)), shaped_array("planes", planes, (4,))
+    point, plane = shaped_array("points", points, (3,)), _planes("planes", planes)
     covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
     spread = None if point_covariance is None else shaped_array("point_covariance", point_covariance, (3, 3))
     _leading(
@@ -145,10 +150,7 @@ def angle_between(
         an error, never negative; the standard deviation is then that of a component along the line between
         the normals, or along the most uncertain direction where they coincide.
     """
-    first, second = (
-        shaped_array("planes", planes, (4,))[..., :3],
-        shaped_array("other_planes", other_planes, (4,))[..., :3],
-    )
+    first, second = _planes("planes", planes)[..., :3], _planes("other_planes", other_planes)[..., :3]
     first_covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
     second_covariance = shaped_array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
     _leading(
@@ -204,7 +206,7 @@ def transform_planes(
     ValueError
         The transform is not a rigid motion.
     """
-    plane = shaped_array("planes", planes, (4,))
+    plane = _planes("planes", planes)
     covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
     motion = as_motion("transform", shaped_array("transform", transform, (4, 4)))
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
@@ -263,7 +265,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     Inverse covariances add: for tiles' planes with independent noise this is, to first order, the plane of all their
     pixels. `same_plane` tells whether they are one plane; if not, the result means nothing.
     """
-    plane, covariance = shaped_array("planes", planes, (4,)), shaped_array("plane_covariance", plane_covariance, (4, 4))
+    plane, covariance = _planes("planes", planes), shaped_array("plane_covariance", plane_covariance, (4, 4))
     shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])
     if not shape or shape[-1] == 0:
         raise ValueError(f"expected planes of shape (..., K, 4), K at least 1, got {plane.shape}")
@@ -303,6 +305,21 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         of_fused = slope @ of_sum @ np.swapaxes(slope, -1, -2)
     fused[~some], of_fused[~some] = np.nan, np.nan
     return fused, of_fused
+
+
+def _planes(name: str, values: npt.ArrayLike) -> Floats:
+    """(..., 4) planes with normals of length 1, or NaN: with others distances would be in other units than metres."""
+    planes = shaped_array(name, values, (4,))
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(planes[..., :3], axis=-1)
+    off = np.abs(length - 1.0) > _ROUNDED
+    if off.any():
+        raise ValueError(
+            f"expected {name} with normals of length 1, got {length[off].flat[0]:.6g}: "
+            f"scale = np.linalg.norm({name}[..., :3], axis=-1, keepdims=True) makes them by {name} / scale, "
+            "with the covariance / scale[..., None] ** 2"
+        )
+    return planes
 
 
 def _axes_across(normal: Floats) -> Floats:

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import rgbd_planes as rp
 
+UNIT = np.array([0.0, 0.6, -0.8, 2.0])
+
 
 def test_same_plane_is_uniform_on_one_plane_and_small_on_two(rng):
     camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, noise=rp.noise.kinect_v1())
@@ -168,7 +170,7 @@ def test_nothing_depends_on_the_frame_of_axes(rng):
 
 
 def test_leading_shapes_that_do_not_broadcast():
-    eye, plane, planes = np.eye(4), np.array([0.0, 0.0, -1.0, 2.0]), np.ones((2, 3, 4))
+    eye, plane, planes = np.eye(4), UNIT, np.tile(UNIT, (2, 3, 1))
     alpha = np.ones((2, 3, 3))
     for call in (
         lambda: rp.uncertainty.same_plane(alpha, np.eye(3), alpha[:1, :2], np.eye(3)),
@@ -284,6 +286,36 @@ def test_a_covariance_of_no_plane_is_refused(seed, sign):
     errors[:, :3] -= (errors[:, :3] @ normal)[:, None] * normal
     with pytest.raises(ValueError, match="covariances of rank 3"):
         rp.uncertainty.fuse_planes([[*normal, 2.0]] * 2, [sign * errors.T @ errors] * 2)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda plane, covariance: rp.uncertainty.point_distance(np.zeros(3), plane, covariance),
+        lambda plane, covariance: rp.uncertainty.angle_between(UNIT, np.eye(4), plane, covariance),
+        lambda plane, covariance: rp.uncertainty.angle_between(plane, covariance, UNIT, np.eye(4)),
+        lambda plane, covariance: [rp.uncertainty.same_plane(plane, covariance, UNIT, np.eye(4))],
+        lambda plane, covariance: [rp.uncertainty.same_plane(UNIT, np.eye(4), plane, covariance)],
+        lambda plane, covariance: rp.uncertainty.transform_planes(plane, covariance, np.eye(4)),
+        lambda plane, covariance: rp.uncertainty.fuse_planes([plane, UNIT], [covariance, np.eye(4)]),
+    ],
+)
+def test_normals_of_another_length_are_refused(use):
+    """Distances would be in other units than metres; as the message says, they are right."""
+    covariance = np.diag([1e-4, 1e-4, 1e-4, 1e-4])
+    for scale in (1000.0, 1.002, 0.5, -2.0, 0.0):
+        expected = rf"normals of length 1, got {abs(scale):g}: .* scale\[\.\.\., None\] \*\* 2$"
+        with pytest.raises(ValueError, match=expected):
+            use(scale * UNIT, scale**2 * covariance)
+    planes, of_planes = 3.0 * UNIT, 9.0 * covariance
+    scale = np.linalg.norm(planes[..., :3], axis=-1, keepdims=True)
+    for found, wanted in zip(
+        use(planes / scale, of_planes / scale[..., None] ** 2), use(UNIT, covariance), strict=True
+    ):
+        np.testing.assert_allclose(found, wanted, atol=1e-12)
+    use(np.array([0.0, 0.6, -0.8004, 2.0]), covariance)  # of a file
+    use(UNIT.astype(np.float32), covariance)
+    use(np.full(4, np.nan), np.full((4, 4), np.nan))
 
 
 def test_what_is_missing_has_no_angle_and_no_part_in_what_is_fused():
