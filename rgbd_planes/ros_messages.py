@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -22,19 +23,34 @@ def ros_header(frame_id: str, stamp: Any) -> dict[str, Any]:
 
 
 def _time(stamp: Any) -> dict[str, int]:
-    """builtin_interfaces/Time of seconds, or of a message's stamp, which no float holds to the nanosecond."""
+    """builtin_interfaces/Time of seconds, or of what has nanoseconds, as a message's stamp, which no float holds."""
     for names in (("sec", "nanosec"), ("secs", "nsecs")):  # of ROS 2 and ROS 1
         fields = stamp if isinstance(stamp, Mapping) else {n: getattr(stamp, n) for n in names if hasattr(stamp, n)}
         if all(name in fields for name in names):
             # Before 1970 seconds are negative; nanoseconds always count upwards.
-            sec = check_whole(f"stamp's {names[0]}", fields[names[0]], -(2**31))
+            sec = check_whole(f"stamp's {names[0]}", fields[names[0]], -(2**31), bits=31)
             nanosec = check_whole(f"stamp's {names[1]}", fields[names[1]], 0)
             if nanosec >= _SECOND:
                 raise ValueError(f"stamp's {names[1]} must be below {_SECOND}, got {nanosec}")
             return {"sec": sec, "nanosec": nanosec}
-    seconds = number("stamp", stamp, finite=False)
-    nanoseconds = round(seconds * 1e9) if math.isfinite(seconds * 1e9) else 0
+    nanoseconds = _nanoseconds(stamp)
+    if not -(2**31) <= nanoseconds // _SECOND < 2**31:
+        raise ValueError(f"expected stamp in seconds, which a message holds in 32 bits, got {stamp!r}: nanoseconds?")
     return {"sec": nanoseconds // _SECOND, "nanosec": nanoseconds % _SECOND}
+
+
+def _nanoseconds(stamp: Any) -> int:
+    """Since 1970, exactly where it is not in seconds; 0 for an unknown time."""
+    if isinstance(stamp, np.datetime64):
+        if np.isnat(stamp):
+            return 0
+        whole = stamp.astype("datetime64[s]")
+        return _SECOND * int(whole.astype(np.int64)) + int((stamp - whole) // np.timedelta64(1, "ns"))
+    exact = getattr(stamp, "nanoseconds", None)
+    if isinstance(exact, (int, np.integer)):
+        return int(exact)
+    seconds = number("stamp", stamp, finite=False)
+    return round(Fraction(seconds) * _SECOND) if math.isfinite(seconds) else 0
 
 
 def ros_planes(planes: Floats, frame_id: str, stamp: Any) -> dict[str, Any]:
