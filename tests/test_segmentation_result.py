@@ -1,5 +1,6 @@
 """What a segmentation shows, saves and turns into."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -74,19 +75,62 @@ def test_save_and_load(found, empty, tmp_path):
 def test_load_of_something_else(found, frame, tmp_path):
     found.save(tmp_path / "planes.npz")
     (tmp_path / "half.npz").write_bytes((tmp_path / "planes.npz").read_bytes()[:4000])
-    rp.fit_tiles(frame, CAMERA).save(tmp_path / "tiles.npz")
     with np.load(tmp_path / "planes.npz") as file:
         arrays = dict(file)
     np.savez(tmp_path / "fewer.npz", **arrays | {"planes": arrays["planes"][1:]})
     np.savez(tmp_path / "wide.npz", **arrays | {"labels": arrays["labels"].astype(np.int64)})
     np.savez(tmp_path / "larger.npz", **arrays | {"labels": arrays["labels"] + np.int32(1)})
-    for name in ("half.npz", "tiles.npz", "fewer.npz", "wide.npz", "larger.npz"):
+    for name in ("half.npz", "fewer.npz", "wide.npz", "larger.npz"):
         with pytest.raises(ValueError, match=rf"{name}: not a file that Segmentation.save wrote"):
             rp.Segmentation.load(tmp_path / name)
-    with pytest.raises(ValueError, match=r"not a file that TilePlanes\.save wrote"):
-        rp.TilePlanes.load(tmp_path / "planes.npz")
     with pytest.raises(FileNotFoundError):
         rp.Segmentation.load(tmp_path / "none.npz")
+
+
+def with_about(path, to, change):
+    """The file of a result with something else about it."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays["about"]))
+    change(about)
+    np.savez(to, **arrays | {"about": np.array(json.dumps(about))})
+    return to
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_load_of_a_result_of_another_kind(found, frame, named, tmp_path):
+    """Files of earlier versions do not name it."""
+    tiles, other = rp.fit_tiles(frame, CAMERA), tmp_path / "other.npz"
+    for saved, wrong in ((found, rp.TilePlanes), (tiles, rp.Segmentation)):
+        right = type(saved)
+        saved.save(tmp_path / "planes.npz")
+        if not named:
+            with_about(tmp_path / "planes.npz", tmp_path / "planes.npz", lambda about: about.pop("class"))
+        message = rf"planes\.npz: expected .* {wrong.__name__}\.save wrote, .* rp\.{right.__name__}\.load reads it$"
+        with pytest.raises(ValueError, match=message):
+            wrong.load(tmp_path / "planes.npz")
+        assert type(right.load(tmp_path / "planes.npz")) is right
+        with_about(tmp_path / "planes.npz", other, lambda about: about.update({"class": "Volumes"}))
+        with pytest.raises(ValueError, match=r"got one that holds Volumes: a newer version reads it$"):
+            right.load(other)
+
+
+def test_load_of_a_camera_of_a_newer_version(found, tmp_path):
+    noisy = replace(found, camera=replace(CAMERA, noise=rp.noise.kinect_v1()))
+    noisy.save(tmp_path / "planes.npz")
+    for change in (
+        lambda about: about["camera"].update(shutter="rolling"),
+        lambda about: about["camera"]["noise"].update(shutter=1.0),
+    ):
+        with_about(tmp_path / "planes.npz", tmp_path / "newer.npz", change)
+        with pytest.raises(ValueError, match=r"newer\.npz: .* got one of a newer version: it has shutter, too$"):
+            rp.Segmentation.load(tmp_path / "newer.npz")
+
+
+def test_a_result_of_a_class_of_one_s_own_is_saved_as_the_library_s(found, tmp_path):
+    own = type("Own", (rp.Segmentation,), {})
+    own(**vars(found)).save(tmp_path / "planes.npz")
+    assert len(rp.Segmentation.load(tmp_path / "planes.npz")) == len(found)
 
 
 def test_tile_labels(frame, found):
