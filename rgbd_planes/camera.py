@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats
-from rgbd_planes.checks import check_not_a_maker, check_whole, number, numbers, real_array, warn_caller
+from rgbd_planes.checks import (
+    check_not_a_maker,
+    check_whole,
+    collected_warnings,
+    number,
+    numbers,
+    real_array,
+    warn_caller,
+)
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.keeping import kept
@@ -171,9 +179,14 @@ class Camera:
                 )
             self._set("depth_range", pair)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __getstate__(self) -> dict[str, Any]:
         # Without the tables: they are quickly made again, and a copy of them would come back writable.
-        return type(self), tuple(getattr(self, f.name) for f in fields(self))
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def _with(self, **changes: Any) -> Self:
+        """A copy with changes; of doubtful intrinsics whoever stated them has been warned."""
+        with collected_warnings([]):
+            return replace(self, **changes)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -327,7 +340,7 @@ class Camera:
         x = check_whole("width", width, 1, _PIXELS) / self.width
         y = check_whole("height", height, 1, _PIXELS) / self.height
         cx, cy = x * (self.cx + 0.5) - 0.5, y * (self.cy + 0.5) - 0.5
-        return replace(self, width=width, height=height, fx=x * self.fx, fy=y * self.fy, cx=cx, cy=cy, noise=None)
+        return self._with(width=width, height=height, fx=x * self.fx, fy=y * self.fy, cx=cx, cy=cy, noise=None)
 
     def with_noise(self, noise: NoiseModel | None) -> Self:
         """The same camera with a noise model, such as `rgbd_planes.estimate_noise` returns, or without one.
@@ -337,7 +350,7 @@ class Camera:
         TypeError
             It is neither a `NoiseModel` nor None.
         """
-        return replace(self, noise=noise)
+        return self._with(noise=noise)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Self:
         """The camera of a part of the image, ``frame[top : top + height, left : left + width]``.
@@ -367,7 +380,7 @@ class Camera:
                 raise ValueError(
                     f"expected a part of the image, of {names[1]} {whole}, got {names[0]} {first} and {names[1]} {size}"
                 )
-        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+        return self._with(width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as a dict that JSON can hold, with "noise" if there is a model.

@@ -243,8 +243,8 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     return tuple(number(name, value, finite=finite) for value in values)
 
 
-# ExitStack waits for threads; `dataclasses.replace` and `copy.copy` make cameras anew.
-_INSIDE = "rgbd_planes", "contextlib", "dataclasses", "copy"
+# ExitStack waits for threads; `dataclasses.replace` makes cameras anew.
+_INSIDE = "rgbd_planes", "contextlib", "dataclasses"
 
 
 class _Collected(threading.local):

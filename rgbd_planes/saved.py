@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import collected_warnings
 from rgbd_planes.files import naming, readable, write_beside
 from rgbd_planes.noise.model import NoiseModel
 
@@ -74,7 +75,8 @@ class Savable:
                 raise ValueError(f"expected {expected}, got one that holds {held}: {_reader_of(held)}")
             if newer:
                 raise ValueError(f"expected {expected}, got one of a newer version: it has {', '.join(newer)}, too")
-        with readable(path, expected):
+        # Of a doubtful camera whoever made it has been warned.
+        with readable(path, expected), collected_warnings([]):
             return cls._from_content(about, arrays)
 
 
