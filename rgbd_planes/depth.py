@@ -22,8 +22,10 @@ from rgbd_planes.files import naming
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
 
-# Depths whose inverse, square and products stay finite in every kernel: the normal numbers of float32.
-_NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+# Depths whose inverse, square and products stay finite in every kernel: the normal numbers of float32. Its largest
+# stands for no depth in renderers' buffers.
+_ENDLESS = float(np.finfo(np.float32).max)
+_NEAREST, _FARTHEST = float(np.finfo(np.float32).tiny), float(np.nextafter(np.float32(_ENDLESS), np.float32(0.0)))
 
 _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
@@ -117,10 +119,10 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     Notes
     -----
     Depths are missing if they are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
-    `camera.depth_range`; so are pixels of a fisheye without a ray within 85 degrees of the axis, and depths that
-    float32 has no normal number for, below 1.2e-38 m or above 3.4e38 m. Raw values of a disparity image are missing
-    where 1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can be a
-    measurement there, unless `invalid_values` names it.
+    `camera.depth_range`; so are pixels of a fisheye without a ray within 85 degrees of the axis, and depths below the
+    smallest normal number of float32, 1.2e-38 m, or not below its largest, 3.4e38 m. Raw values of a disparity image
+    are missing where 1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can
+    be a measurement there, unless `invalid_values` names it.
     """
     array = plain_array("depth", depth)
     _check_shape(depth, array, camera)
@@ -247,8 +249,8 @@ def _warn_of_units(
         )
     if depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES:
         return
-    far = np.count_nonzero((sample > farthest) & (sample < np.inf))
-    if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < np.inf))):
+    far = np.count_nonzero((sample > farthest) & (sample < _ENDLESS))
+    if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < _ENDLESS))):
         return
     if dtype.kind == "f":
         warn_caller(
@@ -268,9 +270,9 @@ def _warn_of_the_nearest(
     """Warn of a frame that ends nearer than sensors begin."""
     nearest = _NEARER_THAN_ANY * depth_scale
     # Mostly a few pixels show it, and for so few Python is faster than NumPy.
-    if sample.size < _FEW_PIXELS or any(value >= nearest for value in sample[::64].tolist()):
+    if sample.size < _FEW_PIXELS or any(nearest <= value < _ENDLESS for value in sample[::64].tolist()):
         return
-    measured = sample[(sample > 0) & (sample < np.inf)]
+    measured = sample[(sample > 0) & (sample < _ENDLESS)]
     if not len(measured) or measured.max() >= nearest:
         return
     if depth_range is not None and depth_range[1] <= _NEARER_THAN_ANY:

@@ -215,12 +215,14 @@ def test_no_raw_value_is_valid():
 def test_extremes_that_would_overflow_are_missing(dtype):
     depth = np.zeros((4, 6), dtype)
     info = np.finfo(dtype)
+    largest = np.finfo(np.float32).max  # which also stands for missing
     depth[0] = [info.smallest_subnormal, info.tiny / 2, 1e-30, 1e30, np.inf, info.max]
     frame = as_depth_frame(depth, camera())
-    expected = [False, False, True, True, False, dtype is np.float32]
-    assert frame.valid[0].tolist() == expected
+    assert frame.valid[0].tolist() == [False, False, True, True, False, False]
     frame = as_depth_frame(depth, camera(invalid_values=(1e300, 1e30)))  # of which float32 holds but one
-    assert frame.valid[0].tolist() == [False, False, True, False, False, dtype is np.float32]
+    assert frame.valid[0].tolist() == [False, False, True, False, False, False]
+    depth[0] = [largest, np.nextafter(largest, np.float32(0.0)), 1.0, 1.0, 1.0, 1.0]
+    assert as_depth_frame(depth, camera()).valid[0].tolist() == [False, True, True, True, True, True]
 
 
 def test_float_frames_are_metres_whatever_the_depth_scale():
@@ -281,6 +283,15 @@ def test_metres_that_are_taken_for_millimetres_draw_a_warning(dtype):
         as_depth_frame(np.zeros((480, 640), dtype), camera((480, 640), depth_scale=1000.0))
         divided[1::2] *= 25.0  # a sensor that sees something near
         as_depth_frame(divided.astype(dtype), camera((480, 640), depth_scale=1000.0))
+
+
+@pytest.mark.parametrize("missing", [np.inf, np.finfo(np.float32).max])
+def test_numbers_for_missing_say_nothing_of_units(missing):
+    depth = np.linspace(1.0, 9.5, 480 * 640, dtype=np.float32).reshape(480, 640)
+    depth[np.random.default_rng(0).random(depth.shape) < 0.6] = missing
+    as_depth_frame(depth, camera(depth.shape))  # warnings are errors here
+    with pytest.warns(UserWarning, match="all of this frame is nearer than 0.02 m"):
+        as_depth_frame(np.where(depth == missing, depth, depth / 1000.0), camera(depth.shape))
 
 
 def test_the_largest_number_of_16_bits_is_most_likely_missing():
