@@ -31,12 +31,23 @@ _PLAINLY_TOO_NEAR = 1.0  # metres
 _PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
 _NEARER_THAN_ANY = 0.02  # metres; metres that are taken for millimetres do not reach it
 _FEW_PIXELS = 800  # too few to say anything
-_LARGEST = 65535  # of 16 bits; no sensor measures it, some write it for missing pixels
+_MANY_TIMES_FARTHER = 3.0  # than all others: of a renderer's far plane, or of a number that stands for missing
+
+# No sensor measures these, some write them for missing pixels.
+_LARGEST_NUMBERS = {65535.0: "the largest number of 16 bits", 32767.0: "the largest number of 16 bits and a sign"}
+_LARGEST_NUMBERS |= {  # as metres that were made of millimetres
+    float(kind(number / 1000.0)): f"as {number:g} mm are, {what}"
+    for number, what in _LARGEST_NUMBERS.items()
+    for kind in (np.float32, np.float64)
+}
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
 _GRAIN, _GRAIN_OF_DISPARITY = 1e-5, 1.0 / 256.0  # metres, raw units
 _INDISTINCT = 2.0**53  # grains: all larger numbers are whole
 _FEW_VALUES = 50  # too few to say anything: a scene may have been made of whole numbers
+
+# The interval of raw values that are measurements, and those inside it that are none.
+Valid = tuple[Any, Any, tuple[Any, ...]]
 
 
 class DepthFrame(NamedTuple):
@@ -163,10 +174,6 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     depth_scale = camera.depth_scale if kind in "ui" else 1.0
     disparity = camera.disparity
     samples = some_of(raw)
-    if disparity is None:
-        assert depth_scale is not None
-        for sample in samples:
-            _warn_of_units(sample, array.dtype, depth_scale, camera.depth_range)
     lowest, highest, holes, missing = _validity(
         dtype.char,
         array.dtype.char if kind == "f" else dtype.char,
@@ -175,9 +182,12 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
         camera.depth_range,
         camera.invalid_values,
     )
-    largest = raw.dtype.type(_LARGEST if kind in "ui" else 1e-3 * _LARGEST)
-    if disparity is None and lowest <= largest <= highest and largest not in holes:
-        _warn_of_the_largest(samples, largest.item())
+    if disparity is None:
+        assert depth_scale is not None
+        for sample in samples:
+            valid = lowest, highest, holes
+            sample = _without_missing(sample, valid, depth_scale, camera.depth_range)
+            _warn_of_units(sample, valid, array.dtype, depth_scale, camera.depth_range)
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:
         invalid.append(camera._without_ray)
@@ -233,8 +243,56 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     )
 
 
+def _measured(sample: NDArray[Any], valid: Valid) -> NDArray[Any]:
+    """The measurements among some raw values."""
+    lowest, highest, holes = valid
+    measured: NDArray[Any] = sample[(sample >= lowest) & (sample <= highest)]
+    for hole in holes:
+        measured = measured[measured != hole]
+    return measured
+
+
+def _without_missing(
+    sample: NDArray[Any], valid: Valid, depth_scale: float, depth_range: tuple[float, float] | None
+) -> NDArray[Any]:
+    """Leave out a number that most likely means missing, and would count as a far plane, and warn of it."""
+    farthest = _PLAINLY_NOT_METRES * depth_scale
+
+    def is_doubtful(largest: float) -> bool:
+        return largest > farthest or largest in _LARGEST_NUMBERS
+
+    # Mostly an eighth of the pixels shows that there is none, and for so few Python is faster than NumPy. NaN is never
+    # the largest after a number.
+    if not is_doubtful(max(0.0, *sample[::8].tolist())):
+        return sample
+    measured = _measured(sample, valid)
+    largest = measured.max(initial=0)
+    if not is_doubtful(largest.item()):
+        return sample
+    others = measured[measured < largest]
+    if len(measured) - len(others) <= 10:  # a hundredth
+        return sample
+    what = _LARGEST_NUMBERS.get(largest.item())
+    if what is None:
+        is_meant = depth_range is not None and depth_range[1] > _PLAINLY_NOT_METRES
+        if is_meant or not len(others) or largest <= _MANY_TIMES_FARTHER * others.max():
+            return sample
+        what = "many times farther than all others"
+    number = str(largest).removesuffix(".0")  # with as many digits as it takes
+    warn_caller(
+        f"many pixels are {number}, {what}: are they missing? A camera with invalid_values=({number},) says so, "
+        "or with a depth_range that ends before"
+    )
+    rest: NDArray[Any] = sample[sample != largest]
+    return rest
+
+
 def _warn_of_units(
-    sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float, depth_range: tuple[float, float] | None
+    sample: NDArray[Any],
+    valid: Valid,
+    dtype: np.dtype[Any],
+    depth_scale: float,
+    depth_range: tuple[float, float] | None,
 ) -> None:
     """Warn of a frame that is most likely not in the units that it is taken for."""
     _warn_of_the_nearest(sample, dtype, depth_scale, depth_range)
@@ -252,6 +310,9 @@ def _warn_of_units(
     far = np.count_nonzero((sample > farthest) & (sample < _ENDLESS))
     if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < _ENDLESS))):
         return
+    measured = _measured(sample, valid)
+    if len(measured) > 10 and 2 * np.count_nonzero(measured > farthest) <= len(measured):
+        return  # the camera says that what is far means missing
     if dtype.kind == "f":
         warn_caller(
             f"float depth is in metres, but most of this frame is beyond {_PLAINLY_NOT_METRES:g} m: "
@@ -282,18 +343,6 @@ def _warn_of_the_nearest(
         f"{said} all of this frame is nearer than {_NEARER_THAN_ANY:g} m: is it in other units, "
         "or metres that were divided by 1000 or made integers?"
     )
-
-
-def _warn_of_the_largest(samples: NDArray[Any], largest: float) -> None:
-    """Warn of a number that most likely means missing, and would count as a far plane; in metres, as millimetres."""
-    for sample in samples:
-        # Mostly there are none, which an eighth of the samples shows, and for so few Python is faster than NumPy.
-        if largest in sample[::8].tolist() and np.count_nonzero(sample == largest) > 10:  # a hundredth
-            millimetres = "" if largest == _LARGEST else f", as {_LARGEST} mm are"
-            warn_caller(
-                f"many pixels are {largest:g}{millimetres}, the largest number of 16 bits: are they missing? A camera "
-                f"with invalid_values=({largest:g},) says so, or with a depth_range that ends before"
-            )
 
 
 def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:

@@ -426,8 +426,10 @@ def fit_tiles(
     UserWarning
         The frame is most likely not in the units that the camera says: its typical depth is above 50 m, or all of its
         depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` reaching
-        beyond 50 m, or ending below those limits, says that this is meant and silences the warning. Or 65535, the
-        largest number of 16 bits, counts as depth and is more than a stray: most likely missing.
+        beyond 50 m, or ending below those limits, says that this is meant and silences the warning. Or one number
+        counts as depth in more than one pixel of a hundred that most likely means missing: 65535 or 32767, the largest
+        of 16 bits, or one beyond 50 m that is more than three times as far as all else in the frame, such as the 1e10
+        of a renderer's sky, which a ``depth_range`` reaching beyond 50 m silences, too.
     """
     fitter = TileFitter(
         camera,

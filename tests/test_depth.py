@@ -1,5 +1,6 @@
 """The door for depth frames: every dtype, layout, unit and kind of missing pixel, against the contract."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -311,10 +312,77 @@ def test_the_largest_number_of_16_bits_is_most_likely_missing():
         as_depth_frame(depth, camera((480, 640), disparity=(1e-4, 0.0)))
 
 
+@pytest.mark.parametrize(
+    ("number", "dtype"),
+    [
+        (1e10, np.float32),
+        (1000.0, np.float32),
+        (65504, np.float16),
+        (65504.0, np.float32),
+        (1e10, np.float64),
+        (2**32 - 1, np.uint32),
+        (2**32 - 1, np.float32),
+        (2**31 - 1, np.int32),
+        (2**63 - 1, np.int64),
+        (32767, np.int16),
+        (32.767, np.float32),
+        (32.767, np.float64),
+    ],
+)
+def test_numbers_for_missing_are_doubted(number, dtype):
+    depth = np.linspace(1.0, 9.0, 480 * 640).reshape(480, 640) * (1000.0 if np.dtype(dtype).kind in "iu" else 1.0)
+    depth = depth.astype(dtype)
+    missing = np.random.default_rng(0).random(depth.shape) < 0.6
+    depth[missing] = number
+    with pytest.warns(UserWarning, match="are they missing") as caught:
+        as_depth_frame(depth, camera(depth.shape, depth_scale=1000.0))
+    assert (len(caught), caught[0].filename) == (1, __file__)
+    said = re.search(r"invalid_values=\((.*),\)", str(caught[0].message))
+    for right in ({"invalid_values": (float(said[1]),)}, {"depth_range": (0.0, 20.0)}):
+        frame = as_depth_frame(depth, camera(depth.shape, depth_scale=1000.0, **right))  # warnings are errors here
+        np.testing.assert_array_equal(frame.valid, ~missing)
+
+
+def test_numbers_for_missing_do_not_hide_other_units():
+    metres = np.linspace(1.0, 9.0, 480 * 640).reshape(480, 640)
+    missing = np.random.default_rng(0).random(metres.shape) < 0.2
+    for depth, number, unit in (
+        (metres / 1000.0, 1e10, "nearer than 0.02 m"),
+        (1000.0 * metres, 65535.0, "beyond 50 m: millimetres"),
+    ):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            as_depth_frame(np.where(missing, number, depth), camera(metres.shape))
+        assert [str(warning.message).count("are they missing") for warning in caught] == [1, 0]
+        assert unit in str(caught[1].message)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.uint16, np.int32])
+def test_what_is_far_is_not_taken_for_missing(dtype):
+    rng = np.random.default_rng(0)
+    near = rng.uniform(0.5, 1.5, (480, 640))
+    some = rng.random(near.shape)
+    frames = [
+        np.where(some < 0.4, 5.0, near),  # a wall that faces the camera, rendered without noise
+        np.minimum(12.0 * near, 10.0),  # a renderer's far plane
+        np.where(some < 0.004, 60.0, near),  # strays
+        np.where(some < 0.4, 60.0, 20.0 * near),
+        np.where(some < 0.4, rng.uniform(55.0, 60.0, near.shape), near),  # the street behind a window
+        np.where(some < 0.4, near, 0.0),
+        np.where(some < 0.4, 1.5, 0.0),
+    ]
+    for depth in frames:
+        raw = depth if np.dtype(dtype).kind == "f" else np.rint(1000.0 * depth)
+        as_depth_frame(raw.astype(dtype), camera(depth.shape, depth_scale=1000.0))  # warnings are errors here
+    sky = np.where(some < 0.4, 1e4, near).astype(np.float32)
+    as_depth_frame(sky, camera(sky.shape, depth_range=(0.0, 2e4)))
+    as_depth_frame(sky, camera(sky.shape, disparity=(0.2, 0.0)))
+
+
 @pytest.mark.parametrize("far", [0, 0.4, 0.49])
 def test_no_warning_for_metres(far):
     depth = np.full((32, 100), 3.0)
-    depth[:, : int(far * 100)] = 300.0
+    depth[:, : int(far * 100)] = np.linspace(200.0, 300.0, int(far * 100))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         as_depth_frame(depth, camera((32, 100)))
@@ -404,6 +472,7 @@ def test_metres_that_integers_were_made_into_are_rounded(kind, scale):
     assert np.mean(found.labels != expected.labels) < 1e-3
 
 
+@pytest.mark.filterwarnings("ignore:many pixels are")
 @pytest.mark.parametrize("farthest", [1e10, 1e15, 3e38])
 def test_a_sky_beyond_any_measure_leaves_the_step_of_metres(farthest):
     # As simulators give it. All so large numbers are whole.
