@@ -10,7 +10,7 @@ import functools
 import math
 import os
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -174,18 +174,16 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     depth_scale = camera.depth_scale if kind in "ui" else 1.0
     disparity = camera.disparity
     samples = some_of(raw)
-    lowest, highest, holes, missing = _validity(
-        dtype.char,
-        array.dtype.char if kind == "f" else dtype.char,
-        depth_scale if disparity is None else None,
-        disparity,
-        camera.depth_range,
-        camera.invalid_values,
-    )
-    if disparity is None:
+    stored = array.dtype.char if kind == "f" else dtype.char
+    read_as = dtype.char, stored, depth_scale if disparity is None else None, disparity
+    lowest, highest, holes, missing = _validity(*read_as, camera.depth_range, camera.invalid_values)
+    valid = lowest, highest, holes
+    if disparity is not None:
+        for sample in samples:
+            _warn_of_disparity(sample, valid, disparity, camera.depth_range, camera.invalid_values)
+    else:
         assert depth_scale is not None
         for sample in samples:
-            valid = lowest, highest, holes
             sample = _without_missing(sample, valid, depth_scale, camera.depth_range)
             _warn_of_units(sample, valid, array.dtype, depth_scale, camera.depth_range)
     invalid = [raw == value for value in holes]
@@ -342,6 +340,40 @@ def _warn_of_the_nearest(
     warn_caller(
         f"{said} all of this frame is nearer than {_NEARER_THAN_ANY:g} m: is it in other units, "
         "or metres that were divided by 1000 or made integers?"
+    )
+
+
+def _warn_of_disparity(
+    sample: NDArray[Any],
+    valid: Valid,
+    disparity: tuple[float, float],
+    depth_range: tuple[float, float] | None,
+    invalid_values: Sequence[float],
+) -> None:
+    """Warn of a disparity image whose depths are none of a camera's: most likely it is their scale."""
+    scale, offset = disparity
+    farthest, nearest = 1.0 / _PLAINLY_NOT_METRES, 1.0 / _NEARER_THAN_ANY
+    if abs(scale) == 1.0 or sample.size < _FEW_PIXELS:  # relative disparities have no unit
+        return
+    # Mostly a few pixels show that nothing is wrong, and for so few Python is faster than NumPy.
+    few = sample[::64].tolist()
+    if 2 * sum(farthest <= scale * value + offset <= nearest for value in few) > len(few):
+        return
+    q = scale * sample[~np.isin(sample, invalid_values)].astype(np.float64) + offset
+    q = q[(q > 0.0) & (q < np.inf)]
+    ends = None if depth_range is None else depth_range[1]
+    if len(q) and q.min() > nearest and (ends is None or ends > _NEARER_THAN_ANY):
+        where = f"all of this frame is nearer than {_NEARER_THAN_ANY:g} m"
+    elif 2 * np.count_nonzero(q < farthest) > len(q) and (ends is None or ends <= _PLAINLY_NOT_METRES):
+        measured = _measured(sample, valid)
+        if len(measured) > 10 and 2 * np.count_nonzero(scale * measured + offset < farthest) <= len(measured):
+            return  # the camera says that what is far means missing
+        where = f"most of this frame is beyond {_PLAINLY_NOT_METRES:g} m"
+    else:
+        return
+    warn_caller(
+        f"with disparity=({scale:g}, {offset:g}) {where}: the scale is 1 / (focal length in pixels * baseline in "
+        "metres), over the raw units of a pixel if these are more than one. A scale of 1 says that it is not known"
     )
 
 

@@ -392,6 +392,34 @@ def test_no_warning_for_metres(far):
         as_depth_frame(np.full((32, 100), 300.0), camera((32, 100), disparity=(0.001, 0)))
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.uint16, np.int16])
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_the_scale_of_disparities_is_doubted(dtype, offset):
+    focal_length, baseline, parts = 525.0, 0.075, 1 if np.dtype(dtype).kind == "f" else 16
+    depth = np.linspace(0.8, 6.0, 480 * 640).reshape(480, 640)
+    right = 1.0 / (parts * focal_length * baseline)
+    disparity = (1.0 / depth - offset) / right
+    disparity = (disparity if parts == 1 else np.rint(disparity)).astype(dtype)
+    missing = np.random.default_rng(0).random(depth.shape) < 0.3
+    disparity[missing] = 0
+    said = "the scale is 1 / (focal length in pixels * baseline in metres)"
+    for scale, units, ends in (
+        (parts * focal_length * baseline, "all of this frame is nearer than 0.02 m", 0.02),
+        (right / 1000.0, "most of this frame is beyond 50 m", 1e4),
+    ):
+        wrong = {"disparity": (scale, offset * scale / right), "invalid_values": (0,)}
+        for depth_range in (None, (0.1, 20.0)):
+            with pytest.warns(UserWarning, match=re.escape(f") {units}: {said}")) as caught:
+                as_depth_frame(disparity, camera(depth.shape, depth_range=depth_range, **wrong))
+            assert (len(caught), caught[0].filename) == (1, __file__)
+        as_depth_frame(disparity, camera(depth.shape, depth_range=(0.0, ends), **wrong))  # warnings are errors here
+    as_depth_frame(disparity, camera(depth.shape, disparity=(right, offset), invalid_values=(0,)))
+    as_depth_frame(np.zeros_like(disparity), camera(depth.shape, disparity=(right, 0.0)))
+    as_depth_frame(disparity, camera(depth.shape, disparity=(1.0, 0.0)))  # of a network, as documented
+    disparity[np.random.default_rng(1).random(depth.shape) < 0.7] = parts // 2 or 0.5  # beyond 50 m: said to be missing
+    as_depth_frame(disparity, camera(depth.shape, disparity=(right, 0.0), depth_range=(0.0, 30.0)))
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32])
 def test_integers_need_a_unit(dtype):
     with pytest.raises(ValueError, match=r"depth_scale .* or disparity .*got a camera with neither"):
