@@ -178,6 +178,11 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     read_as = dtype.char, stored, depth_scale if disparity is None else None, disparity
     lowest, highest, holes, missing = _validity(*read_as, camera.depth_range, camera.invalid_values)
     valid = lowest, highest, holes
+    if camera.depth_range is not None and camera.depth_range[0] > _PLAINLY_NOT_METRES:
+        at_any_depth = _validity(*read_as, None, camera.invalid_values)[:3]
+        for sample in samples:
+            if len(_measured(sample, at_any_depth)) > 10 and not len(_measured(sample, valid)):
+                _warn_of_the_range(*camera.depth_range)
     if disparity is not None:
         for sample in samples:
             _warn_of_disparity(sample, valid, disparity, camera.depth_range, camera.invalid_values)
@@ -374,6 +379,14 @@ def _warn_of_disparity(
     warn_caller(
         f"with disparity=({scale:g}, {offset:g}) {where}: the scale is 1 / (focal length in pixels * baseline in "
         "metres), over the raw units of a pixel if these are more than one. A scale of 1 says that it is not known"
+    )
+
+
+def _warn_of_the_range(nearest: float, farthest: float) -> None:
+    """Warn of a range that has none of a frame's depths, and begins beyond them."""
+    warn_caller(
+        f"nothing in this frame is between the {nearest:g} and {farthest:g} m of the camera's depth_range: "
+        f"is it in millimetres? In metres that is depth_range=({nearest / 1000:g}, {farthest / 1000:g})"
     )
 
 

@@ -427,7 +427,8 @@ def fit_tiles(
         The frame is most likely not in the units that the camera says: its typical depth is above 50 m, or all of its
         depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` reaching
         beyond 50 m, or ending below those limits, says that this is meant and silences the warning; of a ``disparity``
-        a scale of 1 does, as that of a network's has no unit. Or one number counts as depth in more than one pixel of a
+        a scale of 1 does, as that of a network's has no unit. Or the ``depth_range`` begins beyond 50 m and leaves
+        nothing of the frame: most likely millimetres. Or one number counts as depth in more than one pixel of a
         hundred that most likely means missing: 65535 or 32767, the largest of 16 bits, or one beyond 50 m that is more
         than three times as far as all else in the frame, such as the 1e10 of a renderer's sky, which a ``depth_range``
         reaching beyond 50 m silences, too.

@@ -420,6 +420,33 @@ def test_the_scale_of_disparities_is_doubted(dtype, offset):
     as_depth_frame(disparity, camera(depth.shape, disparity=(right, 0.0), depth_range=(0.0, 30.0)))
 
 
+@pytest.mark.parametrize(
+    ("two_metres", "unit"),
+    [
+        (np.uint16(2000), {"depth_scale": 1000.0}),
+        (np.int32(2000), {"depth_scale": 1000.0}),
+        (np.float32(2.0), {}),
+        (np.uint16(20), {"disparity": (0.02, 0.1)}),
+        (np.float64(20.0), {"disparity": (0.02, 0.1)}),
+    ],
+)
+def test_a_range_in_millimetres_is_doubted(two_metres, unit):
+    depth = np.full((480, 640), two_metres)
+    depth[::3] = 2047
+    unit |= {"invalid_values": (2047,)}
+    with pytest.warns(UserWarning, match=re.escape("in millimetres? In metres that is depth_range=(0.3, 5)")) as caught:
+        as_depth_frame(depth, camera(depth.shape, depth_range=(300.0, 5000.0), **unit))
+    assert (len(caught), caught[0].filename) == (1, __file__)
+    as_depth_frame(np.full_like(depth, 2047), camera(depth.shape, depth_range=(300.0, 5000.0), **unit))  # an empty one
+    as_depth_frame(depth, camera(depth.shape, depth_range=(3.0, 5.0), **unit))
+
+
+def test_a_range_of_what_is_far_is_not_doubted():
+    depth = np.full((480, 640), 2.0)
+    depth[:100] = np.linspace(100.0, 400.0, 640)
+    as_depth_frame(depth, camera(depth.shape, depth_range=(300.0, 5000.0)))  # warnings are errors here
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32])
 def test_integers_need_a_unit(dtype):
     with pytest.raises(ValueError, match=r"depth_scale .* or disparity .*got a camera with neither"):
