@@ -173,7 +173,7 @@ def test_numbers_of_other_kinds(kind):
     assert (scene.depth == 2.0).all()
     measured = scene.measure(noise=kind(0.0), holes=kind(0.25), patches=kind(0.25), baseline=kind(0.0))
     assert np.array_equal(measured, scene.measure(noise=0.0, holes=0.25, patches=0.25, baseline=0.0))
-    assert noise.stereo(kind(0.5), 8.0, kind(0.25)) == noise.stereo(0.5, 8.0, 0.25)
+    assert noise.stereo(kind(0.5), 64.0, kind(0.25)) == noise.stereo(0.5, 64.0, 0.25)
     sigma = rp.measurement_noise(DEPTH, CAMERA, kind(0.125))
     assert np.array_equal(sigma, rp.measurement_noise(DEPTH, CAMERA, 0.125))
     for options in ({"significance": 0.25}, {"max_missing": 0.25}, {"max_error": 0.25}):
@@ -195,6 +195,19 @@ def test_a_baseline_in_millimetres():
         noise.stereo(55, 640)
 
 
+def test_a_focal_length_in_millimetres():
+    with pytest.warns(UserWarning, match="in pixels, but 1.93 is shorter than any sensor's: millimetres"):
+        noise.stereo(0.055, 1.93)
+    noise.stereo(0.055, 64.0)  # warnings are errors here
+
+
+def test_a_depth_scale_in_place_of_a_step():
+    with pytest.warns(UserWarning, match="in metres, but 1000 m is larger than any sensor's: .*, or the depth_scale"):
+        noise.quantised(noise.kinect_v1(), 1000.0)
+    noise.quantised(noise.kinect_v1(), 0.1)  # warnings are errors here
+    noise.quantised(noise.kinect_v1(), replace(CAMERA, depth_scale=1.0))
+
+
 def test_an_error_that_is_larger_than_any_float():
     unlimited = rp.fit_tiles(DEPTH, CAMERA, max_error=10**400)
     assert np.array_equal(unlimited.status, rp.fit_tiles(DEPTH, CAMERA).status)
@@ -202,6 +215,7 @@ def test_an_error_that_is_larger_than_any_float():
         rp.fit_tiles(DEPTH, CAMERA, max_error=-(10**400))
 
 
+@pytest.mark.filterwarnings("ignore:the noise that is given")
 def test_p_values_of_the_largest_noise():
     """They are numbers: the square of a variance is one."""
     noisy = replace(CAMERA, noise=noise.NoiseModel((1e60,), correlation=((0.5, 2.0),), floor=2.0, falloff=50.0))

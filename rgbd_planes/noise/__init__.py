@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
 
 _LONGEST_BASELINE = 5.0  # metres, of a stereo camera
+_SHORTEST_FOCAL_LENGTH = 20.0  # pixels; most likely millimetres
+_COARSEST_STEP = 0.1  # metres
 
 
 def kinect_v1() -> NoiseModel:
@@ -69,12 +71,14 @@ def stereo(baseline: float, focal_length: float, disparity_noise: float = 0.1) -
     Warns
     -----
     UserWarning
-        The baseline is longer than any sensor's: most likely in other units.
+        The baseline is longer, or the focal length shorter, than any sensor's: most likely in other units.
     """
     baseline = _positive("baseline", baseline)
     if baseline > _LONGEST_BASELINE:
         warn_caller(f"the baseline is in metres, but {baseline:g} m is longer than any sensor's: millimetres?")
     focal_length = _positive("focal_length", focal_length)
+    if focal_length < _SHORTEST_FOCAL_LENGTH:
+        warn_caller(f"the focal length is in pixels, but {focal_length:g} is shorter than any sensor's: millimetres?")
     return NoiseModel((_positive("disparity_noise", disparity_noise) / (focal_length * baseline),))
 
 
@@ -180,6 +184,11 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     TypeError, ValueError
         The model is not a `NoiseModel`, the step is not a positive number, or the camera has neither of the two.
 
+    Warns
+    -----
+    UserWarning
+        The step is larger than any sensor's: most likely in other units, or the ``depth_scale``.
+
     Notes
     -----
     Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the other noise is less than half a
@@ -193,6 +202,11 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     if not isinstance(step, Camera):
         if not number("step", step) > 0.0:
             raise ValueError(f"expected a positive step in metres, got {step!r}")
+        if step > _COARSEST_STEP:
+            warn_caller(
+                f"the step is in metres, but {step:g} m is larger than any sensor's: is it in other units, or the "
+                "depth_scale, whose step is 1 / depth_scale?"
+            )
         return replace(model, step=math.hypot(model.step, step))
     if step.disparity is not None:
         return replace(model, disparity_step=math.hypot(model.disparity_step, step.disparity[0]))
