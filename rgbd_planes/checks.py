@@ -269,7 +269,7 @@ def warn_of_large_noise(sigma: float, inverse_depth: float, result: str) -> None
     if sigma > TOO_LARGE * inverse_depth:
         warn_caller(
             f"the noise that is given is {sigma:.2g} 1/m where 1/Z is {inverse_depth:.2g} 1/m: most likely it "
-            f"is not in 1/m. With it {result}"
+            f"is not in 1/m, or made of lengths that are not in metres. With it {result}"
         )
 
 

@@ -24,6 +24,7 @@ from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
 from rgbd_planes.noise.falloff import EVEN
+from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.wording import counted
@@ -97,6 +98,7 @@ def fit_labels(
     check_significance(significance, camera)
     numbers = _check_labels(labels, camera)
     frame = as_depth_frame(depth, camera)
+    warn_of_noise(frame, camera.noise)
 
     count = int(numbers.max())
     arrays = allocate((), (count,))

@@ -16,6 +16,7 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fitting import METHODS, Arrays, solve_planes, valid_needed
 from rgbd_planes.kernels.merging import merge_by_four
 from rgbd_planes.merging import merge
+from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import TileStatus, allocate
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_windows
 from rgbd_planes.tiles import TileFitter
@@ -203,7 +204,9 @@ class QuadtreeFitter(FixedArguments):
         return row[inside], column[inside]
 
     def _integral(self, depth: npt.ArrayLike) -> tuple[WriteMoments, float]:
-        source = self._tables.prepare(as_depth_frame(depth, self.camera))
+        frame = as_depth_frame(depth, self.camera)
+        warn_of_noise(frame, self.camera.noise)
+        source = self._tables.prepare(frame)
 
         def write(level: int, row: Indices, column: Indices, windows: Indices, arrays: Arrays) -> None:
             source(windows, self._full[level][:, row, column], 0, len(windows), arrays["_moments"])

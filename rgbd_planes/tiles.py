@@ -6,6 +6,7 @@ import functools
 import itertools
 import math
 import operator
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
@@ -29,6 +30,7 @@ from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import ARRAYS, METHODS, SOLVES, Arrays, in_order, solve_planes, valid_needed
 from rgbd_planes.kernels import grid
 from rgbd_planes.noise.falloff import growth_of_tiles
+from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_footprints, tile_windows
@@ -90,6 +92,7 @@ class TileFitter(FixedArguments):
         self._max_error = check_error(max_error)
         self._num_threads = check_num_threads(num_threads)
 
+        self._noise_is_asked = threading.Lock()  # kept from the first frame on that tells; no thread waits for it
         self._grid = grid_shape(camera, self.tile)
         windows = tile_windows(camera.shape, self.tile)
         sizes = windows[:, 2:]
@@ -326,6 +329,7 @@ class TileFitter(FixedArguments):
         assess, columns = self._assessment.of(arrays), self._grid[1]
 
         def fit_and_assess(frame: DepthFrame) -> Work:
+            self._warn_of_noise(frame)
             fit_rows = fit(frame)
 
             def work(start: int, stop: int) -> None:
@@ -335,6 +339,11 @@ class TileFitter(FixedArguments):
             return work
 
         return fit_and_assess
+
+    def _warn_of_noise(self, frame: DepthFrame) -> None:
+        """Ask one frame of all, the first with measurements, whether the noise is in other units."""
+        if self._noise_is_asked.acquire(blocking=False) and not warn_of_noise(frame, self.camera.noise):
+            self._noise_is_asked.release()
 
     def _direct(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
         frames = arrays["status"].size // math.prod(self._grid)
@@ -431,7 +440,8 @@ def fit_tiles(
         nothing of the frame: most likely millimetres. Or one number counts as depth in more than one pixel of a
         hundred that most likely means missing: 65535 or 32767, the largest of 16 bits, or one beyond 50 m that is more
         than three times as far as all else in the frame, such as the 1e10 of a renderer's sky, which a ``depth_range``
-        reaching beyond 50 m silences, too.
+        reaching beyond 50 m silences, too. Or the camera's noise model says more than a fifth of 1/Z: most likely it is
+        in other units. A `TileFitter` says so once.
     """
     fitter = TileFitter(
         camera,

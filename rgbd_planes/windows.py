@@ -15,6 +15,7 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.noise.falloff import growth_of_windows
+from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.tile_grid import footprints
@@ -125,6 +126,7 @@ def fit_windows(
     error = check_error(max_error)
     rectangles = _check_windows(windows, camera)
     frame = as_depth_frame(depth, camera)
+    warn_of_noise(frame, camera.noise)
 
     arrays = allocate((), (len(rectangles),))
     sizes = rectangles[:, 2:]

@@ -10,11 +10,13 @@ from monte_carlo import CORRELATED
 from scipy import stats
 
 import rgbd_planes as rp
+from rgbd_planes.quadtree import QuadtreeFitter
 
 CAMERA = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
 CAMERA_OF_ROUNDING = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5)
 
 
+@pytest.mark.filterwarnings("ignore:the noise that is given")
 @pytest.mark.parametrize(
     ("depth", "error"), [(0.0501, 2e-3), (0.2, 2e-3), (1.0, 2e-3), (19.5, 2e-3), (62.8, 0.05), (91.0, 0.05)]
 )
@@ -51,6 +53,7 @@ def test_where_there_is_no_noise_but_rounding(noise):
         np.testing.assert_allclose(by_depth.alpha_covariance, alone.alpha_covariance, rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:the noise that is given")
 def test_a_jump_of_the_noise_is_one_from_the_lower_to_the_higher():
     noise = rp.noise.function(lambda q: np.where(q > 1.0, 2e-3, 2e-4))
     camera = replace(CAMERA_OF_ROUNDING, noise=noise)
@@ -223,3 +226,39 @@ def test_rounding_is_added_to_the_rounding_that_there_is():
     for step, wanted in ((4e-3, (5e-3, 4e-3)), (metres, (5e-3, 4e-3)), (disparity, (3e-3, 5e-3))):
         made = rp.noise.quantised(model, step)
         assert (made.step, made.disparity_step) == pytest.approx(wanted)
+
+
+ROOM = replace(rp.presets.primesense(), width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5)
+MEASURED = rp.scenes.room().render(ROOM).measure(holes=0.05)
+USES = {
+    "tiles": rp.fit_tiles,
+    "windows": lambda depth, camera: rp.fit_windows(depth, camera, [(0, 0, 60, 80)]),
+    "labels": lambda depth, camera: rp.fit_labels(depth, camera, np.ones(camera.shape, bool)),
+    "quadtree": lambda depth, camera: rp.segment_quadtree(depth, camera, 16),
+    "quadtree, integral": lambda depth, camera: QuadtreeFitter(camera, 16, implementation="integral").fit(depth),
+    "segments": rp.segment,
+    "points": rp.measurement_noise,
+}
+
+
+@pytest.mark.parametrize("use", USES.values(), ids=USES)
+def test_models_of_other_units_are_doubted_where_they_are_used(use):
+    for model in (rp.noise.NoiseModel(step=1000.0), rp.noise.time_of_flight(5.0), rp.noise.axial(1.2, 0.0, 1.9)):
+        with pytest.warns(UserWarning, match=r"the noise that is given is .* lengths that are not in metres") as told:
+            use(MEASURED, ROOM.with_noise(model))
+        assert [warning.filename for warning in told] == [__file__]
+    for model in (rp.noise.kinect_v1_nguyen(), rp.noise.time_of_flight(0.02), rp.noise.stereo(0.05, 600.0, 0.5)):
+        use(MEASURED, ROOM.with_noise(model))  # warnings are errors here
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_fitter_doubts_its_noise_once(threads):
+    fitter = rp.TileFitter(ROOM.with_noise(rp.noise.time_of_flight(5.0)), num_threads=threads)
+    fitter.fit(np.zeros_like(MEASURED))  # which tells nothing
+    with pytest.warns(UserWarning, match="the noise that is given") as told:
+        fitter.fit_batch([MEASURED] * 4)
+    assert [warning.filename for warning in told] == [__file__]
+    fitter.fit(MEASURED)  # warnings are errors here
+    list(fitter.fit_stream([MEASURED]))
+    with pytest.warns(UserWarning, match="the noise that is given"):
+        pickle.loads(pickle.dumps(fitter)).fit(MEASURED)

@@ -212,7 +212,7 @@ def test_real_frame_equals_oracle(real_frame):
 
 def test_planes_that_are_infinitely_far_away(rng, recwarn):
     """As where a simulator writes a large number for the sky."""
-    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, depth_range=(0.0, np.inf))
     depth = rp.scenes.room().render(camera).depth
     depth[rng.random(depth.shape) < 0.3] = 1e20
     assert len(rp.segment_quadtree(depth, camera, 8, "range_implicit").planes) > 0

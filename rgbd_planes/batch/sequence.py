@@ -172,8 +172,7 @@ def fit_sequence(
     -----
     UserWarning
         What `fit_tiles` or `segment` warns of, or, without noise, that surfaces are bent when taken as depth and flat
-        when taken as distances along the ray, or that a noise model is most likely in other units: each once, for one
-        of the frames concerned.
+        when taken as distances along the ray: each once, for one of the frames concerned.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)

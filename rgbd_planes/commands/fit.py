@@ -30,14 +30,11 @@ def fit(parser: argparse.ArgumentParser) -> Run:
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import export, fit_tiles
-        from rgbd_planes.depth import as_depth_frame
-        from rgbd_planes.noise.model import warn_of_noise
 
         check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz", ".json"), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         if arguments.noise is not None:
             camera = camera.with_noise(arguments.noise)
-            warn_of_noise(as_depth_frame(depth, camera), arguments.noise)
         tiles = fit_tiles(
             depth,
             camera,

@@ -290,10 +290,17 @@ def _pairs(name: str, values: Any, of: str) -> Floats:
     return pairs
 
 
-def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None) -> None:
-    """Warn of noise that most likely is in other units, of which tiles show nothing: none is ROUGH."""
+_NOT_ROUGH = "nothing is ROUGH, and standard deviations are far too large"
+
+
+def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None, result: str = _NOT_ROUGH) -> bool:
+    """Warn of noise that most likely is in other units, which planes do not show; return whether the frame tells."""
+    if noise is None:
+        return False
     q = frame._replace(raw=some_of(frame.raw)).inverse_depth
     q = q[np.isfinite(q)]
-    if noise is not None and len(q):
-        middle = float(np.median(q))
-        warn_of_large_noise(float(noise.sigma(middle)), middle, "no tile is ROUGH")
+    if not len(q):
+        return False
+    middle = float(np.median(q))
+    warn_of_large_noise(float(noise.sigma(middle)), middle, result)
+    return True

@@ -11,6 +11,7 @@ from rgbd_planes.checks import check_camera, number
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.noise.falloff import growth_of_pixels
+from rgbd_planes.noise.model import warn_of_noise
 
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
@@ -43,6 +44,11 @@ def measurement_noise(
         ``camera`` is not a `Camera`; ``sigma_inverse_depth`` is not a number, negative or not finite; or the frame is
         not this camera's.
 
+    Warns
+    -----
+    UserWarning
+        As `rgbd_planes.fit_tiles`.
+
     Notes
     -----
     σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. noise_models of the paper, after
@@ -57,6 +63,7 @@ def measurement_noise(
     along_axis = frame.metres**2
     if sigma_inverse_depth is None:
         assert camera.noise is not None
+        warn_of_noise(frame, camera.noise, "standard deviations are far too large")
         valid, growth = frame.valid, growth_of_pixels(camera)
         q = frame.inverse_depth[valid]
         along_axis[valid] *= camera.noise._sigma(q, growth[valid] if growth.size else 1.0)

@@ -114,6 +114,6 @@ def _table(given: Given, nearest: float) -> Floats:
     flattest = FLATNESS * q
     q = np.maximum(q, max(0.5 * q[1], min(SMALLEST, nearest) if given.at_large else 0.0))  # no function need know 0
     table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
-    if not given.at_large:
-        warn_of_large_noise(table[MIDDLE], q[MIDDLE], "nearly all things are one plane, or none")
+    result = "standard deviations are far too large" if given.at_large else "nearly all things are one plane, or none"
+    warn_of_large_noise(table[MIDDLE], q[MIDDLE], result)
     return table

@@ -73,9 +73,8 @@ def segment(
     -----
     UserWarning
         As `fit_tiles`. Or the frame is several times as rough as `noise`, and less than half of it is on planes: most
-        likely that is the noise of another sensor. Or `noise`, a number or a function, is more than a fifth of 1/Z:
-        most likely in other units. Or its surfaces, without noise, are bent when taken as depth, and flat as distances
-        along the ray.
+        likely that is the noise of another sensor. Or `noise` is more than a fifth of 1/Z: most likely in other units.
+        Or its surfaces, without noise, are bent when taken as depth, and flat as distances along the ray.
 
     Notes
     -----
