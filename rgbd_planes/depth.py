@@ -164,10 +164,11 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     lowest, highest, holes, missing = validity(*read_as, camera.depth_range, camera.invalid_values)
     valid = lowest, highest, holes
     if camera.depth_range is not None and camera.depth_range[0] > PLAINLY_NOT_METRES:
-        at_any_depth = validity(*read_as, None, camera.invalid_values)[:3]
+        nearest, farthest = camera.depth_range
+        in_millimetres = validity(*read_as, (nearest / 1000.0, farthest / 1000.0), camera.invalid_values)[:3]
         for sample in samples:
-            if len(measurements_of(sample, at_any_depth)) > 10 and not len(measurements_of(sample, valid)):
-                warn_of_the_range(*camera.depth_range)
+            if len(measurements_of(sample, in_millimetres)) > 10 and not len(measurements_of(sample, valid)):
+                warn_of_the_range(nearest, farthest)
     if disparity is not None:
         for sample in samples:
             warn_of_disparity(sample, valid, disparity, camera.depth_range, camera.invalid_values)
