@@ -437,11 +437,11 @@ def fit_tiles(
         depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` reaching
         beyond 50 m, or ending below those limits, says that this is meant and silences the warning; of a ``disparity``
         a scale of 1 does, as that of a network's has no unit. Or the ``depth_range`` begins beyond 50 m and leaves
-        nothing of the frame, which is between those numbers of millimetres. Or one number counts as depth in more than one pixel of a
-        hundred that most likely means missing: 65535 or 32767, the largest of 16 bits, or one beyond 50 m that is more
-        than three times as far as all else in the frame, such as the 1e10 of a renderer's sky, which a ``depth_range``
-        reaching beyond 50 m silences, too. Or the camera's noise model says more than a fifth of 1/Z: most likely it is
-        in other units. A `TileFitter` says so once.
+        nothing of the frame, which is between those numbers of millimetres. Or one number counts as depth in more than
+        one pixel of a hundred that most likely means missing: 65535 or 32767, the largest of 16 bits, or one beyond 50
+        m that is more than three times as far as all else in the frame, such as the 1e10 of a renderer's sky, which a
+        ``depth_range`` reaching beyond 50 m silences, too. Or the camera's noise model says more than a fifth of 1/Z:
+        most likely it is in other units. A `TileFitter` says so once.
     """
     fitter = TileFitter(
         camera,
