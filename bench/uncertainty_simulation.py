@@ -54,7 +54,7 @@ def simulate(runs: int) -> list[Cell]:
     rng = np.random.default_rng(2017)
     cells = []
     for tile, depth, incidence, holes in itertools.product(TILES, DEPTHS, INCIDENCES, HOLES):
-        one = monte_carlo.tile_camera(tile, rp.noise.kinect_v1(), left=150.0, top=100.0)
+        one = monte_carlo.tile_camera(tile, rp.noise.kinect_v1(), left=150, top=100)
         alpha = monte_carlo.plane_through_middle(one, depth, incidence)
         missing = rng.random(one.shape) < holes
         times = min(int(np.sqrt(runs)), 2000 // tile)

@@ -59,7 +59,7 @@ class Camera:
     fx, fy : float
         Focal lengths in pixels, not zero; `fy` (or `fx`) may be negative.
     cx, cy : float
-        Principal point in pixels; may lie outside the image.
+        Principal point in pixels; may lie outside an image that is part of another, which `cropped` makes a camera of.
     distortion : sequence of 0, 4, 5 or 8 floats
         k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order. Those left out are zero; of 0, 5 and 8 as many are kept as are
         needed. For a fisheye lens k1 k2 k3 k4.
@@ -88,8 +88,8 @@ class Camera:
     Warns
     -----
     UserWarning
-        The image reaches farther than 75 degrees from the optical axis, and not through a fisheye: most likely
-        intrinsics in other units, or of another image size.
+        The image reaches farther than 75 degrees from the optical axis, and not through a fisheye, or the principal
+        point lies outside the image: most likely intrinsics in other units, or of another image size.
 
     Notes
     -----
@@ -134,20 +134,24 @@ class Camera:
         object.__setattr__(self, name, value)
 
     def _warn_of_intrinsics(self) -> None:
-        """Warn of what is possible, but most likely is a focal length in millimetres, or as a share of the width."""
-        if (
-            self.distortion_model == "fisheye"
-        ):  # does see that far; if it sees hardly anything of the image, that is an error
-            return
+        """Warn of what is possible, but most likely in other units than pixels, or of another image size."""
+        # A fisheye does see that far; if it sees hardly anything of the image, that is an error.
+        farthest = 180.0 if self.distortion_model == "fisheye" else _FARTHEST_BUT_FISHEYE
         for size, focal, centre, names in (
             (self.width, self.fx, self.cx, ("fx", "cx", "width")),
             (self.height, self.fy, self.cy, ("fy", "cy", "height")),
         ):
             angle = math.degrees(math.atan(max(abs(centre), abs(size - 1 - centre)) / abs(focal)))
-            if angle > _FARTHEST_BUT_FISHEYE:
+            if angle > farthest:
                 warn_caller(
                     f"with {names[0]} = {focal:g} and {names[1]} = {centre:g}, an image of {names[2]} {size} reaches "
                     f"{angle:.0f} degrees from the optical axis: are they in pixels, and of this image size?"
+                )
+            elif not -1.0 < centre < size:
+                warn_caller(
+                    f"{names[1]} = {centre:g} lies outside an image of {names[2]} {size}: are these the intrinsics of "
+                    "another image size? Camera.resized makes the camera of resized images, and Camera.cropped that of "
+                    "a part of them, without this warning"
                 )
 
     def _check_depth(self) -> None:
@@ -182,6 +186,11 @@ class Camera:
     def __getstate__(self) -> dict[str, Any]:
         # Without the tables: they are quickly made again, and a copy of them would come back writable.
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def _with(self, **changes: Any) -> Self:
+        """A copy with changes; of doubtful intrinsics whoever stated them has been warned."""
+        with collected_warnings([]):
+            return replace(self, **changes)
 
     def _with(self, **changes: Any) -> Self:
         """A copy with changes; of doubtful intrinsics whoever stated them has been warned."""

@@ -13,16 +13,11 @@ CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5
 
 
 def tile_camera(
-    tile: int | tuple[int, int],
-    noise: rp.noise.NoiseModel | None,
-    *,
-    left: float = 0.0,
-    top: float = 0.0,
-    focal: float = 525.0,
+    tile: int | tuple[int, int], noise: rp.noise.NoiseModel | None, *, left: int = 0, top: int = 0, focal: float = 525.0
 ) -> rp.Camera:
     """A camera that sees one tile, its first pixel at column ``left``, row ``top`` of 640x480 ones."""
     height, width = np.broadcast_to(tile, 2).tolist()
-    return rp.Camera(width, height, focal, focal, 319.5 - left, 239.5 - top, noise=noise)
+    return rp.Camera(640, 480, focal, focal, 319.5, 239.5, noise=noise).cropped(left, top, width, height)
 
 
 def repeat(camera: rp.Camera, times: int) -> rp.Camera:

@@ -47,6 +47,7 @@ def assert_rays_land_on_their_pixels(camera, atol):
     np.testing.assert_allclose(landed, np.stack([column, row], -1), atol=atol, rtol=0)
 
 
+@pytest.mark.filterwarnings("ignore:c[xy] =:UserWarning")  # of parts of an image
 @pytest.mark.parametrize("fy", [50.0, -48.0])
 def test_rays_without_distortion(fy):
     camera = small(fy=fy, cx=-20.0, cy=70.25)
@@ -147,6 +148,7 @@ def test_a_distortion_that_folds_inside_the_image(model):
     assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (48, 64)
 
 
+@pytest.mark.filterwarnings("ignore:c[xy] =:UserWarning")  # of parts of an image
 def test_a_fold_between_the_axis_and_an_image_beside_it():
     # All of the image lies where the model grows again, past its fold.
     camera = small(
@@ -348,7 +350,7 @@ cameras = st.builds(
 )
 
 
-@pytest.mark.filterwarnings("ignore:with f[xy] =:UserWarning")  # of lenses that nobody has
+@pytest.mark.filterwarnings("ignore:with f[xy] =:UserWarning", "ignore:c[xy] =:UserWarning")  # that nobody has
 @given(camera=cameras)
 def test_json_gives_the_same_camera_back(camera):
     for lens in (camera, replace(camera, distortion=camera.distortion[:4], distortion_model="fisheye")):
@@ -795,6 +797,9 @@ def test_real_frames_give_points_in_their_stated_range(path):
         ({"fx": 3.6}, "with fx = 3.6 and cx = 319.5, an image of width 640 reaches 89 degrees from the optical"),
         ({"fy": -0.9}, "with fy = -0.9 and cy = 239.5, an image of height 480 reaches 90 degrees"),
         ({"cx": 3195.0}, "cx = 3195, an image of width 640 reaches 81 degrees"),
+        ({"cx": 640.0}, "cx = 640 lies outside an image of width 640: are these the intrinsics of another image size?"),
+        ({"cy": 539.5}, "cy = 539.5 lies outside an image of height 480"),
+        ({"cy": -1.0, "distortion_model": "fisheye"}, "cy = -1 lies outside an image of height 480"),
         ({"cy": -1500.0}, "cy = -1500, an image of height 480 reaches 75 degrees"),
     ],
 )
@@ -808,8 +813,11 @@ def test_intrinsics_that_no_camera_has_are_doubted(change, words):
         replace(Camera(**values), **change)
     assert [warning.filename for warning in warned] == [__file__]
     # Wide lenses, narrow ones, and crops beside the principal point are no reason.
-    for other in ({"fx": 90.0}, {"fx": 1e6}, {"cx": -1000.0}, {"cy": 1900.0}):
+    for other in ({"fx": 90.0}, {"fx": 1e6}, {"cx": -0.5}, {"cy": 479.5}):
         Camera(**values | other)
+    part = Camera(**values).cropped(600, 0, 20, 100)
+    assert (part.cx, part.cy) == (-280.5, 239.5)
+    assert part.with_noise(noise.kinect_v1()).resized(40, 200).cx < 0.0
 
 
 def test_copies_of_a_camera_that_is_doubted_are_doubted_no_more(tmp_path):

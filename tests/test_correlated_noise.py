@@ -134,7 +134,7 @@ def test_simulated_correlated_noise(tile, rng):
     np.testing.assert_allclose(slopes.mean(axis=0), variances.mean(axis=0), rtol=0.1)
     assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.012)
     assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.03)
-    naive = monte_carlo.fit(replace(camera, noise=rp.noise.kinect_v1()), frames)
+    naive = monte_carlo.fit(camera.with_noise(rp.noise.kinect_v1()), frames)
     assert np.mean(monte_carlo.normalised_error(naive, alpha)) > 20.0
 
 

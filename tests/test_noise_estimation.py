@@ -238,11 +238,11 @@ def test_frames_without_anything_flat(rng):
     noise = rng.random((2, *CAMERA.shape)) + 0.5
     depth = ndimage.gaussian_filter(noise, (0, 12, 12)) * 20.0 - 17.0
     with pytest.raises(ValueError, match=r"at least 16 flat windows of 24 x 24 pixels, found \d+ in 2 frames$"):
-        rp.estimate_noise(depth[:, :64, :64], replace(CAMERA, width=64, height=64))
+        rp.estimate_noise(depth[:, :64, :64], CAMERA.cropped(0, 0, 64, 64))
     with pytest.raises(ValueError, match="at least one frame, got none"):
         rp.estimate_noise([], CAMERA)
     with pytest.raises(ValueError, match="at least 24 x 24 pixels, got 22 x 20"):
-        rp.estimate_noise([np.ones((20, 22))], replace(CAMERA, width=22, height=20))
+        rp.estimate_noise([np.ones((20, 22))], CAMERA.cropped(0, 0, 22, 20))
     with pytest.raises(ValueError, match=r"^frame 1: expected a depth frame of shape"):
         rp.estimate_noise([depth[0], depth[0][1:]], CAMERA)
     with pytest.raises(TypeError, match=r"^frame 1: expected a plain array"):

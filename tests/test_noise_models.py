@@ -144,6 +144,7 @@ def test_rounding_alone_is_a_noise():
         np.testing.assert_allclose(rp.noise.NoiseModel((0.0,), **step).sigma(1.0), 1e-3 / np.sqrt(12.0))
 
 
+@pytest.mark.filterwarnings("ignore:c[xy] =:UserWarning")  # of a part of an image
 def test_quantisation_is_part_of_the_covariance(rng):
     """Integer millimetres at 0.4 m, where rounding is most of the noise.
 

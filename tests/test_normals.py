@@ -280,7 +280,7 @@ def test_the_frame_is_left_as_it_was(rng):
 
 def test_surface_variation_is_the_share_of_the_smallest_eigenvalue(rng):
     """To first order, so on a window that is small for its distance."""
-    camera = rp.Camera(40, 40, 525.0, 525.0, 20.0, 200.0)
+    camera = rp.Camera(40, 240, 525.0, 525.0, 20.0, 200.0).cropped(0, 0, 40, 40)
     depth = 1.0 / (0.5 + 0.2 * camera.tan_x - 0.4 * camera.tan_y + 2e-4 * rng.standard_normal(camera.shape))
     window = 9
     variation = rp.curvature(depth, camera, window)

@@ -93,7 +93,7 @@ def test_segments_show_themselves_as_large_as_tiles(tiles):
 
 @pytest.mark.parametrize(("width", "height"), [(448, 336), (348, 261), (736, 552), (321, 50)])
 def test_frames_of_any_size_show_themselves(width, height):
-    camera = rp.Camera(width=width, height=height, fx=400.0, fy=400.0, cx=200.0, cy=150.0, depth_scale=1000.0)
+    camera = rp.Camera(width, height, 400.0, 400.0, 0.5 * width, 0.5 * height, depth_scale=1000.0)
     depth = np.full(camera.shape, 2000, np.uint16)
     picture = picture_of(rp.segment(depth, camera)._repr_html_())
     assert abs(picture.shape[0] * width / height - picture.shape[1]) <= width / height

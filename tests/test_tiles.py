@@ -402,7 +402,7 @@ def test_real_frame_equals_oracle(real_frame, method):
 @pytest.mark.parametrize("implementation", ["naive", "integral"])
 def test_small_tiles_of_large_frames_have_their_implicit_plane(implementation, rng):
     """Of sums about the optical axis rounding left so little that one tile of 3 x 3 in fifteen had none."""
-    camera = rp.Camera(width=480, height=270, fx=1400.0, fy=1400.0, cx=959.5, cy=539.5)
+    camera = rp.Camera(1920, 1080, 1400.0, 1400.0, 959.5, 539.5).cropped(0, 0, 480, 270)
     depth = 1.0 / (1.0 / 3.0 + 1.425e-3 * rng.standard_normal(camera.shape))
     expected = rp.fit_tiles(depth, camera, 3, "range_implicit")
     found = rp.fit_tiles(depth, camera, 3, "range_implicit", implementation=implementation)

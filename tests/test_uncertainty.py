@@ -40,7 +40,7 @@ def interval(values, variance, expected):
 @pytest.mark.parametrize(("depth", "incidence", "tile", "holes"), CASES)
 def test_simulated_errors_are_those_predicted(depth, incidence, tile, holes, rng):
     runs = 4000
-    camera = monte_carlo.tile_camera(tile, rp.noise.kinect_v1(), left=100.0, top=60.0)
+    camera = monte_carlo.tile_camera(tile, rp.noise.kinect_v1(), left=100, top=60)
     alpha = monte_carlo.plane_through_middle(camera, depth, incidence)
     stack = monte_carlo.fit(camera, monte_carlo.measure(camera, alpha, runs, rng, holes=holes))
     error = stack.alpha.reshape(-1, 3) - alpha
@@ -70,7 +70,7 @@ def test_simulated_errors_are_those_predicted(depth, incidence, tile, holes, rng
 @pytest.mark.parametrize("method", METHODS)
 def test_other_methods_are_held_to_the_same_bound(method, rng):
     """Their covariance is that of range_explicit to first order; only range_explicit reaches it."""
-    camera = monte_carlo.tile_camera(20, rp.noise.kinect_v1(), left=100.0)
+    camera = monte_carlo.tile_camera(20, rp.noise.kinect_v1(), left=100)
     alpha = monte_carlo.plane_through_middle(camera, 2.0, 40.0)
     frames = monte_carlo.measure(camera, alpha, 1500, rng)
     stack = monte_carlo.fit(camera, frames, method)
@@ -86,7 +86,7 @@ def test_other_methods_are_held_to_the_same_bound(method, rng):
 
 def test_plane_covariance_is_that_of_alpha_carried_over(rng):
     """J Σ Jᵀ with the derivatives of n = -α/|α| and d = 1/|α|, taken numerically."""
-    camera = monte_carlo.tile_camera(12, rp.noise.kinect_v1(), left=300.0)
+    camera = monte_carlo.tile_camera(12, rp.noise.kinect_v1(), left=300)
     alpha = monte_carlo.plane_through_middle(camera, 1.5, 50.0)
     stack = monte_carlo.fit(camera, monte_carlo.measure(camera, alpha, 5, rng))
     for i in range(5):
@@ -161,7 +161,7 @@ def test_noise_that_differs_from_place_to_place(rng):
     assert stats.kstest(stack.p_value.ravel(), "uniform").pvalue > 1e-3
     assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.006)
     assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)
-    even = monte_carlo.fit(replace(camera, noise=replace(model, spread=0.0)), frames)
+    even = monte_carlo.fit(camera.with_noise(replace(model, spread=0.0)), frames)
     assert np.mean(even.p_value < 0.01) > 0.1
 
 
@@ -180,7 +180,7 @@ def test_lateral_error_is_in_p_values_and_covariances(noise, rng):
     assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)
     assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.006)
     assert stats.kstest(stack.p_value.ravel(), "uniform").pvalue > 1e-4
-    without = monte_carlo.fit(replace(camera, noise=noise), frames)
+    without = monte_carlo.fit(camera.with_noise(noise), frames)
     assert np.mean(without.p_value < 0.01) > 0.2
 
 
