@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
+from rgbd_planes.checks import collected_warnings
 from rgbd_planes.merging import merge
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import like_rectangles
@@ -59,7 +60,8 @@ def large_planes(frames: Sequence[Any], camera: Camera, num_threads: int | None 
     # With no bias assumed, the most bent planes would be rejected and their bias missed.
     wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
     fitter = TileFitter(camera.with_noise(wavy), TILE, significance=1e-3, num_threads=num_threads)
-    return [_of_frame(fitter.fit(depth), noise) for depth in frames]
+    with collected_warnings([]):  # nobody has given this noise, and of the frames others have warned
+        return [_of_frame(fitter.fit(depth), noise) for depth in frames]
 
 
 def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]:
