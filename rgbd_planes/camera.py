@@ -192,11 +192,6 @@ class Camera:
         with collected_warnings([]):
             return replace(self, **changes)
 
-    def _with(self, **changes: Any) -> Self:
-        """A copy with changes; of doubtful intrinsics whoever stated them has been warned."""
-        with collected_warnings([]):
-            return replace(self, **changes)
-
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of a frame."""
