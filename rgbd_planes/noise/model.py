@@ -297,10 +297,10 @@ def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None, result: str = _NO
     """Warn of noise that most likely is in other units, which planes do not show; return whether the frame tells."""
     if noise is None:
         return False
-    q = frame._replace(raw=some_of(frame.raw)).inverse_depth
-    q = q[np.isfinite(q)]
+    q = frame._replace(raw=some_of(frame.raw)[:, ::8]).inverse_depth  # a hundred tell the middle well enough
+    q = np.sort(q[q > 0.0])
     if not len(q):
         return False
-    middle = float(np.median(q))
+    middle = float(q[len(q) // 2])
     warn_of_large_noise(float(noise.sigma(middle)), middle, result)
     return True
