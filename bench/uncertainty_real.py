@@ -187,7 +187,7 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
         if folder is not None and (not rows or rows[-1]["data"] != data.name):
             noise.evidence.plot().savefig(folder / f"noise_{data.name}.png", dpi=70)
         for size in SIZES:
-            row: dict[str, Any] = {"data": data.name, "size": size, "falloff": noise.falloff}
+            row: dict[str, Any] = {"data": data.name, "size": size, "falloff": noise.falloff, "lateral": noise.lateral}
             for name, of in (("", noise), ("own_", own)):
                 result = real_result(data, of, size)
                 ratio = result.predicted / result.observed if result.angles >= FEWEST_ANGLES else np.nan
@@ -293,7 +293,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def ring_table(rows: list[dict[str, Any]]) -> list[str]:
-    """The falloffs of the sets' noise, and tiles of the smallest size by ring of the image, as lines of Markdown."""
+    """The lateral errors and falloffs of the sets' noise, and tiles of the smallest size by ring of the image."""
 
     def cell(data: str, text: Callable[[dict[str, Any]], str]) -> str:
         return ", ".join(text(row) for row in rows if (row["data"], row["size"]) == (data, SIZES[0]))
@@ -301,17 +301,18 @@ def ring_table(rows: list[dict[str, Any]]) -> list[str]:
     def of_ring(i: int, entry: int, form: str) -> Callable[[dict[str, Any]], str]:
         return lambda row: form.format(row["rings"][i][entry])
 
-    falloffs = {data: cell(data, lambda row: f"{row['falloff']:.2f}") for data in SETS}
-    kept = [
-        f"{SETS[row['data']]} ({falloffs[row['data']]})" for row in rows if row["falloff"] and row["size"] == SIZES[0]
-    ]
+    def with_some(name: str) -> str:
+        found = [row["data"] for row in rows if row[name] and row["size"] == SIZES[0]]
+        each = (f"{SETS[data]} ({cell(data, lambda row: f'{row[name]:.2f}')})" for data in dict.fromkeys(found))
+        return "; ".join(each)
+
     forms = {"residual": (0, "{:.2f}"), "rejected": (1, "{:.1%}")}
     kinds = [(name, kind, i) for name in forms for i, kind in enumerate(RINGS)]
     lines = [
-        f"The noise grows away from the optical axis, with these falloffs: {'; '.join(dict.fromkeys(kept))}. In the "
-        "others there is none. Of the third of the tiles of 8 pixels that is nearest to the middle of the image, of "
-        "the next and of the outermost third, the root mean square residual over the model's and the share that is "
-        "rejected:",
+        f"The lateral errors, in pixels, are {with_some('lateral')}. The noise grows away from the optical axis, with "
+        f"these falloffs: {with_some('falloff')}. In the others there is none. Of the third of the tiles of 8 pixels "
+        "that is nearest to the middle of the image, of the next and of the outermost third, the root mean square "
+        "residual over the model's and the share that is rejected:",
         "",
         "| frames | " + " | ".join(f"{name}, {kind}" for name, kind, _ in kinds) + " |",
         "|---" + "|---:" * len(kinds) + "|",
