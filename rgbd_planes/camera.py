@@ -530,7 +530,8 @@ class Camera:
         The principal point follows ROS's own image_geometry: (cx - x_offset) / binning_x. For a camera that
         averages blocks of pixels the exact value would be (binning_x - 1) / (2 binning_x) less.
         """
-        return cls(**camera_formats.from_ros(info, rectified), **depth)
+        whole, part = camera_formats.from_ros(info, rectified)
+        return cls(**whole, **depth)._with(**part)
 
     @classmethod
     def from_open3d(cls, source: Any, **depth: Unpack[OfDepth]) -> Self:

@@ -87,8 +87,8 @@ def whose(keys: list[str]) -> str:
     return ""
 
 
-def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
-    """Arguments of `Camera`; see `Camera.from_ros`."""
+def from_ros(info: Any, rectified: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arguments of `Camera` for the whole image, and those of the part that is sent; see `Camera.from_ros`."""
     if info is None:  # as before the first message
         raise TypeError("expected a CameraInfo, got None")
     if isinstance(info, Mapping) and "image_width" in info:
@@ -102,6 +102,7 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
         raise ValueError(f"expected a camera that is calibrated: ROS writes {name} = 0 for one that is not")
     pinhole = _pinhole(_matrix(name, matrix.reshape(3, columns)[:, :3]))
 
+    whole = {"width": width, "height": height, **pinhole, **({} if rectified else _ros_distortion(info))}
     x_offset = y_offset = 0
     roi = _get(info, "roi", default=None)
     if roi is not None:
@@ -109,15 +110,15 @@ def from_ros(info: Any, rectified: bool) -> dict[str, Any]:
         y_offset, height = _region(roi, "y_offset", "height", height)
     binning_x = _whole(info, "binning_x", default=0) or 1
     binning_y = _whole(info, "binning_y", default=0) or 1
-    return {
+    part = {
         "width": width // binning_x,
         "height": height // binning_y,
         "fx": pinhole["fx"] / binning_x,
         "fy": pinhole["fy"] / binning_y,
         "cx": (pinhole["cx"] - x_offset) / binning_x,
         "cy": (pinhole["cy"] - y_offset) / binning_y,
-        **({} if rectified else _ros_distortion(info)),
     }
+    return whole, part
 
 
 def _region(roi: Any, first: str, size: str, whole: int) -> tuple[int, int]:

@@ -499,6 +499,8 @@ def test_from_ros_region_and_binning(form):
     np.testing.assert_allclose(binned.tan_y, region.tan_y[::3, ::2], atol=1e-10)
     rectified = Camera.from_ros(form(camera_info(roi=roi, binning_x=2)), rectified=True)
     assert rectified == Camera(200, 300, 250.0, 510.0, 105.0, 170.0)
+    beside = form(camera_info(roi={"x_offset": 400, "y_offset": 0, "width": 200, "height": 90}))
+    assert Camera.from_ros(beside).cx < -1.0  # which is nothing to doubt
 
 
 @pytest.mark.parametrize(
