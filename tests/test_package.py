@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+from processes import printed_by
 from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
@@ -18,21 +19,12 @@ from rgbd_planes import compilation
 from rgbd_planes.kernels import _compiling
 
 
-def run(code, **environment):
-    """Run code in a fresh interpreter and return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | environment, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_import_is_light():
     code = (
         "import sys, rgbd_planes as rp; rp.fit_tiles; "
         "print([m for m in ('matplotlib', 'PIL', 'pandas', 'tqdm', 'shapely') if m in sys.modules])"
     )
-    assert run(code).strip() == "[]"
+    assert printed_by(code).strip() == "[]"
 
 
 def test_public_names_are_there():
@@ -76,7 +68,7 @@ def test_kernels_from_the_cache_leave_compilation_alone():
         "def norms(planes): return [np.linalg.norm(plane) for plane in planes.reshape(-1, 4)]\n"
         "print(norms(tiles.planes)[0] ** 2)\n"
     )
-    plane, norm = run(code).splitlines()
+    plane, norm = printed_by(code).splitlines()
     assert plane == "[0.0, 0.0, -1.0, 2.0] False"
     assert float(norm) == pytest.approx(5.0)
 
@@ -96,8 +88,8 @@ def test_cache_loads_whatever_numba_calls_its_own_way():
         "rp.fit_tiles(np.full((48, 64), 2.0, np.float32), rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5))\n"
         "print(sum(fit_range_tiles.stats.cache_hits.values()), sum(fit_range_tiles.stats.cache_misses.values()))\n"
     )
-    run(code)
-    assert run(code).strip() == "1 0"
+    printed_by(code)
+    assert printed_by(code).strip() == "1 0"
 
 
 def test_kernels_run_as_plain_python():
@@ -112,7 +104,7 @@ def test_kernels_run_as_plain_python():
         "print(tiles.status.tolist(), np.round(tiles.planes, 6).tolist(), np.round(tiles.p_value, 6).tolist())\n"
         "print(rp.normals(depth, camera).round(4).tolist(), rp.segment(depth, camera).labels.tolist())\n"
     )
-    assert run(code, NUMBA_DISABLE_JIT="1") == run(code)
+    assert printed_by(code, NUMBA_DISABLE_JIT="1") == printed_by(code)
 
 
 def wait_for(messages, caplog):
@@ -213,7 +205,7 @@ for scene in (scenes.room(), scenes.room((0.1, -1.5, 0.0)), scenes.plane((0.0, 0
     rp.segment((depth / 5000).astype(np.float32), distorted, noise=rp.noise.kinect_v1())
 print({k: v for k, v in compiled().items() if v != before[k]})
 """
-    assert run(code).strip() == "{}"
+    assert printed_by(code).strip() == "{}"
 
 
 @pytest.mark.parametrize("many", ["fit", "fit_batch", "fit_stream"])
@@ -239,7 +231,7 @@ def test_works_without_a_place_for_a_cache():
         "camera = rp.Camera(16, 16, 9.0, 9.0, 8.0, 8.0)\n"
         "print(rp.fit_tiles(np.full((16, 16), 2.0), camera).planes.round(9).tolist())"
     )
-    notice, planes = run(code).splitlines()
+    notice, planes = printed_by(code).splitlines()
     assert "again in each process: set NUMBA_CACHE_DIR to a folder" in notice
     assert planes.endswith("-1.0, 2.0]]]")
 
@@ -258,7 +250,7 @@ def test_a_forked_child_fits_with_threads():
         "print(os.waitpid(child, 0)[1])\n"
     )
     # Python warns that forking a process with threads may deadlock: that is what is tested.
-    assert run(code, PYTHONWARNINGS="ignore").strip() == "0"
+    assert printed_by(code, PYTHONWARNINGS="ignore").strip() == "0"
 
 
 def test_eight_threads_at_once(rng):

@@ -1,8 +1,6 @@
 """Segmentation: what a frame with known planes gives, and that no frame breaks it."""
 
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from processes import printed_by
 from segment_frames import CAMERA, inside, two_planes
 
 from bench.segmentation import empty_room
@@ -402,9 +401,7 @@ print(interrupts > 20, rp.segment(depth, camera).labels.tobytes() == wanted)
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
 def test_an_interrupt_at_any_time_is_one():
     """Numba does not expect one where it calls Python, to make an array or a tuple: the process would crash."""
-    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["True", "True"]
+    assert printed_by(INTERRUPTED, timeout=600.0).split() == ["True", "True"]
 
 
 def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):

@@ -12,6 +12,7 @@ import weakref
 
 import numpy as np
 import pytest
+from processes import printed_by
 from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
@@ -52,12 +53,7 @@ print(len(wrong), status)
 
 def test_eight_threads_at_once_then_a_fork():
     """In a process of its own, which is not this one's to fork."""
-    environment = os.environ | {"PYTHONWARNINGS": "ignore"}
-    done = subprocess.run(
-        [sys.executable, "-c", EIGHT_AT_ONCE], env=environment, capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["0", "0"]
+    assert printed_by(EIGHT_AT_ONCE, PYTHONWARNINGS="ignore").split() == ["0", "0"]
 
 
 FORK_WHILE_TABLES_ARE_MADE = """
@@ -94,11 +90,7 @@ print(status, one.tan_x is one.tan_x)
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_fork_while_a_thread_makes_the_tables_of_a_camera():
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FORK_WHILE_TABLES_ARE_MADE], capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["0", "True"]
+    assert printed_by(FORK_WHILE_TABLES_ARE_MADE, PYTHONWARNINGS="ignore").split() == ["0", "True"]
 
 
 STATISTICS_WHILE_A_THREAD_WORKS_THEM_OUT = """
@@ -139,14 +131,7 @@ print(status, first[0] is seen[0] is one.p_value)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_nobody_waits_for_the_statistics_of_another_thread():
     """Neither a forked child nor another thread."""
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", STATISTICS_WHILE_A_THREAD_WORKS_THEM_OUT],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["0", "True"]
+    assert printed_by(STATISTICS_WHILE_A_THREAD_WORKS_THEM_OUT, PYTHONWARNINGS="ignore").split() == ["0", "True"]
 
 
 THREADS_IN_THREADS = """
@@ -183,11 +168,7 @@ print([np.array_equal(fitter.fit_batch(Lazy()).planes, wanted) for fitter in (tw
 @pytest.mark.parametrize("lock", ["free", "locked"])
 def test_frames_that_threads_make_may_be_made_with_threads(inner, lock):
     """In a process of its own, since threads that wait for each other cannot be ended."""
-    done = subprocess.run(
-        [sys.executable, "-c", THREADS_IN_THREADS, inner, lock], capture_output=True, text=True, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "[True, True]"
+    assert printed_by(THREADS_IN_THREADS, inner, lock).strip() == "[True, True]"
 
 
 AFTER_THE_MAIN_THREAD = """

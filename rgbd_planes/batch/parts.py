@@ -20,7 +20,6 @@ from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
 from rgbd_planes.fit_statistics import check_level
 from rgbd_planes.fitting import METHODS
-from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence, reason_to_skip
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
@@ -204,9 +203,7 @@ def fit_part(
                 middle = time.perf_counter()
                 add(frame, i, rows)
                 if not asked:
-                    depth = as_depth_frame(frame.depth, frame.camera)
-                    warn_of_distances(depth, frame.camera)
-                    warn_of_noise(depth, frame.camera.noise)
+                    warn_of_distances(as_depth_frame(frame.depth, frame.camera), frame.camera)
             asked = True
         except Exception as error:  # whatever is wrong with one frame, the others are still wanted
             problems.append(Problem(first + i, entry.name, reason_to_skip(error, entry.name)))
