@@ -71,14 +71,15 @@ def test_walls_that_face_the_camera_are_not_rough(sigma, unit, rng):
     assert all(np.mean(which) <= (0.02 if name == "tile" else 0.04) for name, which in rejected.items())
 
 
+@pytest.mark.parametrize("noise", [None, 1e-3])  # what is given may be far more than the sensor has
 @pytest.mark.parametrize("sigma", [0.1, 0.2, 0.7])
-def test_offsets_of_segments_that_face_the_camera(sigma, rng):
+def test_offsets_of_segments_that_face_the_camera(sigma, noise, rng):
     """Without a noise model they were up to eight deviations off."""
     camera = replace(CAMERA, disparity=None, depth_scale=1000.0, invalid_values=())
     errors = []
     for depth in 1.0 + np.arange(20) / 20e3:
         raw = np.rint(1000.0 * depth + sigma * rng.standard_normal(camera.shape)).astype(np.uint16)
-        found = rp.segment(raw, camera)
+        found = rp.segment(raw, camera, noise=noise)
         errors.append((found.planes[0, 3] - depth) / found.offset_std[0])
     assert np.sqrt(np.mean(np.square(errors))) < 1.2
 
@@ -127,17 +128,17 @@ def test_segments_of_walls_say_so_too(rng):
 @pytest.mark.parametrize("find", ["tile", "label", "segment"])
 def test_of_a_wall_tilted_about_one_axis_each_slope_errs_as_it_says(find, upright, rng):
     """Along one side of the image it spans many steps, along the other hardly one: their variances differ."""
-    camera = rp.Camera(96, 96, 525.0, 525.0, 47.5, 47.5, disparity=(STEP, 0.0), invalid_values=(0,))
+    camera = rp.Camera(144, 64, 525.0, 525.0, 71.5, 31.5, disparity=(STEP, 0.0), invalid_values=(0,))
     noise = rp.noise.quantised(rp.noise.NoiseModel((0.05 * STEP,)), camera)
     errors = []
     for _ in range(100):
         many, few = rng.uniform(3.0, 8.0), rng.uniform(-1.0, 1.0)
-        slopes = np.array([few, many] if upright else [many, few]) * STEP * camera.fx / camera.width
+        slopes = np.array([few, many] if upright else [many, few]) * STEP * 525.0 / [camera.width, camera.height]
         alpha = np.append(slopes, rng.uniform(0.4, 0.8))
         q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
         raw = np.rint(q / STEP + 0.05 * rng.standard_normal(q.shape)).astype(np.uint16)
         if find == "tile":
-            fits = rp.fit_tiles(raw, replace(camera, noise=noise), 96)
+            fits = rp.fit_tiles(raw, replace(camera, noise=noise), camera.shape)
         elif find == "label":
             fits = rp.fit_labels(raw, replace(camera, noise=noise), np.ones(raw.shape, int))
         else:
