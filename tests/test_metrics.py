@@ -63,6 +63,10 @@ def test_hoover_chooses_the_better_of_two_readings() -> None:
     spilt, whole = row((1, 60), (0, 30), (2, 18)), row((1, 100), (0, 8))
     assert counts(spilt, whole, 0.55) == (1, 0, 0, 0, 1)
     assert counts(whole, spilt, 0.55) == (1, 0, 0, 1, 0)
+    # 60 of 100 pixels in one part (mean share 0.8), 70 in two that are all inside (mean share 0.85).
+    cut, whole = row((1, 60), (2, 10), (0, 30)), row((1, 100))
+    assert counts(cut, whole, 0.55) == (0, 1, 0, 0, 0)
+    assert counts(whole, cut, 0.55) == (0, 0, 1, 0, 0)
 
 
 def test_hoover_parts_must_make_up_the_whole() -> None:
@@ -98,6 +102,10 @@ def test_detection_below_one_half_matches_as_many_as_it_can() -> None:
     predicted = row((1, 4), (2, 3), (1, 3), (0, 1), (2, 3))
     scores = compare_labels(predicted, truth).detection(0.25)
     assert scores.pairs.tolist() == [[1, 2], [2, 1]]
+    # 1 overlaps 1 by more (10 of 18) than 1 and 2, and 2 and 1, do together (4 of 16 each).
+    truth = row((1, 10), (1, 4), (0, 2), (2, 4), (2, 2))
+    predicted = row((1, 10), (2, 4), (2, 2), (1, 4), (0, 2))
+    assert compare_labels(predicted, truth).detection(0.25).pairs.tolist() == [[1, 2], [2, 1]]
     # Two halves each have exactly one half of a region, which is matched once.
     halves = compare_labels(row((1, 5), (2, 5)), row((1, 10))).detection(0.5)
     assert len(halves.pairs) == 1
