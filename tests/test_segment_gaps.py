@@ -160,6 +160,18 @@ def test_a_large_thing_leaves_two_planes():
     assert len(found) == 3
 
 
+@pytest.mark.parametrize(("rows", "parts"), [(30, 2), (90, 1)])
+def test_a_waist_is_thin_where_it_is_longer_than_wide(rows, parts):
+    # It is 60 pixels wide there, and far wider in all other rows.
+    rng = np.random.default_rng(16)
+    q = np.full(CAMERA.shape, 0.5)
+    q[:, 30:290] = 0.9
+    waist = q[100 : 100 + rows]
+    waist[:, :130] = waist[:, 190:] = 0.5
+    labels = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA).labels
+    assert len({labels[105, 50], labels[105, 250]}) == parts
+
+
 @pytest.mark.parametrize("side", [12, 16, 20, 24])
 def test_planes_within_small_masks_are_found(side, rng):
     # Hardly a square of 8 pixels is measured.
