@@ -9,7 +9,7 @@ from segment_frames import CAMERA
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.kernels.segments.gaps import find_coplanar, label_boxes
-from rgbd_planes.kernels.segments.merge import neighbours
+from rgbd_planes.kernels.segments.merge import contract, neighbours
 from rgbd_planes.kernels.segments.records import Runs
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
@@ -234,6 +234,22 @@ def test_regions_touch_at_sides_and_corners_and_over_a_gap_of_one_block(regions,
     pairs = work.contacts.pairs[:count, :2]
     assert [(a, b) for a, b in pairs] == list(expected)
     assert work.contacts.where[:count] == pytest.approx(np.array(list(expected.values())))
+
+
+@pytest.mark.parametrize("regions", [40, 4000])
+def test_regions_that_were_joined_touch_where_their_parts_did(regions, rng):
+    rays, work, again = rays_of(CAMERA), Workspace(CAMERA), Workspace(CAMERA)
+    region = rng.integers(-1, regions, work.blocks).astype(np.int32)
+    parent = np.minimum(rng.integers(0, regions, regions), np.arange(regions))
+    for i in range(regions):  # each the root of its own, or one that comes before it
+        parent[i] = parent[parent[i]]
+    count = contract(work.contacts, neighbours(region, rays, work.contacts), parent, np.ones(regions, np.bool_))
+    joined = np.where(region >= 0, parent[region], -1).astype(np.int32)
+    expected = neighbours(joined, rays, again.contacts)
+    assert count == expected
+    order, order_again = (np.lexsort(w.contacts.pairs[:count, :2].T) for w in (work, again))
+    np.testing.assert_array_equal(work.contacts.pairs[order, :2], again.contacts.pairs[order_again, :2])
+    assert work.contacts.where[order] == pytest.approx(again.contacts.where[order_again])
 
 
 @pytest.mark.parametrize("upright", [False, True])
