@@ -95,6 +95,23 @@ def test_what_is_in_sight_goes_before_what_was_covered() -> None:
     assert [tracked.ids.tolist() for tracked in again] == [[1, 2, 3], [1, 2]]  # both in sight: the larger one
 
 
+@pytest.mark.parametrize(("left", "ids"), [(90, [1, 2]), (20, [1, 3])])
+def test_a_board_is_not_remembered_where_it_has_left_the_wall_free(left: int, ids: list[int]) -> None:
+    """It moves to the right, and is gone for a frame: one that is then where it was at first is another."""
+
+    def frame(*boards: int) -> np.ndarray:
+        depth = np.full(CAMERA.shape, 2.0)
+        for board in boards:
+            depth[30:70, board : board + 30] = 1.5
+        return depth
+
+    frames = [*map(frame, range(20, 100, 10)), frame(), frame(left)]
+    *moving, gone, last = (tracked.ids.tolist() for tracked in segment_sequence(frames, CAMERA))
+    assert moving == [[1, 2]] * 8
+    assert gone == [1]
+    assert last == ids
+
+
 def test_noise_and_the_least_size_are_those_of_each_frame() -> None:
     q = np.full(CAMERA.shape, 0.5)
     q[30:70, 40:90] += 0.02
