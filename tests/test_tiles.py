@@ -261,6 +261,11 @@ def test_degenerate_has_a_reason(method):
     edge_on = rp.fit_tiles(row, camera, 16, method, max_missing=1.0)
     assert edge_on.status.item() == rp.TileStatus.DEGENERATE
     assert np.isnan(edge_on.planes).all()
+    slanted = 1.0 / (0.5 + 0.1 * camera.tan_x + 0.2 * camera.tan_y)
+    y, x = np.indices(slanted.shape)
+    for line in (y == 5, x == 3, x == y, x + y == 15, x == 2 * y):
+        on_line = rp.fit_tiles(np.where(line, slanted, 0.0), camera, 16, method, max_missing=1.0)
+        assert on_line.status.item() == rp.TileStatus.DEGENERATE
     two = np.zeros((16, 16))
     two[3, 3] = two[9, 5] = 1.0
     assert rp.fit_tiles(two, camera, 16, method, max_missing=1.0).status.item() == rp.TileStatus.TOO_FEW
