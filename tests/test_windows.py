@@ -98,7 +98,7 @@ def test_merging_ragged_tiles_of_one_column_makes_no_plane(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("far", [1e8, 1e10, 3e38])
+@pytest.mark.parametrize("far", [1e6, 1e8, 1e10, 3e38])
 def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
     depth = rp.scenes.room().render(camera).depth
@@ -107,6 +107,8 @@ def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     fits, expected = (rp.fit_windows(depth, camera, windows, method, implementation=i) for i in ("integral", "naive"))
     both = fits.fitted & expected.fitted
     assert oracle.angle(fits.planes[both, :3], expected.planes[both, :3]).max(initial=0.0) < 1.0
+    off = np.abs(fits.rmse_metric - expected.rmse_metric)[both]
+    assert off.max(initial=0.0) < 1e-3 * np.median(depth)
     assert not np.isnan(fits.planes[fits.fitted]).any()
     unions = np.arange(len(windows)) // 4 + 1
     union, wanted = rp.merge(fits, unions), rp.merge(expected, unions)
