@@ -215,13 +215,15 @@ def test_a_plane_has_its_normal_everywhere_towards_the_camera(distortion):
     assert ((normals * rays).sum(axis=-1) < 0).all()
 
 
-def test_unit_length_and_towards_the_camera_on_rough_data(rng):
-    camera = make_camera()
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_unit_length_and_towards_the_camera_on_rough_data(distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion])
     depth = rng.uniform(0.2, 9.0, camera.shape)
     depth[rng.random(depth.shape) < 0.5] = 0
     normals = rp.normals(depth, camera, 3, max_missing=1.0)
     there = np.isfinite(normals[..., 0])
     assert 0.3 < there.mean() < 0.6
+    np.testing.assert_array_equal(np.isfinite(rp.curvature(depth, camera, 3, max_missing=1.0)), there)
     np.testing.assert_allclose(np.linalg.norm(normals[there], axis=-1), 1.0, atol=2e-7)
     rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
     assert ((normals * rays).sum(axis=-1)[there] < 0).all()
