@@ -362,6 +362,16 @@ def test_real_frames(real_frame):
     assert (found.labels > 0).sum() > 0.5 * (found.reason != Reason.MISSING).sum()
 
 
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_strip_of_four_pixels_is_no_plane(upright, rng):
+    q = np.full(CAMERA.shape, 0.5)
+    strip = np.s_[40:200, 100:104] if upright else np.s_[100:104, 40:200]
+    q[strip] = 0.8
+    found = segment(1.0 / (q + rng.normal(0.0, 1e-3, q.shape)), CAMERA)
+    assert len(found) == 1
+    assert np.mean(found.reason[strip] == Reason.NARROW) > 0.95
+
+
 def test_a_column_of_pixels_is_no_plane():
     # Missing pixels lie between it and the wall, too many to be holes.
     camera = Camera(32, 64, 30.0, 30.0, 15.5, 31.5)
