@@ -5,6 +5,7 @@ import os
 
 import numba
 import pytest
+from numba import config
 from numba.core import event
 from processes import printed_by
 
@@ -22,6 +23,12 @@ class Witness(event.Listener):
 
     def on_end(self, event):
         pass
+
+
+@pytest.fixture(autouse=True)
+def compiled_anew(tmp_path, monkeypatch):
+    """Not loaded from what an earlier run of these tests saved."""
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
 
 
 @pytest.fixture
