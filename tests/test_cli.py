@@ -451,7 +451,8 @@ def test_noise_in_other_units_in_a_batch(folder, capsys):
 
 
 def test_a_seed_that_is_none(tmp_path, capsys):
-    assert "seed must be at least 0, got -1" in fails(capsys, "demo", "--out", tmp_path, "--seed", "-1")
+    assert "seed must be at least 0, got -1" in fails(capsys, "demo", "--out", tmp_path / "new", "--seed", "-1")
+    assert not (tmp_path / "new").exists()
 
 
 def test_no_command_and_an_unknown_one(capsys):

@@ -33,6 +33,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         import numpy as np
 
         from rgbd_planes import Camera, TileFitter, fit_tiles, noise, scenes
+        from rgbd_planes.checks import check_whole
         from rgbd_planes.files import check_folder_name, check_writable
         from rgbd_planes.images import write_png
 
@@ -41,6 +42,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
             noise=noise.kinect_v1(),
         )  # fmt: skip
         check_folder_name(arguments.out, "the files")
+        check_whole("seed", arguments.seed, 0)
         fitter = TileFitter(camera, tile=arguments.tile, num_threads=1)
         arguments.out.mkdir(parents=True, exist_ok=True)
         picture, frame_file, camera_file = (
