@@ -138,15 +138,20 @@ def as_depth_frames(frames: NDArray[Any], camera: Camera) -> DepthFrame:
     return _read(array, camera)
 
 
+def check_unit(dtype: np.dtype[Any], camera: Camera) -> None:
+    """Refuse a frame of integers where the camera does not say what they are."""
+    if dtype.kind in "ui" and camera.depth_scale is None and camera.disparity is None:
+        raise ValueError(
+            "expected a camera with depth_scale (raw units per metre) or disparity (scale, offset) "
+            f"for a frame of {dtype}, got a camera with neither"
+        )
+
+
 def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     """`as_depth_frame` of a frame, or of several, (..., H, W)."""
     kind = array.dtype.kind
     if kind in "ui":
-        if camera.depth_scale is None and camera.disparity is None:
-            raise ValueError(
-                "expected a camera with depth_scale (raw units per metre) or disparity (scale, offset) "
-                f"for a frame of {array.dtype}, got a camera with neither"
-            )
+        check_unit(array.dtype, camera)
         dtype = np.dtype(np.uint16 if kind == "u" and array.dtype.itemsize <= 2 else np.float64)
     elif kind == "f":
         dtype = np.dtype(np.float32 if array.dtype.itemsize <= 4 else np.float64)

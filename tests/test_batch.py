@@ -232,6 +232,17 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
 
 
+def test_integers_without_a_unit_are_refused_before_a_table_is_begun(recording, tmp_path, capsys):
+    replace(CAMERA, depth_scale=None).save(recording / "camera.json")
+    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("rgbd-planes batch: depth/0.png: expected a camera with depth_scale")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    (recording / "depth" / "0.png").write_bytes(b"")  # a damaged one does not tell
+    assert len(rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out").problems) == 30
+
+
 def test_a_frame_that_may_not_be_read_is_said_in_words(recording, tmp_path):
     def read(path):
         raise PermissionError(13, "Permission denied", str(path))

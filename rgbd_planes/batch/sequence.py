@@ -28,9 +28,10 @@ from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part, in_wor
 from rgbd_planes.batch.rows import Columns
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_num_threads, warn_caller
+from rgbd_planes.depth import check_unit
 from rgbd_planes.extras import needs
-from rgbd_planes.files import alone_in, check_folder_name, write_beside
-from rgbd_planes.sequences.frames import FrameSequence, check_sequence
+from rgbd_planes.files import alone_in, check_folder_name, naming, write_beside
+from rgbd_planes.sequences.frames import FrameSequence, check_sequence, reason_to_skip
 from rgbd_planes.threads import num_cores
 from rgbd_planes.wording import counted
 
@@ -166,7 +167,8 @@ def fit_sequence(
         There is not enough memory to read or fit a frame.
     TypeError, ValueError
         `out` holds another table, or one that cannot be told from another, or something else, or is named like a file
-        of another format; or an argument cannot be used.
+        of another format; or the first frame has integers, and its camera neither `depth_scale` nor `disparity`; or an
+        argument cannot be used.
 
     Warns
     -----
@@ -188,6 +190,7 @@ def fit_sequence(
     columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
     folder = Path(out)
     check_folder_name(folder, "the table")
+    _check_unit(sequence)
     with _workers(scheduler, num_threads, settings) as workers, alone_in(folder):
         size = _open_table(folder, sequence, settings, workers.slots)
         tasks: list[Task] = [
@@ -216,6 +219,19 @@ def fit_sequence(
                 progress(Progress(frames, () if part is None else part.problems))
     report.problems.sort(key=lambda problem: problem.frame)
     return report
+
+
+def _check_unit(sequence: FrameSequence) -> None:
+    """Refuse, before a table is begun, a camera that does not say what integers are: no frame could be fitted."""
+    name, camera = sequence.names[0], sequence.camera
+    if camera.depth_scale is None and camera.disparity is None:
+        try:
+            dtype = np.asarray(sequence[0].depth).dtype
+        except Exception as error:
+            reason_to_skip(error, name)
+        else:
+            with naming(name):
+                check_unit(dtype, camera)
 
 
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
