@@ -117,6 +117,28 @@ def test_what_a_far_pixel_leaves_of_the_sums_is_no_plane(method, far):
     assert method.startswith("standard") or both.sum() > 0.8 * len(windows)
 
 
+@pytest.mark.parametrize(
+    ("method", "width", "side", "least", "most"),
+    [
+        ("standard_explicit", 3840, 4, 0.99, 1.0),
+        ("standard_pca", 3840, 8, 0.1, 0.3),
+        ("standard_explicit", 1920, 3, 0.4, 0.6),
+        ("standard_pca", 1920, 3, 0.1, 0.3),
+        ("standard_pca", 640, 3, 0.0, 0.0),
+        ("range_explicit", 3840, 3, 0.1, 0.4),
+    ],
+)
+def test_small_windows_of_large_frames_are_degenerate_as_documented(method, width, side, least, most, rng):
+    height, focal_length = 9 * width // 16, 525.0 * width / 640
+    camera = rp.Camera(width, height, focal_length, focal_length, (width - 1) / 2, (height - 1) / 2)
+    depth = rp.scenes.plane((0.0, 0.0, -1.0), 8.0).render(camera).measure(quantise=False)
+    if method.startswith("range"):
+        depth[: height // 2] = 0.1
+    corners = rng.integers((height // 2, 0), (height - side, width - side), (500, 2))
+    fits = rp.fit_windows(depth, camera, np.column_stack([corners, np.full((500, 2), side)]), method)
+    assert least <= np.mean(fits.status == rp.TileStatus.DEGENERATE) <= most
+
+
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit"])
 def test_tiles_that_lost_their_digits_do_not_spoil_unions_of_others(method):
     camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
