@@ -381,6 +381,21 @@ def test_steps_of_the_sensor_are_no_edges_either(window, noise):
 
 
 @pytest.mark.parametrize(
+    ("window", "missing", "share"), [(3, 0.0, 0.01), (3, 0.2, 0.06), (7, 0.0, 0.001), (7, 0.2, 0.005)]
+)
+def test_chance_makes_edges_of_few_pixels_as_documented(window, missing, share, rng):
+    """Of a wall: hardly of one where noise is the same everywhere."""
+    camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+    noise = np.where(np.arange(640) < 400, 3e-5, 1.5e-3)
+    for sigma, least, most in ((noise, 0.6 * share, 1.6 * share), (noise[-1], 0.0, 0.2 * share)):
+        depth = 1.0 / (0.5 + sigma * rng.standard_normal(camera.shape))
+        depth[rng.random(camera.shape) < missing] = np.nan
+        plain, clear = (rp.normals(depth, camera, window, avoid_edges=c)[:, 410:] for c in (False, True))
+        both = np.isfinite(plain[..., 0] + clear[..., 0])
+        assert least <= np.mean((plain != clear).any(axis=-1)[both]) <= most
+
+
+@pytest.mark.parametrize(
     ("window", "error", "message"),
     [
         (4, ValueError, "window must be odd, from 3 to 31 pixels, got 4"),
