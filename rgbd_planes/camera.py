@@ -266,7 +266,7 @@ class Camera:
         return _read_only(x), _read_only(y), without_ray
 
     def points(self, depth: ArrayLike) -> Floats:
-        """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z.
+        """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z (eq. RGBD_reconstruction-1-1).
 
         Parameters
         ----------
