@@ -3,7 +3,8 @@
 `rgbd_planes.segmentation_export` is for segments, `rgbd_planes.recording` for rerun.
 
 All in the camera's frame (x right, y down, z forward) and in metres, which is also ROS's optical frame and
-Open3D's.
+Open3D's. What is no `TilePlanes` raises a TypeError, the tiles of a batch a ValueError, and a path that cannot be
+written an OSError.
 """
 
 from __future__ import annotations
@@ -88,6 +89,13 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
         column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points; if the camera
         has a noise model, also p_value and the covariance of the plane (4 x 4). None for a residual that is not known,
         and for a polygon whose plane some ray of its corners does not meet.
+
+    Raises
+    ------
+    TypeError
+        They are no `TilePlanes`.
+    ValueError
+        They are those of a batch, or the camera's noise model is a function.
     """
     _check_one_frame(tiles)
     corners = _corners(tiles)
@@ -291,6 +299,11 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> di
     dict
         header and coefficients: for each polygon of `to_ros_polygons` its header and values [nx, ny, nz, d]. The fields
         of ROS 2; ROS 1's header has a ``seq``, too, and its time secs and nsecs.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The name is no str, or the stamp is no time that ROS can hold; and for tiles as all functions here.
     """
     _check_one_frame(tiles)
     return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)
@@ -327,6 +340,11 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: A
     -------
     dict
         Fields x, y, z of float32; NaN where the depth is missing.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `rgbd_planes.fit_tiles`, for a frame that is not this camera's, and for what is no name or no stamp.
     """
     check_camera(camera)
     points = camera.points(depth).astype("<f4")

@@ -114,7 +114,13 @@ class PlanePolygon:
         return np.asarray((shaped_array("points", points, (3,)) - self.origin) @ self.axes.T)
 
     def corners(self, geometry: Polygon | None = None) -> Floats:
-        """(K, 3) float64: corners in the camera's frame of a polygon in the plane, by default `rectangle`."""
+        """(K, 3) float64: corners in the camera's frame of a polygon in the plane, by default `rectangle`.
+
+        Raises
+        ------
+        TypeError
+            It is no shapely Polygon.
+        """
         import shapely
 
         chosen = self.rectangle if geometry is None else geometry

@@ -108,6 +108,11 @@ class Scene:
         -------
         Rendering
             Its labels count the surfaces that at least one pixel sees, in the order of the scene.
+
+        Raises
+        ------
+        TypeError
+            It is no `Camera`.
         """
         check_camera(camera)
         rays = np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1).reshape(-1, 3)
@@ -237,7 +242,7 @@ class Rendering:
     def tile_labels(self, tile: int | tuple[int, int]) -> NDArray[np.int32]:
         """(R, C) int32: the plane that all pixels of each tile of a grid see, 0 where they do not.
 
-        ``tile`` is that of `fit_tiles`.
+        ``tile`` is that of `fit_tiles`, and raises the same errors.
         """
         return common_labels(self.labels, self.labels, tile)
 

@@ -1,6 +1,7 @@
 """Segmented planes for other tools: JSON, label images, PLY, Open3D, ROS. `rgbd_planes.recording` is for rerun.
 
-All in the camera's frame (x right, y down, z forward) and in metres.
+All in the camera's frame (x right, y down, z forward) and in metres. What is no `Segmentation`, or no `PlanePolygon`,
+raises a TypeError, and a path that cannot be written an OSError.
 """
 
 from __future__ import annotations
@@ -43,6 +44,13 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
     dict
         camera (`Camera.to_dict`), sigma, and planes, by label: for each its label, plane [nx, ny, nz, d], covariance of
         these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres, None for a plane without pixels.
+
+    Raises
+    ------
+    TypeError
+        It is no `Segmentation`, or the polygons are no `PlanePolygon`.
+    ValueError
+        The camera's noise model is a function, or the polygons are not those of this segmentation.
     """
     _check(segmentation)
     outlines = None if polygons is None else _by_label(segmentation, polygons)
@@ -132,6 +140,13 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
     segmentation : Segmentation
     depth : (H, W) array_like
         The frame that was segmented.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is no `Segmentation`, or the frame is not its camera's.
+    OSError
+        It cannot be written there.
     """
     _check(segmentation)
     measured = segmentation.camera.points(depth).reshape(-1, 3)

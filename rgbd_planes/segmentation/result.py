@@ -171,7 +171,7 @@ class Segmentation(Savable):
     def tile_labels(self, tile: int | tuple[int, int]) -> NDArray[np.int32]:
         """(R, C) int32: the plane that all measured pixels of each tile of a grid lie on, 0 where they do not.
 
-        ``tile`` is that of `fit_tiles`.
+        ``tile`` is that of `fit_tiles`, and raises the same errors.
         """
         missing = self.reason == Reason.MISSING
         return common_labels(np.where(missing, len(self) + 1, self.labels), self.labels, tile)

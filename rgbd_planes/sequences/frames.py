@@ -116,7 +116,13 @@ class FrameSequence(Sequence[Frame]):
 
     @property
     def camera(self) -> Camera:
-        """The camera of the first frame; in most data sets that of all frames."""
+        """The camera of the first frame; in most data sets that of all frames.
+
+        Raises
+        ------
+        IndexError
+            There is no frame.
+        """
         if not self.entries:
             raise IndexError("expected at least one frame, got none: no camera is known")
         return self.entries[0].camera
