@@ -6,6 +6,8 @@
 - ``bench.first_call``, ``bench.batch_throughput``, ``bench.roofline``: where the time goes
 - ``bench.real_sensors``, ``bench.uncertainty``: how right planes and their uncertainties are
 - ``bench.segmentation``: how right, and how fast, the planes of scenes are
+- ``bench.tracking``: whether planes keep their ids
 - ``bench.chi_square``: fits the constants of a kernel
+- ``bench.pictures``: the pictures of the documentation
 - ``pytest bench``: times of single calls
 """

@@ -56,6 +56,8 @@ TABLES = 10
 FOLDS = 4
 PARTITIONS = 1000  # of the frames into folds
 
+SMALL = 200  # pixels
+
 CHANCE = 11.34  # a chi-square of three degrees of freedom is larger in one case of a hundred
 
 # One at a time around the default, for the cross-validation to choose from.
@@ -150,6 +152,17 @@ def report(title: str, rows: Sequence[Scores]) -> None:
         f"{sum(row.correct_80 for row in rows) / regions:6.1%}  "
         f"{sum(row.correct_90 for row in rows) / regions:6.1%}  {counts}  {others}"
     )
+
+
+def report_small(frames: Sequence[Frame]) -> None:
+    """Print how many of the small regions are found."""
+    regions, found = 0, 0
+    for frame in frames:
+        comparison = compare_labels(segment(frame.depth, frame.camera).labels, frame.truth)
+        small = comparison.truth_labels[comparison.truth_sizes < SMALL]
+        regions += len(small)
+        found += int(np.isin(small, comparison.hoover(0.8).correct_pairs[:, 0]).sum())
+    print(f"  correct at 80 % of less than {SMALL} pixels: {found} of {regions} regions")
 
 
 HEADER = f"{'':38s} frames regions  c 80%   c 90%  over  undr  miss  nois  F .5   F .75  PQ     cover  VI     IoU"
@@ -471,6 +484,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(HEADER)
     for name, frames in sets:
         report(name, [score(segment(frame.depth, frame.camera).labels, frame) for frame in frames])
+        if name == "ABW":
+            report_small(frames)
         if name == "ABW" and not options.no_cross_validation:
             report("ABW, cross-validated", cross_validate(frames))
         if name in MOVED:
