@@ -5,6 +5,7 @@
 - ``bench.user_tasks``, ``bench.peers``: beside OpenCV, Open3D and PCL
 - ``bench.first_call``, ``bench.batch_throughput``, ``bench.roofline``: where the time goes
 - ``bench.real_sensors``, ``bench.uncertainty``: how right planes and their uncertainties are
+- ``bench.limits``: where uncertainties are wrong, and by how much
 - ``bench.segmentation``: how right, and how fast, the planes of scenes are
 - ``bench.tracking``: whether planes keep their ids
 - ``bench.chi_square``: fits the constants of a kernel

@@ -11,6 +11,7 @@ import rgbd_planes as rp
 from bench import (
     batch_throughput,
     first_call,
+    limits,
     measured,
     methods,
     operations,
@@ -204,6 +205,19 @@ def test_few_angles_are_no_measurement(monkeypatch):
         monkeypatch.setattr(uncertainty_real, "real_result", lambda *given, made=result: made)
         for row in uncertainty_real.measure():
             assert (row["rejected"], row["angle"], row["own_angle"]) == (0.01, expected, expected)
+
+
+def test_limits_of_uncertainties_are_those_that_the_page_states():
+    masks = limits.masks()
+    for name, least, most in (("ring", 0.8, 2.0), ("chessboard", 0.8, 2.0), ("diagonal strip", 0.5, 12.0)):
+        assert limits.of_masks(masks[name]) == pytest.approx((least, most), rel=0.2)
+    assert limits.of_masks(masks["one pixel in twenty"])[1] == pytest.approx(8.0, rel=0.1)
+    assert limits.of_masks(masks["two tiles of 16 x 16, 320 pixels apart"])[0] == pytest.approx(0.1, rel=0.1)
+    assert limits.of_windows() == pytest.approx((0.6, 3.6), rel=0.1)
+    assert limits.of_standard_methods(1.5, 2.4) == pytest.approx((0.75, 1.3), rel=0.1)
+    assert limits.of_standard_methods(1.0, 9.0) == pytest.approx((1.0 / 16.0, 5.0), rel=0.1)
+    *_, tiles, _ = limits.report(400)
+    assert tiles.startswith("  tiles of 24 pixels, 60 % correlated over 2: ")
 
 
 def test_rings_show_what_the_model_lacks(rng):

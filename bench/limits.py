@@ -1,0 +1,174 @@
+"""Where uncertainties are wrong, and by how much: ``python -m bench.limits``.
+
+Covariances are compared with those that follow from the noise model without approximations, A⁻¹MᵀCMA⁻¹ with the
+covariance C of the pixels' errors: the least and the largest ratio of variances in any direction. p-values are those of
+simulated planes.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigvalsh
+
+import rgbd_planes as rp
+from tests import monte_carlo
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Noise = rp.noise.NoiseModel
+
+# Errors that neighbours share over one to eight pixels, and such as estimate_noise finds with two sensors.
+SHARED = (
+    *(Noise(correlation=((share, length),)) for share in (0.5, 0.9) for length in (1.0, 2.0, 4.0, 8.0)),
+    Noise(correlation=((0.46, 2.0), (0.27, 4.0)), floor=1.4, floor_length=48.0),
+    Noise(correlation=((0.11, 2.0), (0.15, 8.0)), floor=1.3, floor_length=32.0),
+)
+# Noise that depends on the depth.
+UNEVEN = (rp.noise.time_of_flight(0.005), rp.noise.time_of_flight(0.002, 0.001), rp.noise.kinect_v1_nguyen())
+STANDARD = ("standard_explicit", "standard_implicit", "standard_pca")
+TAILS = Noise(correlation=((0.6, 2.0),))
+
+
+def masks() -> dict[str, Mask]:
+    """Pixels that a rectangle of the same sides does not describe."""
+    y, x = np.mgrid[:36, :36]
+    apart = np.zeros((16, 320), bool)
+    apart[:, :16] = apart[:, -16:] = True
+    return {
+        "ring": abs(np.hypot(x - 17.5, y - 17.5) - 14.0) < 3.0,
+        "chessboard": (x // 6 + y // 6) % 2 == 0,
+        "diagonal strip": abs(x - y) < 5,
+        "one pixel in twenty": np.random.default_rng(1).random(x.shape) < 0.05,
+        "two tiles of 16 x 16, 320 pixels apart": apart,
+    }
+
+
+def of_masks(mask: Mask) -> tuple[float, float]:
+    """Least and largest ratio of a mask's variances, by any of the noises that neighbours share."""
+    found = []
+    for noise in SHARED:
+        camera = monte_carlo.tile_camera(mask.shape, noise)
+        alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+        fits = rp.fit_labels(1.0 / _inverse_depth(camera, alpha), camera, mask)
+        found.append(_ratios(camera, mask, alpha, fits))
+    return _range(found)
+
+
+def of_windows() -> tuple[float, float]:
+    """Of a window that sees a floor from 1.7 to 9 m, of which half is missing in one piece."""
+    found = []
+    for noise in UNEVEN:
+        camera = _camera(noise)
+        alpha = _floor(camera, 1.7, 9.0)
+        y, x = np.mgrid[:96, :128]
+        for mask in (x >= 64, y >= 48, y < 48, (y >= 68) | (x >= 90), 4 * y > 3 * x):
+            depth = np.where(mask, 1.0 / _inverse_depth(camera, alpha), np.nan)
+            found.append(
+                _ratios(camera, mask, alpha, rp.fit_windows(depth, camera, [(0, 0, 96, 128)], max_missing=1.0))
+            )
+    return _range(found)
+
+
+def of_standard_methods(nearest: float, farthest: float) -> tuple[float, float]:
+    """Of the standard methods, of a floor that spans these depths."""
+    found = []
+    for noise in UNEVEN:
+        camera = _camera(noise)
+        alpha = _floor(camera, nearest, farthest)
+        depth, mask = 1.0 / _inverse_depth(camera, alpha), np.ones(camera.shape, bool)
+        for method in STANDARD:
+            for fits in (
+                rp.fit_labels(depth, camera, mask, method),
+                rp.fit_windows(depth, camera, [(0, 0, 96, 128)], method),
+            ):
+                found.append(_ratios(camera, mask, alpha, fits))
+    return _range(found)
+
+
+def p_values(noise: Noise, mask: Mask, runs: int) -> Floats:
+    """(runs,) p-values of the pixels of a mask on a plane with that noise."""
+    rng = np.random.default_rng(1)
+    camera = monte_carlo.tile_camera(mask.shape, noise)
+    alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+    root = np.linalg.cholesky(_correlations(noise, mask) + 1e-9 * np.eye(int(mask.sum())))
+    found = []
+    for start in range(0, runs, 2000):
+        error = np.full((min(2000, runs - start), *mask.shape), np.nan)
+        error[:, mask] = rng.standard_normal((len(error), len(root))) @ root.T * noise.sigma(1.0)
+        frames = monte_carlo.measure(camera, alpha, len(error), rng, error=error)
+        found.append(monte_carlo.fit(camera, frames).p_value.ravel())
+    return np.concatenate(found)
+
+
+def _camera(noise: Noise) -> rp.Camera:
+    return rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5, noise=noise)
+
+
+def _floor(camera: rp.Camera, nearest: float, farthest: float) -> Floats:
+    """α of a plane that is so far at the lower and at the upper edge of the image."""
+    top, bottom = camera.tan_y_rows[[0, -1]]
+    slope = (1.0 / nearest - 1.0 / farthest) / (bottom - top)
+    return np.array([0.0, slope, 1.0 / farthest - slope * top])
+
+
+def _inverse_depth(camera: rp.Camera, alpha: Floats) -> Floats:
+    return np.asarray(alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+
+
+def _ratios(camera: rp.Camera, mask: Mask, alpha: Floats, fits: rp.LabelPlanes | rp.WindowPlanes) -> Floats:
+    """The ratios of the variances that a fit to the pixels of a mask, on the plane α, reports to the exact ones."""
+    noise = camera.noise
+    assert noise is not None
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[mask]
+    solve = np.linalg.inv(rays.T @ rays) @ rays.T * noise.sigma(rays @ alpha)
+    exact = solve @ (solve.T if noise.is_independent else _correlations(noise, mask) @ solve.T)
+    return np.asarray(eigvalsh(fits.alpha_covariance[0], exact))
+
+
+def _correlations(noise: Noise, mask: Mask) -> Floats:
+    """(N, N): covariance of the errors of the N pixels of a mask in units of their variance."""
+    places = np.argwhere(mask)
+    square = ((places[:, None] - places) ** 2).sum(axis=-1)
+    made = (1.0 - sum(share for share, _ in noise.correlation)) * np.eye(len(places))
+    for variance, length in (*noise.correlation, (noise.floor**2, noise.floor_length)):
+        made += variance * np.exp(-0.5 * square / length**2)
+    return np.asarray(made)
+
+
+def _range(found: Sequence[Floats]) -> tuple[float, float]:
+    return float(np.min(found)), float(np.max(found))
+
+
+def report(runs: int) -> Iterator[str]:
+    """The lines that are printed; ``runs`` planes are simulated for p-values."""
+
+    def line(name: str, limits: tuple[float, float]) -> str:
+        return f"  {name}: {limits[0]:.2f} to {limits[1]:.2g}"
+
+    yield "Variances that are reported, over the exact ones:"
+    for name, mask in masks().items():
+        yield line(name, of_masks(mask))
+    yield line("a window from 1.7 to 9 m, half of it missing in one piece", of_windows())
+    for depths in ((1.5, 2.4), (1.0, 9.0)):
+        yield line("the standard methods from {:g} to {:g} m".format(*depths), of_standard_methods(*depths))
+    yield "Shares of p-values below 0.01, and below 0.001:"
+    for side in (8, 16, 24):
+        p = p_values(TAILS, np.ones((side, side), bool), runs)
+        yield f"  tiles of {side} pixels, 60 % correlated over 2: {np.mean(p < 0.01):.1%}, {np.mean(p < 0.001):.2%}"
+    apart = list(masks().values())[-1]
+    shares = [np.mean(p_values(noise, apart, runs // 20) < 0.01) for noise in SHARED]
+    yield f"  two tiles of 16 x 16, 320 pixels apart: {min(shares):.1%} to {max(shares):.1%} below 0.01"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print everything."""
+    parser = argparse.ArgumentParser(prog="python -m bench.limits", description=__doc__)
+    parser.add_argument("--runs", type=int, default=100_000, help="simulated planes (100000)")
+    for line in report(parser.parse_args(arguments).runs):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
