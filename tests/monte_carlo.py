@@ -25,9 +25,9 @@ def repeat(camera: rp.Camera, times: int) -> rp.Camera:
 
     No lens does that: it lets one frame hold many measurements of the same pixels.
     """
-    size = times * camera.width, times * camera.height
+    width, height = times * camera.width, times * camera.height
     no_bend = (1e-300, 0.0, 0.0, 0.0)  # distorted, as far as the library knows, so that it uses the tables
-    many = rp.Camera(*size, 1.0, 1.0, 0.0, 0.0, no_bend, noise=camera.noise)
+    many = rp.Camera(width, height, width, height, 0.5 * width, 0.5 * height, no_bend, noise=camera.noise)
     tables = tuple(np.tile(table, (times, times)) for table in (camera.tan_x, camera.tan_y))
     many.__dict__["_tables"] = tables
     return many

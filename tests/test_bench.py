@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 
+import monte_carlo
 import numpy as np
 import pytest
 from scipy import stats
@@ -205,6 +206,13 @@ def test_few_angles_are_no_measurement(monkeypatch):
         monkeypatch.setattr(uncertainty_real, "real_result", lambda *given, made=result: made)
         for row in uncertainty_real.measure():
             assert (row["rejected"], row["angle"], row["own_angle"]) == (0.01, expected, expected)
+
+
+def test_many_measurements_in_one_frame_are_of_the_same_pixels():
+    one = monte_carlo.tile_camera(5, rp.noise.kinect_v1(), left=150, top=100)
+    many = monte_carlo.repeat(one, 3)
+    assert np.array_equal(many.tan_x, np.tile(one.tan_x, (3, 3)))
+    assert np.array_equal(many.tan_y, np.tile(one.tan_y, (3, 3)))
 
 
 def test_limits_of_uncertainties_are_those_that_the_page_states():
