@@ -7,6 +7,7 @@ simulated planes.
 
 import argparse
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +72,17 @@ def of_windows() -> tuple[float, float]:
     return _range(found)
 
 
+def of_fisheyes(focal_length: float) -> tuple[float, float]:
+    """Of a window over the whole image of a fisheye, whose focal length says how far it sees."""
+    found = []
+    for noise in (*UNEVEN, *(replace(rp.noise.kinect_v1(), falloff=falloff) for falloff in (1.0, 4.0))):
+        camera = replace(_camera(noise), fx=focal_length, fy=focal_length, distortion_model="fisheye")
+        alpha = np.array([0.05, 0.1, 0.6])
+        depth, mask = 1.0 / _inverse_depth(camera, alpha), np.ones(camera.shape, bool)
+        found.append(_ratios(camera, mask, alpha, rp.fit_windows(depth, camera, [(0, 0, 96, 128)])))
+    return _range(found)
+
+
 def of_standard_methods(nearest: float, farthest: float) -> tuple[float, float]:
     """Of the standard methods, of a floor that spans these depths."""
     found = []
@@ -122,7 +134,7 @@ def _ratios(camera: rp.Camera, mask: Mask, alpha: Floats, fits: rp.LabelPlanes |
     noise = camera.noise
     assert noise is not None
     rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[mask]
-    solve = np.linalg.inv(rays.T @ rays) @ rays.T * noise.sigma(rays @ alpha)
+    solve = np.linalg.inv(rays.T @ rays) @ rays.T * noise.sigma(rays @ alpha, *rays.T[:2])
     exact = solve @ (solve.T if noise.is_independent else _correlations(noise, mask) @ solve.T)
     return np.asarray(eigvalsh(fits.alpha_covariance[0], exact))
 
@@ -151,6 +163,10 @@ def report(runs: int) -> Iterator[str]:
     for name, mask in masks().items():
         yield line(name, of_masks(mask))
     yield line("a window from 1.7 to 9 m, half of it missing in one piece", of_windows())
+    for degrees, focal_length in ((43, 105.0), (65, 70.0)):
+        yield line(
+            f"a window over the image of a fisheye, to {degrees} degrees off the axis", of_fisheyes(focal_length)
+        )
     for depths in ((1.5, 2.4), (1.0, 9.0)):
         yield line("the standard methods from {:g} to {:g} m".format(*depths), of_standard_methods(*depths))
     yield "Shares of p-values below 0.01, and below 0.001:"

@@ -222,6 +222,8 @@ def test_limits_of_uncertainties_are_those_that_the_page_states():
     assert limits.of_masks(masks["one pixel in twenty"])[1] == pytest.approx(8.0, rel=0.1)
     assert limits.of_masks(masks["two tiles of 16 x 16, 320 pixels apart"])[0] == pytest.approx(0.1, rel=0.1)
     assert limits.of_windows() == pytest.approx((0.6, 3.6), rel=0.1)
+    assert limits.of_fisheyes(105.0)[0] == pytest.approx(7.0 / 8.0, rel=0.1)
+    assert limits.of_fisheyes(70.0)[0] == pytest.approx(1.0 / 3.0, rel=0.1)
     assert limits.of_standard_methods(1.5, 2.4) == pytest.approx((0.75, 1.3), rel=0.1)
     assert limits.of_standard_methods(1.0, 9.0) == pytest.approx((1.0 / 16.0, 5.0), rel=0.1)
     *_, tiles, _ = limits.report(400)
