@@ -167,11 +167,12 @@ def angle_between(
     # From each normal towards the other, along the great circle between them.
     variance = _form((second - cosine[..., None] * first) * scale, first_covariance)
     variance = variance + _form((first - cosine[..., None] * second) * scale, second_covariance)
-    if not apart.all():
+    alike = np.asarray(~apart & ~np.isnan(variance))
+    if alike.any():
         both = first_covariance + second_covariance
-        both = np.where(np.isfinite(both), both, 0.0)
-        largest = np.broadcast_to(np.linalg.eigvalsh(both)[..., -1], variance.shape)
-        variance = np.where(apart | np.isnan(variance), variance, largest)
+        both = np.broadcast_to(np.where(np.isfinite(both), both, 0.0), (*alike.shape, 3, 3))
+        variance = np.array(variance)
+        variance[alike] = np.linalg.eigvalsh(both[alike])[:, -1]
     return np.degrees(angle), np.degrees(np.sqrt(np.maximum(variance, 0.0)))
 
 
