@@ -97,16 +97,20 @@ def _angle(radius: Floats, coefficients: Sequence[float]) -> tuple[Floats, NDArr
     wanted = radius[found]
     low, high = np.zeros_like(wanted), np.full_like(wanted, widest)
     angle = np.minimum(wanted, 0.5 * widest)
+    active = np.arange(len(wanted))
     with np.errstate(divide="ignore", invalid="ignore"):  # where the slope is zero the interval is halved
         for _ in range(_MAX_ITERATIONS):
-            error = _radius(angle, coefficients) - wanted
-            low, high = np.where(error <= 0, angle, low), np.where(error >= 0, angle, high)
-            following = angle - error / _slope(angle, coefficients)
+            last = angle[active]
+            error = _radius(last, coefficients) - wanted[active]
+            low, high = np.where(error <= 0, last, low), np.where(error >= 0, last, high)
+            following = last - error / _slope(last, coefficients)
             following = np.where((following >= low) & (following <= high), following, 0.5 * (low + high))
-            done = np.abs(following - angle) <= 1e-16 * widest
-            angle = following
-            if done.all():
+            angle[active] = following
+            if (np.abs(following - last) <= 1e-16 * widest).all():
                 break
+            # Most stand still after a few steps; some go to and fro by the last bit, to the end.
+            moves = following != last
+            active, low, high = active[moves], low[moves], high[moves]
     angles = np.full_like(radius, np.nan)
     angles[found] = angle
     return angles, found
