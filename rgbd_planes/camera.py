@@ -308,14 +308,15 @@ class Camera:
         array = real_array("points", points)
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ValueError(f"expected points of shape (..., 3), got {array.shape}")
-        z = np.where(array[..., 2] > 0, array[..., 2], np.nan)
+        of_points = np.moveaxis(array, -1, 0)
+        z = np.where(of_points[2] > 0, of_points[2], np.nan)
         with np.errstate(over="ignore", invalid="ignore"):  # very near the camera's plane, and at infinity
-            x, y = array[..., 0] / z, array[..., 1] / z
+            x, y = of_points[0] / z, of_points[1] / z
             if self.is_distorted:
                 x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
-            pixels = np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
-        finite = np.isfinite(array).all(axis=-1, keepdims=True) & np.isfinite(pixels).all(axis=-1, keepdims=True)
-        return np.where(finite, pixels, np.nan)
+            x, y = x * self.fx + self.cx, y * self.fy + self.cy
+        finite = np.logical_and.reduce([np.isfinite(numbers) for numbers in (*of_points, x, y)])
+        return np.stack([np.where(finite, x, np.nan), np.where(finite, y, np.nan)], axis=-1)
 
     def resized(self, width: int, height: int) -> Self:
         """The camera of resized images, whose pixels look through the middle of those that they stand for.
