@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.result import Segmentation
+from rgbd_planes.window_moments import ray_tables
 
 SHARED = 0.25  # share of the smaller one's pixels that a plane and its earlier self must have in common
 TURNED = 20.0  # degrees between them, at most
@@ -55,9 +56,9 @@ class Points(NamedTuple):
         return self._replace(of=place[self.of])
 
 
-def thin(of: Indices, planes: int) -> tuple[Indices, Floats]:
-    """Which to keep of what belongs to so many planes, plane by plane, and how many each of these stands for."""
-    ends = np.searchsorted(of, np.arange(planes + 1)).tolist()
+def thin(counts: Indices) -> tuple[Indices, Floats]:
+    """Which to keep of so many of each plane, plane by plane, and how many each of these stands for."""
+    ends = [0, *np.cumsum(counts).tolist()]
     kept = [np.arange(start, stop, max(1, (stop - start) // POINTS)) for start, stop in pairwise(ends)]
     of_each = [(stop - start) / max(len(some), 1) for some, (start, stop) in zip(kept, pairwise(ends), strict=True)]
     return np.concatenate([np.zeros(0, np.intp), *kept]), np.repeat(of_each, [len(some) for some in kept])
@@ -88,10 +89,11 @@ class KnownPlanes(NamedTuple):
 
 
 class View(NamedTuple):
-    """A frame by squares of 2x2 pixels: (R, C) labels, and tanθx and tanθy of their first pixels."""
+    """A frame by squares of 2x2 pixels: (R, C) labels, how many have each; tanθx and tanθy of their first pixels."""
 
     found: Segmentation
     labels: Indices
+    sizes: Indices
     tan_x: Floats
     tan_y: Floats
 
@@ -103,12 +105,13 @@ class View(NamedTuple):
             other = found.labels[row::2, column::2]
             own = labels[: other.shape[0], : other.shape[1]]
             np.copyto(own, other, where=own == 0)
-        return cls(found, labels, found.camera.tan_x[::2, ::2], found.camera.tan_y[::2, ::2])
+        sizes = np.bincount(labels.ravel(), minlength=len(found) + 1)
+        return cls(found, labels, sizes, *(tangent[::2, ::2] for tangent in ray_tables(found.camera)))
 
     def squares_of(self, xyz: Floats) -> tuple[Indices, Indices, NDArray[np.bool_]]:
         """Row and column of the square in which each point is seen, and whether it is in the image."""
         pixels = self.found.camera.project(xyz)
-        column, row = np.rint(np.nan_to_num(0.5 * pixels, nan=-1.0)).T
+        column, row = np.rint(0.5 * pixels).T
         inside = (row >= 0) & (row < self.labels.shape[0]) & (column >= 0) & (column < self.labels.shape[1])
         return np.where(inside, row, 0).astype(np.intp), np.where(inside, column, 0).astype(np.intp), inside
 
@@ -122,10 +125,10 @@ class View(NamedTuple):
         labels = self.labels.ravel()
         # NumPy sorts integers of up to 16 bits by their digits, which takes a fifth of the time.
         by_label = np.argsort(labels.astype(np.min_scalar_type(len(self.found))), kind="stable")
-        places = by_label[np.count_nonzero(labels == 0) :]
-        kept, of_each = thin(labels[places] - 1, len(self.found))
-        row, column = np.divmod(places[kept], self.labels.shape[1])
-        label = labels[places[kept]]
+        kept, of_each = thin(self.sizes[1:])
+        places = by_label[self.sizes[0] + kept]
+        row, column = np.divmod(places, self.labels.shape[1])
+        label = labels[places]
         q = self.inverse_depth(label, row, column)
         rays = np.column_stack([self.tan_x[row, column], self.tan_y[row, column], np.ones(len(row))])
         with np.errstate(divide="ignore"):
@@ -153,12 +156,12 @@ def same_planes(known: KnownPlanes, view: View) -> tuple[Indices, Indices, Float
     found, labels = view.found, view.labels
     count = len(found) + 1
     row, column, inside = view.squares_of(known.points.xyz)
-    seen = np.flatnonzero(inside)
-    row, column, points = row[seen], column[seen], known.points.some(seen)
-    pairs = points.of * count + labels[row, column]
+    seen = np.flatnonzero(inside & (labels[row, column] > 0))
+    row, column, squares_of = row[seen], column[seen], known.points.squares[seen]
+    pairs = known.points.of[seen] * count + labels[row, column]
 
     def sums(values: Floats | float) -> Floats:
-        made = np.bincount(pairs, values * points.squares, len(known.ids) * count)
+        made = np.bincount(pairs, values * squares_of, len(known.ids) * count)
         return np.asarray(made.reshape(-1, count)[:, 1:])
 
     shared = sums(1.0)
@@ -171,7 +174,7 @@ def same_planes(known: KnownPlanes, view: View) -> tuple[Indices, Indices, Float
     before, now = (a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns]))
     near = (np.abs(errors.offset) <= MOVED * np.abs(old[:, 3])) | (np.abs(now - before) <= MOVED * before)
     size = np.bincount(known.points.of, known.points.squares, len(known.ids))
-    smaller = np.minimum(size[rows], np.bincount(labels.ravel(), minlength=count)[1:][columns])
+    smaller = np.minimum(size[rows], view.sizes[1:][columns])
     same = (squares >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near
     # Planes in sight take precedence over those that were covered, and those known for long over new ones.
     weight = squares / (1.0 + known.missed[rows]) * np.sqrt(np.minimum(known.seen[rows], LONG))
@@ -205,7 +208,7 @@ def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int
     old = known.points
     hidden = old.some(np.flatnonzero((label[old.of] > 0) & (old.unseen < memory)))
     hidden = hidden.some(np.flatnonzero(_is_hidden(hidden, label[hidden.of], view)))
-    chosen, of_each = thin(hidden.of, len(known.ids))
+    chosen, of_each = thin(np.bincount(hidden.of, minlength=len(known.ids)))
     hidden = hidden.some(chosen)
     hidden = hidden._replace(squares=hidden.squares * of_each, unseen=hidden.unseen + 1)
     out_of_sight = old.some(np.flatnonzero(is_lost[old.of]))
