@@ -158,7 +158,7 @@ class Segmentation(Savable):
     def fitted_inverse_depth(self) -> Floats:
         """(H, W) float64, 1/m: the inverse depth of each pixel's plane; 0 where there is none."""
         a: Floats
-        a, b, c = np.vstack([np.zeros(3), self.alpha])[self.labels].transpose(2, 0, 1)
+        a, b, c = np.vstack([np.zeros(3), self.alpha]).T.take(self.labels, axis=1)
         return np.asarray(a * self.camera.tan_x + b * self.camera.tan_y + c)
 
     def fitted_depth(self) -> Floats:
