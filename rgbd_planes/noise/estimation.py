@@ -200,11 +200,13 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     bins = [bins[i] for i in first]  # where all is at one depth, one bin tells as much as several
     seen = samples.seen
     growth = samples.growth(known)
+    rounding = samples.independent(replace(known, lateral=0.0))
+    least = [0.01 * np.median((seen / growth)[some]) for some in bins]
     best: tuple[float, float, Floats] = (np.inf, 0.0, np.zeros(len(q)))
     for lateral in LATERALS.tolist():
-        independent = samples.independent(replace(known, lateral=lateral))
+        independent = lateral**2 * samples.slope_square + rounding
         own = np.array([np.median(((seen - independent) / growth)[some]) for some in bins])
-        variance = np.maximum(own, [0.01 * np.median((seen / growth)[some]) for some in bins])
+        variance = np.maximum(own, least)
         ends = np.concatenate([variance[:1], variance, variance[-1:]])
         variance = np.median([ends[:-2], ends[1:-1], ends[2:]], axis=0)
         error = np.log(seen / (np.interp(samples.q, q, variance) * growth + independent))
@@ -326,22 +328,22 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     def bent(part: tuple[float, float]) -> Floats:
         return _per_pixel(part, sides) - _per_pixel(part, TILE)
 
-    def shared_out(parts: list[tuple[float, float]]) -> tuple[float, Floats]:
-        terms = [
-            np.concatenate([_per_pixel(part, sizes, pixels), _tilts(part, small, window), bent(part)]) for part in parts
-        ]
-        shares, distance = nnls(np.stack(terms, axis=1) / scale[:, None], values / scale, maxiter=1000)
+    def terms(part: tuple[float, float]) -> Floats:
+        return np.concatenate([_per_pixel(part, sizes, pixels), _tilts(part, small, window), bent(part)])
+
+    def shared_out(of_parts: list[Floats]) -> tuple[float, Floats]:
+        shares, distance = nnls(np.stack(of_parts, axis=1) / scale[:, None], values / scale, maxiter=1000)
         return distance**2, np.asarray(shares)
 
-    random_parts = [(0.0, 0.0), *((1.0, length) for length in LENGTHS)]
+    random_parts = [terms(part) for part in ((0.0, 0.0), *((1.0, length) for length in LENGTHS))]
     error, shares = shared_out(random_parts)
-    of_random = np.array([bent(part) for part in random_parts]).T @ shares
+    of_random = np.array([of_part[len(values) - len(bends) :] for of_part in random_parts]).T @ shares
     if not (bends > _BENT * of_random).any():
         error -= _EVIDENT
     shares, floor_length = np.append(shares, 0.0), FLOOR_LENGTHS[0]
     for length in FLOOR_LENGTHS:
         if 2 * length <= max(*sizes, *sides, 2 * FLOOR_LENGTHS[0]):
-            with_floor, candidate = shared_out([*random_parts, (1.0, length)])
+            with_floor, candidate = shared_out([*random_parts, terms((1.0, length))])
             if with_floor < error:
                 error, shares, floor_length = with_floor, candidate, length
     shares[0] += 1e-9  # where all is lateral error and rounding
