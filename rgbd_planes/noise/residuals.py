@@ -50,6 +50,12 @@ class ResidualStatistics:
     tilt_y: Floats
     offset: Floats
 
+    def at(self, which: NDArray[np.intp]) -> "ResidualStatistics":
+        """The statistics of those of their numbers of pixels."""
+        return ResidualStatistics(
+            self.expected[which], self.freedom[which], self.tilt_x[which], self.tilt_y[which], self.offset[which]
+        )
+
     def with_independent(self, along: Floats, independent: Floats, count: NDArray[Any]) -> tuple[Floats, Floats]:
         """Expected sum of squared residuals and degrees of freedom, with an independent part of the variance.
 

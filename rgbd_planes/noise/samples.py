@@ -140,23 +140,34 @@ class Samples:
 
     def expected(self, model: NoiseModel) -> tuple[Floats, Floats]:
         """The sum of squared residuals that the model expects, and its degrees of freedom."""
-        made = model.statistics(self.count)
-        return made.with_independent(self.along(model), self.independent(model), self.count)
+        return self._expected(model, self.along(model), self.independent(model))
+
+    def _expected(self, model: NoiseModel, along: Floats, independent: Floats) -> tuple[Floats, Floats]:
+        counts, which = self._counts
+        return model.statistics(counts).at(which).with_independent(along, independent, self.count)
+
+    @property
+    @kept
+    def _counts(self) -> tuple[Floats, npt.NDArray[np.intp]]:
+        """The different numbers of valid pixels, and which of them each tile has."""
+        return np.unique(self.count, return_inverse=True)
 
     def typical(self, model: NoiseModel) -> tuple[float, float]:
         """Mean square residual in units of σq², from the median of the tiles: without independent parts, and in all."""
-        median_over_mean = ratio_at(0.0, np.maximum(self.expected(model)[1], 1.0), model.spread)
-        return self._middle(model, self.rss / self.count / median_over_mean, 3.0 / self.count)
+        along, independent = self.along(model), self.independent(model)
+        median_over_mean = ratio_at(0.0, np.maximum(self._expected(model, along, independent)[1], 1.0), model.spread)
+        return _middle(along, independent, self.rss / self.count / median_over_mean, 3.0 / self.count)
 
     def typical_tilt(self, model: NoiseModel) -> tuple[float, float]:
         """Variance of slopes, as a multiple of that of independent errors of variance σq²: both as in `typical`."""
-        return self._middle(model, self.tilt_square / np.log(2.0), (self.count / self.window**2) ** 2)
+        lost = (self.count / self.window**2) ** 2
+        return _middle(self.along(model), self.independent(model), self.tilt_square / np.log(2.0), lost)
 
-    def _middle(self, model: NoiseModel, seen: Floats, lost: Floats) -> tuple[float, float]:
-        """Medians in units of σq²; ``lost`` is the share of independent errors that the fit absorbs."""
-        square = self.along(model)
-        independent = (1.0 - lost) * self.independent(model)
-        return float(np.median((seen - independent) / square)), float(np.median(seen / square))
+
+def _middle(along: Floats, independent: Floats, seen: Floats, lost: Floats) -> tuple[float, float]:
+    """Medians in units of σq², ``along``; ``lost`` is the share of independent errors that the fit absorbs."""
+    left = seen - (1.0 - lost) * independent
+    return float(np.median(left / along)), float(np.median(seen / along))
 
 
 def all_samples(
