@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -251,19 +252,18 @@ class Camera:
     @property
     @kept
     def _tables(self) -> Tables:
+        if self.is_distorted:  # of the lens alone: the same with a noise model and without, and after a pickle
+            return _through_lens(
+                self._with(depth_scale=None, disparity=None, depth_range=None, invalid_values=(), noise=None)
+            )
+        image_x, image_y = self._flat_tables
+        return _read_only(image_x), _read_only(image_y), None
+
+    @property
+    def _flat_tables(self) -> tuple[Floats, Floats]:
+        """`tan_x` and `tan_y` as they were if the lens bent nothing."""
         image_x = np.tile(self.tan_x_columns, (self.height, 1))
-        image_y = np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
-        if not self.is_distorted:
-            return _read_only(image_x), _read_only(image_y), None
-        x, y = distortion.rays_of_image(image_x, image_y, self.distortion, self.distortion_model)
-        without_ray = np.isnan(x)
-        if not without_ray.any():
-            return _read_only(x), _read_only(y), None
-        # Finite ones, for sums over all pixels, from which missing ones are then subtracted, and for corners of
-        # outlines.
-        ratio = np.hypot(x, y)[~without_ray].max() / np.hypot(image_x, image_y)[without_ray]
-        x[without_ray], y[without_ray] = image_x[without_ray] * ratio, image_y[without_ray] * ratio
-        return _read_only(x), _read_only(y), without_ray
+        return image_x, np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
 
     def points(self, depth: ArrayLike) -> Floats:
         """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z (eq. RGBD_reconstruction-1-1).
@@ -590,6 +590,21 @@ class Camera:
                 raise ValueError("expected depth_units or depth_scale, got both")
             made["depth_scale"] = depth_scale
         return cls(**{**made, **depth})
+
+
+@functools.lru_cache(maxsize=2)
+def _through_lens(camera: Camera) -> Tables:
+    """The tables of a camera with distortion, which take a hundred times as long as others."""
+    image_x, image_y = camera._flat_tables
+    x, y = distortion.rays_of_image(image_x, image_y, camera.distortion, camera.distortion_model)
+    without_ray = np.isnan(x)
+    if not without_ray.any():
+        return _read_only(x), _read_only(y), None
+    # Finite ones, for sums over all pixels, from which missing ones are then subtracted, and for corners of
+    # outlines.
+    ratio = np.hypot(x, y)[~without_ray].max() / np.hypot(image_x, image_y)[without_ray]
+    x[without_ray], y[without_ray] = image_x[without_ray] * ratio, image_y[without_ray] * ratio
+    return _read_only(x), _read_only(y), without_ray
 
 
 def _read_only(array: Floats) -> Floats:
