@@ -38,7 +38,7 @@ def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera
     for depth, (labels, alpha, *_) in zip(frames, large, strict=True):
         inside = _inside(labels.repeat(TILE // CELL, axis=0).repeat(TILE // CELL, axis=1))
         pixels = inside.repeat(CELL, axis=0).repeat(CELL, axis=1)[: camera.height, : camera.width]
-        a, b, c = np.moveaxis(np.vstack([np.full((1, 3), np.nan), alpha])[pixels], -1, 0)
+        a, b, c = np.vstack([np.full((1, 3), np.nan), alpha]).T.take(pixels, axis=1)
         fitted = a * camera.tan_x + b * camera.tan_y + c
         residual = as_depth_frame(depth, camera).inverse_depth - fitted
         usual = np.hypot(1.0, noise.floor) * noise.sigma(fitted, *camera._rays)
