@@ -251,11 +251,15 @@ class Camera:
 
     @property
     @kept
+    def _lens(self) -> Self:
+        """The camera without its depth: what depends on the lens alone is kept for all cameras that have it."""
+        return self._with(depth_scale=None, disparity=None, depth_range=None, invalid_values=(), noise=None)
+
+    @property
+    @kept
     def _tables(self) -> Tables:
-        if self.is_distorted:  # of the lens alone: the same with a noise model and without, and after a pickle
-            return _through_lens(
-                self._with(depth_scale=None, disparity=None, depth_range=None, invalid_values=(), noise=None)
-            )
+        if self.is_distorted:
+            return _through_lens(self._lens)
         image_x, image_y = self._flat_tables
         return _read_only(image_x), _read_only(image_y), None
 

@@ -25,7 +25,7 @@ def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     if not camera.is_distorted:
         made = np.array([1.0 / camera.fx**2, 0.0, 1.0 / camera.fy**2])
         return np.repeat(made[:, None], len(footprint), axis=1)
-    return _pitch_square(camera, np.ascontiguousarray(footprint).tobytes())
+    return _pitch_square(camera._lens, np.ascontiguousarray(footprint).tobytes())
 
 
 @functools.lru_cache(maxsize=8)
@@ -80,7 +80,7 @@ def lens_by_angle(camera: Camera) -> Floats:
         return np.empty((2, 0))
     seen = np.ones(camera.shape, bool) if camera._without_ray is None else ~camera._without_ray
     u, v = camera.tan_x[seen], camera.tan_y[seen]
-    uu, uv, vv = abs(camera.fx * camera.fy) * _of_pixels(camera)[:, seen]
+    uu, uv, vv = abs(camera.fx * camera.fy) * _of_pixels(camera._lens)[:, seen]
     off = (u != 0.0) | (v != 0.0)  # on the axis itself no direction is radial
     u, v, uu, uv, vv = u[off], v[off], uu[off], uv[off], vv[off]
     square = u * u + v * v

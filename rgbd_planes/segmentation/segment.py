@@ -127,7 +127,7 @@ def _given(noise: Any) -> Given:
 def segment_frame(frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules) -> Segmentation:
     """`segment` of a frame that is checked, by rules that may be others."""
     with announced(("segment", frame.raw.dtype), "a minute or two"), workspaces.lent(camera) as work:
-        return _segment(frame, camera, given, min_size, rules, rays_of(camera), work)
+        return _segment(frame, camera, given, min_size, rules, rays_of(camera._lens), work)
 
 
 def _segment(
