@@ -265,6 +265,20 @@ def test_a_plane_keeps_its_id_when_something_passes_before_it() -> None:
     assert last.labels[50, 42] != 2  # forgotten
 
 
+@pytest.mark.parametrize(("step", "mirrored"), [(2, False), (2, True), (4, False), (6, True)])
+def test_what_something_hides_of_a_plane_is_remembered_as_large_as_it_is(step: int, mirrored: bool) -> None:
+    """Another wall slowly moves before it. Of both only some points are kept, others in each frame."""
+    tracker = PlaneTracker(memory=100)
+    for edge in range(0, CAMERA.width - 20, step):
+        depth = np.where(np.arange(CAMERA.width) < edge, 1.5, 2.0)
+        depth = np.broadcast_to(depth[::-1] if mirrored else depth, CAMERA.shape)
+        ids = tracker.follow(segment(depth, CAMERA)).ids
+        points = tracker._known.points
+        assert points.squares[points.of == 0].sum() == pytest.approx(CAMERA.width * CAMERA.height / 4, rel=0.2)
+    assert sorted(ids.tolist()) == [1, 2]
+    assert len(np.unique(points.xyz[points.of == 0, 0].round(2))) > 40  # not in a few columns
+
+
 def turning(degrees: np.ndarray, camera: Camera = CAMERA) -> list[tuple[np.ndarray, scenes.Rendering]]:
     """The room from one place, by a camera that turns."""
     eye, down = np.array([0.35, -1.5, -0.2]), np.radians(15.0)

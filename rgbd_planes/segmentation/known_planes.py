@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,11 +56,18 @@ class Points(NamedTuple):
 
 
 def thin(counts: Indices) -> tuple[Indices, Floats]:
-    """Which to keep of so many of each plane, plane by plane, and how many each of these stands for."""
-    ends = [0, *np.cumsum(counts).tolist()]
-    kept = [np.arange(start, stop, max(1, (stop - start) // POINTS)) for start, stop in pairwise(ends)]
-    of_each = [(stop - start) / max(len(some), 1) for some, (start, stop) in zip(kept, pairwise(ends), strict=True)]
-    return np.concatenate([np.zeros(0, np.intp), *kept]), np.repeat(of_each, [len(some) for some in kept])
+    """Which to keep of so many of each plane, plane by plane, and how many each of these stands for.
+
+    One of each so many that follow one another, by chance: every n-th of what is read row by row would be in a few
+    columns only where n and the width of a plane have a common divisor, and at the same places of its rim in each
+    frame. The same counts give the same.
+    """
+    numbers = -(-counts // np.maximum(counts // POINTS, 1))
+    of_each = np.repeat(counts / np.maximum(numbers, 1), numbers)
+    first, place = (np.repeat(np.cumsum(of) - of, numbers) for of in (counts, numbers))
+    # In double precision a place and what chance adds might round up to the next.
+    chance = np.random.default_rng(counts @ counts).random(len(place), np.float32)
+    return first + ((np.arange(len(place)) - place + chance) * of_each).astype(np.intp), of_each
 
 
 class KnownPlanes(NamedTuple):
