@@ -10,7 +10,7 @@ from rgbd_planes import Camera, images, segment
 from rgbd_planes.kernels.segments.blocks import BLOCK, EMPTY, MIXED, UNSEEN
 from rgbd_planes.kernels.segments.moments import angle_between
 from rgbd_planes.kernels.segments.planes import fit_regions
-from rgbd_planes.kernels.segments.quadrics import boxes, inner_pixels
+from rgbd_planes.kernels.segments.quadrics import boxes, inner_pixels, turn
 from rgbd_planes.kernels.segments.records import Noise, Owned, Owners, Planes, Rules, Shares
 from rgbd_planes.kernels.segments.shape import BENT_SHARE, find_curled, find_turns
 from rgbd_planes.segmentation.result import Reason
@@ -151,6 +151,21 @@ def test_a_region_that_has_only_parts_of_others_blocks(rng):
     """Nothing is said of it."""
     shape = 24, 28
     assert not is_curled(parabola(shape, 6.0, rng), shape, has_blocks=False)
+
+
+def test_the_normals_of_a_bent_region_turn_as_its_tangent_planes_do(rng):
+    """Mean squared angle between those at its pixels, which lie along any diagonal, and its plane."""
+    for _ in range(20):
+        alpha, h = np.append(rng.uniform(-0.5, 0.5, 2), rng.uniform(0.4, 1.0)), rng.normal(size=3)
+        middle, away = rng.uniform(-0.5, 0.5, 2), 0.01 * rng.normal(size=(500, 2)) @ rng.normal(size=(2, 2))
+        away -= away.mean(axis=0)
+        gradient = away @ h[[[0, 1], [1, 2]]]  # of q = α·(u, v, 1) + the quadratic form of half of h
+        at_origin = -gradient @ middle - 0.5 * (gradient * away).sum(axis=1)
+        tangents = alpha + np.column_stack([gradient, at_origin])
+        expected = np.mean([angle_between(tangent, alpha) ** 2 for tangent in tangents])
+        terms = np.column_stack([np.ones(500), middle + away, np.zeros(500)])
+        moments = (terms.T @ terms)[np.triu_indices(4)]
+        assert turn(moments, alpha, tuple(h)) == pytest.approx(expected, rel=0.1)
 
 
 def on_column(radius, side):
