@@ -9,7 +9,7 @@ from bench import block_scenes
 from rgbd_planes import segment
 from rgbd_planes.kernels.segments import folds
 from rgbd_planes.kernels.segments.quadrics import PLANE_TERMS, TERMS
-from rgbd_planes.kernels.segments.records import Noise
+from rgbd_planes.kernels.segments.records import Noise, Rules
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
 
@@ -101,6 +101,23 @@ def test_planes_and_a_quadric_are_compared_as_least_squares_does(rng):
     better, bend = folds.planes_fit_better(products)
     assert better == pytest.approx(left(both, TERMS) - planes)
     assert bend == pytest.approx(left(both, PLANE_TERMS) - planes)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_part_is_ajar_only_if_noise_leaves_it_less(share, noise):
+    """It is turned by eight degrees; its residuals about the rest's plane are ``share`` of those that count."""
+    u, v = np.meshgrid(0.002 * np.arange(100), 0.002 * np.arange(60))
+    of_rest, of_part = np.array([0.0, 0.0, 0.5]), 0.5 * np.array([-np.tan(np.radians(8.0)), 0.0, 1.0])
+    is_part = u < u[0, 40]
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1)
+    q = np.where(is_part, rays @ of_part, rays @ of_rest)
+    terms = np.stack([np.ones_like(u), u, v, q])
+    part, whole = (
+        np.array([(terms[i][some] * terms[j][some]).sum() for i, j in ORDER]) for some in (is_part, is_part | True)
+    )
+    off = np.sqrt(np.mean((rays[is_part] @ (of_part - of_rest)) ** 2))
+    sigma = np.append(10.0, np.full(3, off / (share * Rules().rough)))
+    assert folds.is_ajar(part, of_part, whole, noise._replace(sigma=sigma), Rules()) == (share > 1.0)
 
 
 @pytest.mark.parametrize(("sensor", "seed"), [(0, 50), (1, 13), (1, 17), (2, 13)])
