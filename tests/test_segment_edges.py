@@ -6,10 +6,12 @@ from scipy.ndimage import convolve, gaussian_filter
 from segment_frames import CAMERA, smooth_noise, two_planes
 
 from rgbd_planes import Camera, segment
+from rgbd_planes.kernels.segments.facets import AWAY, STRAIGHT, TOWARDS, bend_of
 from rgbd_planes.kernels.segments.records import Planes
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
+from rgbd_planes.segmentation.workspace import rays_of
 
 
 @pytest.mark.parametrize(("step", "expected"), [(0.02, 2), (0.0005, 1)])
@@ -154,6 +156,39 @@ def test_the_sides_of_a_round_column_are_as_curved_as_its_front():
         found = segment(1.0 / (q + noise), CAMERA)
         assert (found.reason[on_column] == Reason.CURVED).mean() > 0.95
         assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+@pytest.mark.parametrize("degrees", range(0, 360, 45))
+def test_two_planes_are_bent_away_from_the_camera_or_towards_it(degrees):
+    """They meet in an edge in the middle of the image; ``degrees`` is across it."""
+    across = np.append(np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))]), 0.0)
+    moments = np.zeros((2, 10))
+    moments[:, :3] = 100.0 * np.array([[1.0, *0.1 * across[:2]], [1.0, *-0.2 * across[:2]]])
+    touching, rays, blunt = np.array([1.0, 0.0, 0.0]), rays_of(CAMERA), np.radians(28.0)
+
+    def bent(slope, gap=0.0):
+        """Whose inverse depth falls by ``slope`` on either side."""
+        alpha = np.array([0.0, 0.0, 1.0]) - slope * np.array([across, -across])
+        alpha[1, 2] += gap
+        return bend_of(0, 1, moments[0], moments[1], touching, alpha, rays, blunt)
+
+    assert bent(0.1) == AWAY
+    assert bent(-0.1) == TOWARDS
+    assert bent(0.1, gap=0.1) == STRAIGHT  # they do not meet there
+    assert bent(0.4) == STRAIGHT  # an edge of a box
+
+
+def test_a_wall_that_ends_in_narrow_panels_is_no_lampshade():
+    """As a bay window: four planes that bend the same way, of which one has most of the pixels."""
+    u, q, z = CAMERA.tan_x, np.empty(CAMERA.shape), 2.0
+    edges = np.interp([0.0, 0.58, 0.72, 0.86, 1.0], [0.0, 1.0], u[0, [0, -1]])
+    for left, right, angle in zip(edges[:-1], edges[1:], np.radians([0.0, 18.0, 36.0, 54.0]), strict=True):
+        slope = np.tan(angle)
+        q = np.where(u >= left, (1.0 - u * slope) / (z * (1.0 - left * slope)), q)
+        z *= (1.0 - left * slope) / (1.0 - right * slope)
+    found = segment(1.0 / (q + np.random.default_rng(17).normal(0.0, 1e-4, q.shape)), CAMERA)
+    assert len(found) == 4
+    assert (found.labels > 0).mean() > 0.99
 
 
 def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
