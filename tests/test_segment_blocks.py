@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 from segment_frames import CAMERA, blocks_and_squares, inside
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.blocks import BLOCK
+from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
 from rgbd_planes.kernels.segments.inside import inside_moments
 from rgbd_planes.kernels.segments.joining import join_blocks
-from rgbd_planes.kernels.segments.records import Rays, Rules
+from rgbd_planes.kernels.segments.records import Planes, Rays, Rules
 from rgbd_planes.kernels.segments.search import read_frame
+from rgbd_planes.kernels.segments.settled import ALONE, DONE, OPEN, SAME, keep_unchanged
 from rgbd_planes.segmentation.noise import noise_of
 from rgbd_planes.segmentation.segment import _given
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
@@ -137,3 +139,24 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
         spread = np.cov(all_u[own], all_v[own])
         if np.linalg.det(spread) > 1e-4 * spread[0, 0] * spread[1, 1] > 1e-12:  # else they may determine no plane
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)
+
+
+def test_blocks_are_left_alone_where_nothing_around_them_has_changed(rng):
+    """No region and no plane: other blocks keep what is to be done with them."""
+    region = np.kron(np.arange(-1, 5).reshape(2, 3), np.ones((30, 27), int))[:, :80].astype(np.int32)
+    number = np.array([4, 0, 1, 2, 3])  # of the regions before: they are in another order
+    before = np.where(region < 0, -1, np.argsort(number)[region]).astype(np.int32)
+    changed = rng.random(before.shape) < 0.01
+    before[changed] = np.where(before[changed] < 0, 2, -1)
+    alpha = rng.normal(1.0, 0.1, (5, 3))
+    last_alpha = alpha[number]
+    last_alpha[:, 2] += [1e-4, 1e-4, 5e-4, -1e-4, -1e-4]  # in quarters of a deviation: one moves by two
+    changed |= before == 2
+    planes = Planes(alpha, np.zeros(5), np.ones(5), np.ones(5), np.ones(1))
+    moments = np.ones((5, 10))
+    sigma = np.array([10.0, *[1e-3] * 3])
+    task = rng.choice([OPEN, ALONE, DONE], before.shape).astype(np.int8)
+    owner = rng.choice([0, MIXED], before.shape).astype(np.int32)
+    expected = np.where(ndimage.binary_dilation(changed, np.ones((3, 3))), task, np.where(owner == MIXED, SAME, DONE))
+    keep_unchanged(region, before, number, planes, last_alpha, sigma, rays_of(CAMERA), moments, owner, task)
+    np.testing.assert_array_equal(task, expected)
