@@ -9,7 +9,7 @@ from segment_frames import CAMERA
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.reach import SIZES, as_planes_show, may_be_chance, mixture
+from rgbd_planes.kernels.segments.reach import OF_ONE, SIZES, as_planes_show, may_be_chance, mixture
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
@@ -98,6 +98,22 @@ def test_mixture_of_errors_is_found(shares):
         made = (1.0 - a - b) + a * table[:, k] + b * table[:, 0]
         together = mixture(made[0:-1:2] / made[1:-1:2], counts, table)
         assert together == pytest.approx(made[-1], rel=0.05)
+
+
+def test_shares_of_a_mixture_are_no_more_than_all(rng):
+    """Also where ratios are those of no mixture: against all shares in steps of a hundredth."""
+    table = reach_table()
+    a, b = (shares.ravel() for shares in np.meshgrid(*[np.linspace(0.0, 1.0, 101)] * 2))
+    a, b = a[a + b <= 1.0], b[a + b <= 1.0]
+    for _ in range(20):
+        ratios, counts = rng.uniform(1.0, 30.0, SIZES), rng.integers(20, 500, SIZES)
+        best = np.inf, 1.0
+        for k in range(1, table.shape[1]):
+            made = 1.0 + np.outer(table[:, k] - 1.0, a) + np.outer(table[:, 0] - 1.0, b)
+            off = 1.0 - made[0:-1:2] / ratios[:, None] + made[1:-1:2] - 1.0
+            error = counts / OF_ONE @ off**2 + np.log(made[-1])
+            best = min(best, (error.min(), made[-1, error.argmin()]))
+        assert mixture(ratios, counts, table) == pytest.approx(best[1], rel=0.05)
 
 
 def test_a_models_slow_waves_are_in_the_covariance():
