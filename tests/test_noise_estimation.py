@@ -8,6 +8,7 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise import estimation
 from rgbd_planes.noise import large_planes as large
 from rgbd_planes.noise.flatness import flatness
@@ -346,6 +347,22 @@ def test_what_coarse_rounding_adds_is_told_apart(rng):
     q = np.array([0.35, 0.5, 0.7])
     np.testing.assert_allclose(model.sigma(q), np.hypot(1.4e-3, 0.02 * q * q / np.sqrt(12.0)), rtol=0.1)
     np.testing.assert_allclose(model.evidence.residuals, model.evidence.expected, rtol=0.03)
+
+
+def test_the_rounding_is_the_finest_step_of_most_frames():
+    """In some frames values happen to be even; a frame of floats among many has none."""
+    frame = as_depth_frame(np.full(CAMERA.shape, 20000, np.uint16), CAMERA)
+    for steps, expected in (
+        ([2.0, 1.0, 3.0], 1e-4),
+        ([1.0, 0.0, 2.0], 1e-4),
+        ([1.0, 0.0], 0.0),
+        ([0.0, 0.0, 1.0], 0.0),
+    ):
+        assert estimation._rounding(steps, frame).step == pytest.approx(expected)
+    camera = replace(CAMERA, depth_scale=None, disparity=(-0.002, 3.0))
+    frame = as_depth_frame(np.full(CAMERA.shape, 1000, np.uint16), camera)
+    model = estimation._rounding([2.0, 1.0], frame)
+    assert (model.step, model.disparity_step) == (0.0, pytest.approx(0.002))
 
 
 def test_all_tiles_at_one_depth(rng):
