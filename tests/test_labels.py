@@ -7,6 +7,7 @@ import oracle
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 
 import rgbd_planes as rp
@@ -201,3 +202,13 @@ def test_rough_by_significance_is_a_small_p_value_for_labels_and_unions(rng):
         rp.fit_labels(depth, plain, labels, significance=0.0)
     with pytest.raises(ValueError, match="significance needs a camera with a noise model"):
         rp.merge(rp.fit_tiles(depth, plain), pieces, significance=0.0)
+
+
+def test_p_values_of_very_many_pixels_are_those_of_chi_square(rng):
+    """Noise that is larger by half a percent shows in 300 000 pixels."""
+    camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, noise=rp.noise.NoiseModel((1e-3,)))
+    q = 0.5 + 1.005e-3 * rng.standard_normal(camera.shape)
+    found = rp.fit_labels(1.0 / q, camera, np.ones(camera.shape, int))
+    expected = stats.chi2.sf(q.size * (found.rmse[0] / 1e-3) ** 2, q.size - 3)
+    assert found.p_value[0] == pytest.approx(expected, rel=0.05)
+    assert expected < 1e-2
