@@ -66,7 +66,7 @@ def check_rows(out, sequence, bad=(), **options):
     for name in set(tables[0]) - {"angle_std", "offset_std"}:  # the covariances say those
         column = narrow(np.concatenate([table[name] for table in tables]))
         assert np.array_equal(rows[name], column, equal_nan=column.dtype.kind == "f"), name
-    count = len(tables[0]["row"])
+    count = [len(table["row"]) for table in tables]
     assert np.array_equal(rows["frame"], np.repeat(good(sequence, bad), count))
     assert list(rows["name"]) == list(np.repeat([sequence.names[i] for i in good(sequence, bad)], count))
     times = np.repeat(sequence.timestamps[good(sequence, bad)], count)
@@ -146,6 +146,25 @@ def test_each_frame_may_have_its_own_camera(recording, tmp_path):
     ]
     mixed = FrameSequence(entries, images.read_depth)
     rp.fit_sequence(mixed, tmp_path / "out")
+    check_rows(tmp_path / "out", mixed)
+
+
+def test_frames_of_several_sizes_are_one_table(recording, tmp_path):
+    """Tiles at the lower and right border are cut where each frame ends."""
+    sequence = rp.open_sequence(recording)
+    entries = [
+        FrameEntry(e.name, e.timestamp, replace(CAMERA, width=80 - 9 * (i % 3), height=60 - 7 * (i % 2)), e.location)
+        for i, e in enumerate(sequence.entries)
+    ]
+    cameras = {entry.location: entry.camera for entry in entries}
+
+    def read(location):
+        height, width = cameras[location].shape
+        return images.read_depth(location)[:height, :width]
+
+    mixed = FrameSequence(entries, read)
+    report = rp.fit_sequence(mixed, tmp_path / "out", num_threads=1)
+    assert report.problems == []
     check_rows(tmp_path / "out", mixed)
 
 
@@ -230,6 +249,10 @@ def test_bad_frames_are_skipped_and_reported(recording, tmp_path):
     # An interrupted table has them, too.
     again = rp.fit_sequence(sequence, tmp_path / "out")
     assert (again.problems, again.rows, again.resumed) == (report.problems, report.rows, 30)
+    (tmp_path / "out" / "part-000000.parquet").unlink()
+    again = rp.fit_sequence(sequence, tmp_path / "out")
+    assert (again.problems, again.rows) == (report.problems, report.rows)
+    assert 0 < again.resumed < 30
 
 
 def test_integers_without_a_unit_are_refused_before_a_table_is_begun(recording, tmp_path, capsys):
