@@ -296,11 +296,13 @@ def test_rerun_recording_holds_every_frame(tmp_path, monkeypatch):
     rendering = scenes.room().render(CAMERA)
     frames = [rendering.measure(holes=0.05, seed=seed) for seed in range(3)]
     frames[0][:, :80] = 0  # so that ids are not labels
+    frames[2][:, :80] = 0  # and the last frame has not the largest
     entries = [FrameEntry(str(i), 100.5 + i, CAMERA, i) for i in range(3)]
     recording.record_segments(FrameSequence(entries, frames.__getitem__), tmp_path / "planes.rrd")
     columns = columns_of(tmp_path / "planes.rrd")
     tracked = list(segment_sequence(frames, CAMERA))
     assert not np.array_equal(tracked[1].labels, tracked[1].segmentation.labels)
+    assert tracked[2].ids.max() < tracked[1].ids.max()
     assert columns["/found", "Scalars:scalars"] == [[float(len(one.ids))] for one in tracked]
     images_read = columns["/camera/planes", "SegmentationImage:buffer"]
     for read, one in zip(images_read, tracked, strict=True):
