@@ -338,7 +338,8 @@ def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
         recording.record(sequence, tmp_path / "planes.rrd", (12, 16))
         recorded.append(columns_of(tmp_path / "planes.rrd"))
     plain, mirrored = recorded
-    for key in (("/planes/outlines", "LineStrips3D:strips"), ("/planes/normals", "Arrows3D:vectors")):
+    shown = ("/planes/outlines", "LineStrips3D:strips"), ("/planes/normals", "Arrows3D:vectors")
+    for key in (*shown, ("/camera", "Pinhole:image_from_camera")):
         np.testing.assert_allclose(mirrored[key], plain[key], rtol=1e-4, atol=1e-5)
     colours = [one["/planes/normals", "Arrows3D:colors"] for one in recorded]
     levels = [np.array(one, np.uint32).view(np.uint8).astype(int) for one in colours]
