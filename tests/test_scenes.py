@@ -166,6 +166,13 @@ def test_noise_is_the_papers():
         assert abs(part.std() - 1.0) < 5 / np.sqrt(2 * part.size)
 
 
+def test_what_noise_would_put_behind_the_camera_is_missing():
+    rendering = scenes.plane((0.0, 0.0, -1.0), 8.0).render(small_camera())
+    measured = rendering.measure(noise=0.1, quantise=False)
+    assert np.isnan(measured).any()
+    assert np.nanmin(measured) > 0.0
+
+
 def test_a_seed_is_a_frame_and_holes_leave_the_rest_as_it_was():
     rendering = scenes.room().render(small_camera())
     whole = rendering.measure(seed=3)
