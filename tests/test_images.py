@@ -158,7 +158,7 @@ def test_a_tiff_that_pillow_does_not_read_is_not_called_damaged(tmp_path, dtype)
         images.read_depth(tmp_path / "depth.tif")
 
 
-@pytest.mark.parametrize("largest", [200, 255, 2047, 10000, 65535])
+@pytest.mark.parametrize("largest", [200, 255, 256, 2047, 10000, 65535])
 @pytest.mark.parametrize("plain", [False, True])
 def test_pgm_is_not_stretched_to_its_largest_value(tmp_path, largest, plain):
     frame = (a_frame().astype(int) % (largest + 1)).astype(np.uint16)
