@@ -758,6 +758,18 @@ def test_presets_name_their_source_and_have_rays(preset):
     assert_rays_land_on_their_pixels(camera, 1e-7)
 
 
+@pytest.mark.parametrize("preset", PRESETS, ids=lambda p: p.__name__)
+def test_presets_have_the_units_and_signs_that_they_state(preset):
+    camera, stated = preset(), preset.__doc__.split("Source:")[0]
+    if camera.disparity is None:
+        units = {"millimetres": 1000.0, "5000 units per metre": 5000.0, "5000 per metre": 5000.0}
+        assert [camera.depth_scale] == [scale for words, scale in units.items() if words in stated]
+    assert camera.fx > 0.0
+    assert (camera.fy < 0.0) == ("fy is negative" in stated)
+    missing = re.findall(r"(\d+) means? missing", preset.__doc__)
+    assert camera.invalid_values == tuple(map(float, missing))
+
+
 def test_preset_modes():
     assert presets.realsense_d435(848, 480).fx == pytest.approx(643.3 * 848 / 1280, rel=1e-4)
     with pytest.raises(ValueError, match=r"expected a mode of .* got 640x480"):
