@@ -111,6 +111,19 @@ def test_equals_oracle(method, implementation, dtype, holes, tile, distortion, r
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("tile", [(70, 1340), (40, 700), (33, 20)])
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_tiles_higher_and_wider_than_what_is_summed_at_once_equal_the_oracle(method, tile, distortion, rng):
+    camera = rp.Camera(1340, 70, 950.0, -940.0, 650.0, 38.0, DISTORTIONS[distortion], depth_scale=1000.0)
+    q = 0.5 + 0.1 * camera.tan_x - 0.3 * camera.tan_y + 1e-3 * rng.standard_normal(camera.shape)
+    depth = make_holes(1.0 / q, "some", rng)
+    tiles = rp.fit_tiles(depth, camera, tile, method)
+    expected = oracle.fit_windows(depth, camera, oracle.tile_windows(camera, tile), method, change=CHANGE["direct"])
+    compared = assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR["direct"])
+    assert compared >= 0.8 * np.count_nonzero(tiles.fitted) > 0
+
+
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 def test_circular_image_of_a_fisheye_equals_oracle(method, implementation, rng):
     # It sees as far as 57 degrees from the axis: rays at nearly a right angle cost the sums of whole frames digits.
