@@ -201,15 +201,17 @@ def test_planes_larger_than_tiles_show_how_far_a_bias_reaches(floor, rng):
     assert 0.2 < np.median(squares) < 3.0
 
 
-def test_where_all_errors_are_smooth_a_fiftieth_of_them_counts_as_random(rng):
-    """Else nothing would: σ, that of the random ones, would be 0, and the floor infinite."""
+@pytest.mark.parametrize("white", [0.0, 0.02, 0.1])
+def test_where_nearly_all_errors_are_smooth_they_are_seen_in_their_size(white, rng):
+    """And something counts as random, however little: else σ would be 0, and the floor infinite."""
     seen = []
     for tilt in (-0.2, 0.0, 0.2):
         depth = rp.scenes.plane((tilt, 0.2, -1.0), 1.5).render(CAMERA).depth
-        seen.append(1.0 / (1.0 / depth + 3e-3 * smooth(rng, 24.0)))
+        error = smooth(rng, 24.0) + white * rng.standard_normal(depth.shape)
+        seen.append(1.0 / (1.0 / depth + 3e-3 * error))
     model = rp.estimate_noise(seen, CAMERA)
-    assert model.floor == pytest.approx(np.sqrt(50.0), rel=0.05)
-    assert model.sigma(0.6) > 1e-5
+    assert model.sigma(0.6) * np.hypot(1.0, model.floor) == pytest.approx(3e-3, rel=0.5)
+    assert model.floor < 101.0
 
 
 def test_a_bias_wider_than_any_surface():

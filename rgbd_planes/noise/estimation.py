@@ -65,6 +65,7 @@ _PARTS = 5  # of the image along either side: a falloff must show without each o
 _STARTS = 0.0, 0.25, 0.5, 0.75  # where the first part begins, in parts: where it does must not decide
 _FRAMES = 4  # with this many or more, it must show without each of them, too
 _SURE = 3.0  # standard errors that a falloff must exceed
+_RANDOM = 0.01  # σq as a share of all errors, at least: small tiles see it, and hardly any of errors that reach far
 _TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff; a relative change that counts as none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms that count as small, and steps to find their least sum
 _NO_NOISE = "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"
@@ -348,8 +349,9 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
                 error, shares, floor_length = with_floor, candidate, length
     shares[0] += 1e-9  # where all is lateral error and rounding
     random = float(shares[:-1].sum())
-    if random < 0.02 * shares.sum():  # all of it smooth: keep the model one of random errors
-        shares[0] += 0.02 * shares.sum()
+    least = _RANDOM**2 * shares.sum()
+    if random < least:  # all of it smooth: without random errors the floor would be infinite
+        shares[0] += least
         random = float(shares[:-1].sum())
     # σq is that of the random error.
     return replace(
