@@ -133,10 +133,15 @@ def readable(path: str | os.PathLike[str], expected: str, remedy: str = "") -> I
     try:
         yield
     except Exception as error:
-        if isinstance(error, MemoryError) and not _is_free(_MORE_THAN_A_FRAME):
+        if is_of_short_memory(error):
             raise
         reason = getattr(error, "strerror", None) or one_line(error) or type(error).__name__
         raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason}){remedy}") from error
+
+
+def is_of_short_memory(error: Exception) -> bool:
+    """Whether an error from reading a file says that memory is short, and not that the file asks for nonsense."""
+    return isinstance(error, MemoryError) and not _is_free(_MORE_THAN_A_FRAME)
 
 
 def _is_free(size: int) -> bool:

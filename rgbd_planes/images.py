@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.checks import plain_array
-from rgbd_planes.files import existing_file, write_beside
+from rgbd_planes.files import existing_file, is_of_short_memory, write_beside
+from rgbd_planes.wording import one_line
 
 Frame = NDArray[Any]
 
@@ -151,10 +152,10 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
                 f"{path}: a TIFF image of {kind}, which Pillow does not read: save float32 or uint16, or NPY"
             ) from None
         raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
-    except MemoryError:  # of an image that Pillow takes for whole: it refuses sizes that are nonsense
-        raise
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
-        raise ValueError(f"{path}: damaged or truncated {file_format} image ({error})") from error
+        if is_of_short_memory(error):
+            raise
+        raise ValueError(f"{path}: damaged or truncated {file_format} image ({one_line(error) or type(error).__name__})") from error
     if swapped is not None:
         raise ValueError(
             f"{path}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
@@ -245,10 +246,10 @@ def _read_npy(path: Path) -> Frame:
             raise ValueError(f"{path}: not an NPY file")
         try:
             return _array(file, path.stat().st_size)
-        except MemoryError:
-            raise
         except Exception as error:  # also from parsing the header, which is Python text
-            raise ValueError(f"{path}: damaged or truncated NPY file ({error})") from error
+            if is_of_short_memory(error):
+                raise
+            raise ValueError(f"{path}: damaged or truncated NPY file ({one_line(error) or type(error).__name__})") from error
 
 
 def _read_npz(path: Path) -> Frame:
@@ -259,10 +260,10 @@ def _read_npz(path: Path) -> Frame:
                 with archive.open(members[0]) as file:
                     if file.read(len(_NPY)) == _NPY:
                         return _array(file, members[0].file_size)
-    except MemoryError:
-        raise
     except Exception as error:  # from the archive, its compression, or the array
-        raise ValueError(f"{path}: damaged or truncated NPZ file ({error})") from error
+        if is_of_short_memory(error):
+            raise
+        raise ValueError(f"{path}: damaged or truncated NPZ file ({one_line(error) or type(error).__name__})") from error
     names = ", ".join(member.filename.removesuffix(".npy") for member in members)
     found = f"{names}, which is none" if len(members) == 1 else f"{len(members)}{names and ': '}{names}"
     raise ValueError(f"{path}: expected an NPZ file with one array, got {found}")

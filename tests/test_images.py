@@ -367,7 +367,7 @@ def test_several_images_or_arrays(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".npy", ".npz"])
-def test_an_image_that_memory_is_short_of_is_not_called_damaged(tmp_path, monkeypatch, suffix):
+def test_an_image_that_asks_for_too_much_memory_is_damaged_unless_memory_is_short(tmp_path, monkeypatch, suffix):
     def fail(*arguments, **options):
         raise MemoryError("Unable to allocate 76.3 MiB")
 
@@ -375,6 +375,9 @@ def test_an_image_that_memory_is_short_of_is_not_called_damaged(tmp_path, monkey
     path.write_bytes(encoded(suffix))
     monkeypatch.setattr(np.lib.format, "read_array", fail)
     monkeypatch.setattr(Image, "open", fail)
+    with pytest.raises(ValueError, match=rf"depth\{suffix}: damaged .* \(Unable to allocate 76.3 MiB\)"):
+        images.read_depth(path)
+    monkeypatch.setattr(files, "_MORE_THAN_A_FRAME", 2**62)  # as if nothing were free
     with pytest.raises(MemoryError):
         images.read_depth(path)
 

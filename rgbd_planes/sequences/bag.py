@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
-from rgbd_planes.files import existing_file, identity, naming, readable
+from rgbd_planes.files import existing_file, identity, is_of_short_memory, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
+from rgbd_planes.wording import one_line
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
@@ -253,10 +254,10 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
         _, a, b = struct.unpack_from("<iff", content)
         with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
             pixels = np.array(png)
-    except MemoryError:
-        raise
     except Exception as error:  # from the bytes before it, or one of Pillow's many
-        raise ValueError(f"damaged compressed image ({error})") from None
+        if is_of_short_memory(error):
+            raise
+        raise ValueError(f"damaged compressed image ({one_line(error) or type(error).__name__})") from None
     if pixels.ndim != 2:
         raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
     if encoding == "16UC1":
