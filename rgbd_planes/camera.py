@@ -44,6 +44,7 @@ class OfDepth(TypedDict, total=False):
 
 
 _PIXELS = "whole number of pixels"
+_LARGEST = 1e12  # pixels: of tangents as large as those of this and its inverse, sums of fourth powers are finite
 _FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; only fisheye lenses see farther
 
 
@@ -117,9 +118,12 @@ class Camera:
             self._set(name, check_whole(name, getattr(self, name), 1, _PIXELS, bits=31))
         for name in ("fx", "fy", "cx", "cy"):
             self._set(name, number(name, getattr(self, name)))
-        for name in ("fx", "fy"):
-            if getattr(self, name) == 0:
-                raise ValueError(f"expected {name} in pixels, not 0, got {getattr(self, name)!r}")
+        for name, least in (("fx", 1.0 / _LARGEST), ("fy", 1.0 / _LARGEST), ("cx", 0.0), ("cy", 0.0)):
+            value = getattr(self, name)
+            if least and value == 0:
+                raise ValueError(f"expected {name} in pixels, not 0, got {value!r}")
+            if not least <= abs(value) <= _LARGEST:
+                raise ValueError(f"expected {name} in pixels, {least:g} to {_LARGEST:g} or minus that, got {value!r}")
         coefficients = numbers("distortion", self.distortion)
         self._set("distortion", distortion.checked(coefficients, self.distortion_model))
         invalid = numbers("invalid_values", self.invalid_values, finite=False)

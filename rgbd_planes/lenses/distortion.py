@@ -14,6 +14,7 @@ _COUNTS = {"brown_conrady": (0, 4, 5, 8), "inverse_brown_conrady": (0, 5), "fish
 
 MODELS = tuple(_COUNTS)
 
+_LARGEST = 1e60  # products of a few coefficients are finite
 _LEAST_SEEN = 0.1  # share of a fisheye's pixels; with fewer the focal length is most likely in other units
 
 
@@ -35,6 +36,8 @@ def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
             f"expected {', '.join(map(str, allowed))} distortion coefficients for {model} "
             f"({names}), got {len(coefficients)}: {coefficients}"
         )
+    if max(map(abs, coefficients), default=0.0) > _LARGEST:
+        raise ValueError(f"expected distortion coefficients of at most {_LARGEST:g}, got {coefficients}")
     if model == "fisheye":
         return coefficients or (0.0,) * 4
     padded = coefficients + (0.0,) * (8 - len(coefficients))

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import check_noise, for_each, number, numbers, warn_of_large_noise
+from rgbd_planes.checks import LARGEST_NOISE, check_noise, for_each, number, numbers, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
@@ -105,6 +105,8 @@ class NoiseModel:
             value = number(name, getattr(self, name))
             if value < 0.0:
                 raise ValueError(f"expected {name} of 0 or more, got {value!r}")
+            if value > LARGEST_NOISE:
+                raise ValueError(f"expected {name} of at most {LARGEST_NOISE:g}, got {value!r}")
             object.__setattr__(self, name, value)
         if self.falloff > _LARGEST_FALLOFF:
             raise ValueError(f"expected a falloff of at most {_LARGEST_FALLOFF:g}, got {self.falloff!r}")
@@ -116,6 +118,8 @@ class NoiseModel:
             raise ValueError(
                 f"expected positive correlation lengths in pixels, got {lengths} and {self.floor_length!r}"
             )
+        if max(lengths, default=0.0) > LARGEST_NOISE:
+            raise ValueError(f"expected correlation lengths of at most {LARGEST_NOISE:g} pixels, got {lengths}")
         object.__setattr__(self, "correlation", tuple(zip(shares, lengths, strict=True)))
         if not (self._table().any() or self.step or self.disparity_step):
             raise ValueError("expected noise above 0, or a step of rounding, got 0 at all inverse depths")
