@@ -44,7 +44,7 @@ class OfDepth(TypedDict, total=False):
 
 
 _PIXELS = "whole number of pixels"
-_LARGEST = 1e12  # pixels: of tangents as large as those of this and its inverse, sums of fourth powers are finite
+_LARGEST = 1e8  # pixels: far beyond any camera; with tangents of larger numbers sums lose all digits
 _FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; only fisheye lenses see farther
 
 

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import LARGEST_NOISE, check_noise, for_each, number, numbers, warn_of_large_noise
+from rgbd_planes.checks import LARGEST_NOISE, check_noise, for_each, number, numbers, real_array, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
@@ -160,8 +160,14 @@ class NoiseModel:
         tan_x, tan_y : array_like, optional
             tanθx and tanθy of the pixel's ray, for a model with `falloff`; without them the ray is the optical axis.
             Shapes broadcast.
+
+        Raises
+        ------
+        TypeError
+            One of them is masked, or not numbers.
         """
-        return self._sigma(np.asarray(inverse_depth, np.float64), self._growth(tan_x, tan_y))
+        growth = self._growth(real_array("tan_x", tan_x), real_array("tan_y", tan_y))
+        return self._sigma(real_array("inverse_depth", inverse_depth), growth)
 
     def _sigma(self, q: Floats, growth: Floats | float) -> Floats:
         return np.asarray(np.sqrt(self._along(q) ** 2 * growth + self._rounding(q)))
@@ -187,7 +193,7 @@ class NoiseModel:
 
     def sigma_depth(self, depth: ArrayLike, tan_x: ArrayLike = 0.0, tan_y: ArrayLike = 0.0) -> Floats:
         """Standard deviation of one pixel's depth in metres at depths in metres, σZ = σq·Z²: see `sigma`."""
-        z = np.asarray(depth, np.float64)
+        z = real_array("depth", depth)
         return np.asarray(self.sigma(1.0 / z, tan_x, tan_y) * z * z)
 
     @property
