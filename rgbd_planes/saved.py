@@ -99,7 +99,10 @@ def _unknown_keys(about: Mapping[str, Any]) -> list[str]:
     camera = about.get("camera", {})
     noise = camera.get("noise") or {}
     return sorted(
-        key for of, keys in ((Camera, camera), (NoiseModel, noise)) for key in set(keys) - {f.name for f in fields(of)}
+        key
+        for of, keys in ((Camera, camera), (NoiseModel, noise))
+        if isinstance(keys, Mapping)  # anything else is damage
+        for key in set(keys) - {f.name for f in fields(of)}
     )
 
 

@@ -52,7 +52,7 @@ def tile_sizes(length: int, tile: int) -> npt.NDArray[np.int64]:
 
 def grid_shape(camera: Camera, tile: tuple[int, int]) -> tuple[int, int]:
     """Number of rows and of columns of a frame's tiles."""
-    return len(tile_sizes(camera.height, tile[0])), len(tile_sizes(camera.width, tile[1]))
+    return -(-camera.height // tile[0]), -(-camera.width // tile[1])
 
 
 @lru_cache(maxsize=16)

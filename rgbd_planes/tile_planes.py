@@ -153,10 +153,15 @@ class TilePlanes(Savable, PlacedFits):
         method, camera = about["method"], Camera.from_dict(about["camera"])
         check_choice("method", method, METHODS)
         tile = check_tile(tuple(about["tile"]), camera.shape)
-        own = {name: arrays[name.lstrip("_")] for name in ARRAYS}
-        check_alike(own, allocate(own["status"].shape[:-2], grid_shape(camera, tile)))
-        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid_shape(camera, tile))
+        own, grid = {name: arrays[name.lstrip("_")] for name in ARRAYS}, grid_shape(camera, tile)
+        if own["status"].shape[-2:] != grid:  # before memory is asked for, of which nonsense takes any amount
+            raise ValueError("planes of another grid")
+        check_alike(own, allocate(own["status"].shape[:-2], grid))
+        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid)
         count = own["valid_count"]
         if own["status"].max() > max(TileStatus) or ((count < 0) | (count > pixels)).any():
             raise ValueError("an invalid status or number of pixels")
-        return cls(camera=camera, method=method, tile=tile, **own)
+        made = cls(camera=camera, method=method, tile=tile, **own)
+        if not (np.isfinite(made.planes[made.fitted]).all() and np.isfinite(made.alpha[made.fitted]).all()):
+            raise ValueError("planes that are not finite")
+        return made

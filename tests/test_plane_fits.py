@@ -64,11 +64,19 @@ def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "negative.npz", **arrays | {"valid_count": arrays["valid_count"] - np.int32(11 * 13 + 1)})
     changed = str(arrays["about"]).replace(tiles.method, "ransac")
     np.savez(tmp_path / "method.npz", **arrays | {"about": np.array(changed)})
+    np.savez(tmp_path / "nan.npz", **arrays | {"planes": np.full_like(arrays["planes"], np.nan)})
+    huge = str(arrays["about"]).replace('"height": 48', '"height": 2147483647')
+    np.savez(tmp_path / "huge.npz", **arrays | {"about": np.array(huge)})
+    list_of_noise = str(arrays["about"]).replace('"fx"', '"noise": [1], "fx"')
+    np.savez(tmp_path / "noise.npz", **arrays | {"about": np.array(list_of_noise)})
     names = ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz")
     names += ("rows.npz", "text.npz", "batch.npz", "status.npz", "count.npz", "negative.npz", "method.npz")
+    names += ("nan.npz", "huge.npz", "noise.npz")
     for name in names:
         with pytest.raises(ValueError, match=rf"{name}: not a file that TilePlanes.save wrote"):
             rp.TilePlanes.load(tmp_path / name)
+    with pytest.raises(ValueError, match=r"or damaged \(planes of another grid\)$"):  # no memory is asked for
+        rp.TilePlanes.load(tmp_path / "huge.npz")
     for name in ("other.npy", "other.txt"):
         with pytest.raises(ValueError, match=r"wrote, or damaged \(not an NPZ file\)$"):
             rp.TilePlanes.load(tmp_path / name)

@@ -80,11 +80,17 @@ def test_load_of_something_else(found, frame, tmp_path):
     np.savez(tmp_path / "fewer.npz", **arrays | {"planes": arrays["planes"][1:]})
     np.savez(tmp_path / "wide.npz", **arrays | {"labels": arrays["labels"].astype(np.int64)})
     np.savez(tmp_path / "larger.npz", **arrays | {"labels": arrays["labels"] + np.int32(1)})
-    for name in ("half.npz", "fewer.npz", "wide.npz", "larger.npz"):
+    np.savez(tmp_path / "nan.npz", **arrays | {"alpha": np.full_like(arrays["alpha"], np.nan)})
+    for name in ("half.npz", "fewer.npz", "wide.npz", "larger.npz", "nan.npz"):
         with pytest.raises(ValueError, match=rf"{name}: not a file that Segmentation.save wrote"):
             rp.Segmentation.load(tmp_path / name)
     with pytest.raises(FileNotFoundError):
         rp.Segmentation.load(tmp_path / "none.npz")
+    huge = with_about(
+        tmp_path / "planes.npz", tmp_path / "huge.npz", lambda about: about["camera"].update(height=2**31 - 1)
+    )
+    with pytest.raises(ValueError, match=r"or damaged \(labels of another image size\)$"):  # no memory is asked for
+        rp.Segmentation.load(huge)
 
 
 def with_about(path, to, change):

@@ -217,11 +217,15 @@ class Segmentation(Savable):
     @classmethod
     def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
         camera, sigma = Camera.from_dict(about["camera"]), float(about["sigma"])
+        if arrays["labels"].shape != camera.shape:  # before memory is asked for, of which nonsense takes any amount
+            raise ValueError("labels of another image size")
         expected = _allocate(camera, len(arrays["sizes"]))
         own = {name: arrays[name] for name in expected}
         check_alike(own, expected)
         if not 0 <= own["labels"].min() <= own["labels"].max() <= len(own["sizes"]):
             raise ValueError("labels of other planes")
+        if not (np.isfinite(own["planes"]).all() and np.isfinite(own["alpha"]).all()):
+            raise ValueError("planes that are not finite")
         return cls(camera=camera, sigma=sigma, **own)
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
