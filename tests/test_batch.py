@@ -448,10 +448,13 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
         (out / stranger).unlink()
     rp.fit_sequence(sequence, out)
     about = json.loads((out / "_about.json").read_text())
-    for damaged in ({}, [], {**about, "frames_per_part": 0}, {**about, "frames_per_part": None}):
+    for damaged in ({}, [], *({**about, "frames_per_part": size} for size in (0, None, 2.5, True, np.inf))):
         (out / "_about.json").write_text(json.dumps(damaged))
         with pytest.raises(ValueError, match="damaged; remove"):
             rp.fit_sequence(sequence, out)
+    (out / "_about.json").write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="damaged; remove"):
+        rp.fit_sequence(sequence, out)
     (out / "_about.json").unlink()
     with pytest.raises(ValueError, match="expected an empty folder"):
         rp.fit_sequence(sequence, out)

@@ -27,7 +27,7 @@ from rgbd_planes.batch.digest import UNKNOWN, digests
 from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part, in_words
 from rgbd_planes.batch.rows import Columns
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_num_threads, warn_caller
+from rgbd_planes.checks import check_num_threads, check_whole, warn_caller
 from rgbd_planes.depth import check_unit
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, check_folder_name, naming, write_beside
@@ -243,10 +243,8 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     if file.is_file():
         try:
             found = json.loads(file.read_text(encoding="utf-8"))
-            size = int(found.pop("frames_per_part"))
-            if size < 1:
-                raise ValueError(size)
-        except (ValueError, KeyError, AttributeError, TypeError):
+            size = check_whole("frames_per_part", found.pop("frames_per_part"), 1)
+        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
             raise ValueError(f"{file}: damaged; remove {folder} to begin again") from None
         if found != about:
             different = [name for name in about if found.get(name) != about[name]]
