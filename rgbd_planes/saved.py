@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import collected_warnings
@@ -111,3 +112,12 @@ def check_alike(arrays: Arrays, expected: Arrays) -> None:
     for name, other in expected.items():
         if (arrays[name].shape, arrays[name].dtype) != (other.shape, other.dtype):
             raise ValueError(f"{name} of another shape or dtype")
+
+
+def check_planes(planes: NDArray[np.float64], alpha: NDArray[np.float64]) -> None:
+    """Raise a ValueError unless (N, 4) planes are finite, with unit normals and d > 0, and (N, 3) alpha is -n / d."""
+    normal, d = planes[:, :3], planes[:, 3:]
+    with np.errstate(all="ignore"):
+        length = np.linalg.norm(normal, axis=1)
+        if not (np.allclose(length, 1.0) and (d > 0.0).all() and np.allclose(-alpha * d, normal)):
+            raise ValueError("planes that are none")

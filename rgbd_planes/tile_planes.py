@@ -15,7 +15,7 @@ from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.falloff import growth_of_tiles
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
-from rgbd_planes.saved import Arrays, Savable, check_alike
+from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
 from rgbd_planes.wording import counted
 
@@ -162,6 +162,5 @@ class TilePlanes(Savable, PlacedFits):
         if own["status"].max() > max(TileStatus) or ((count < 0) | (count > pixels)).any():
             raise ValueError("an invalid status or number of pixels")
         made = cls(camera=camera, method=method, tile=tile, **own)
-        if not (np.isfinite(made.planes[made.fitted]).all() and np.isfinite(made.alpha[made.fitted]).all()):
-            raise ValueError("planes that are not finite")
+        check_planes(made.planes[made.fitted], made.alpha[made.fitted])
         return made

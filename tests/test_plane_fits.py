@@ -65,13 +65,14 @@ def test_load_of_something_else(tiles, tmp_path):
     changed = str(arrays["about"]).replace(tiles.method, "ransac")
     np.savez(tmp_path / "method.npz", **arrays | {"about": np.array(changed)})
     np.savez(tmp_path / "nan.npz", **arrays | {"planes": np.full_like(arrays["planes"], np.nan)})
+    np.savez(tmp_path / "behind.npz", **arrays | {"planes": -arrays["planes"]})
     huge = str(arrays["about"]).replace('"height": 48', '"height": 2147483647')
     np.savez(tmp_path / "huge.npz", **arrays | {"about": np.array(huge)})
     list_of_noise = str(arrays["about"]).replace('"fx"', '"noise": [1], "fx"')
     np.savez(tmp_path / "noise.npz", **arrays | {"about": np.array(list_of_noise)})
     names = ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz")
     names += ("rows.npz", "text.npz", "batch.npz", "status.npz", "count.npz", "negative.npz", "method.npz")
-    names += ("nan.npz", "huge.npz", "noise.npz")
+    names += ("nan.npz", "behind.npz", "huge.npz", "noise.npz")
     for name in names:
         with pytest.raises(ValueError, match=rf"{name}: not a file that TilePlanes.save wrote"):
             rp.TilePlanes.load(tmp_path / name)

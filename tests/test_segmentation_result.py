@@ -81,7 +81,8 @@ def test_load_of_something_else(found, frame, tmp_path):
     np.savez(tmp_path / "wide.npz", **arrays | {"labels": arrays["labels"].astype(np.int64)})
     np.savez(tmp_path / "larger.npz", **arrays | {"labels": arrays["labels"] + np.int32(1)})
     np.savez(tmp_path / "nan.npz", **arrays | {"alpha": np.full_like(arrays["alpha"], np.nan)})
-    for name in ("half.npz", "fewer.npz", "wide.npz", "larger.npz", "nan.npz"):
+    np.savez(tmp_path / "long.npz", **arrays | {"planes": 1e300 * arrays["planes"]})
+    for name in ("half.npz", "fewer.npz", "wide.npz", "larger.npz", "nan.npz", "long.npz"):
         with pytest.raises(ValueError, match=rf"{name}: not a file that Segmentation.save wrote"):
             rp.Segmentation.load(tmp_path / name)
     with pytest.raises(FileNotFoundError):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.saved import Arrays, Savable, check_alike
+from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
 from rgbd_planes.tile_grid import common_labels
 from rgbd_planes.wording import counted, percent
 
@@ -224,8 +224,7 @@ class Segmentation(Savable):
         check_alike(own, expected)
         if not 0 <= own["labels"].min() <= own["labels"].max() <= len(own["sizes"]):
             raise ValueError("labels of other planes")
-        if not (np.isfinite(own["planes"]).all() and np.isfinite(own["alpha"]).all()):
-            raise ValueError("planes that are not finite")
+        check_planes(own["planes"], own["alpha"])
         return cls(camera=camera, sigma=sigma, **own)
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
