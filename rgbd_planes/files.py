@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rgbd_planes.wording import one_line
+from rgbd_planes.wording import reason_of
 
 _OF_FILES = frozenset(
     (
@@ -135,7 +135,7 @@ def readable(path: str | os.PathLike[str], expected: str, remedy: str = "") -> I
     except Exception as error:
         if is_of_short_memory(error):
             raise
-        reason = getattr(error, "strerror", None) or one_line(error) or type(error).__name__
+        reason = getattr(error, "strerror", None) or reason_of(error)
         raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason}){remedy}") from error
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.checks import plain_array
 from rgbd_planes.files import existing_file, is_of_short_memory, write_beside
-from rgbd_planes.wording import one_line
+from rgbd_planes.wording import reason_of
 
 Frame = NDArray[Any]
 
@@ -155,7 +155,7 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
         if is_of_short_memory(error):
             raise
-        raise ValueError(f"{path}: damaged or truncated {file_format} image ({one_line(error) or type(error).__name__})") from error
+        raise ValueError(f"{path}: damaged or truncated {file_format} image ({reason_of(error)})") from error
     if swapped is not None:
         raise ValueError(
             f"{path}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
@@ -249,7 +249,7 @@ def _read_npy(path: Path) -> Frame:
         except Exception as error:  # also from parsing the header, which is Python text
             if is_of_short_memory(error):
                 raise
-            raise ValueError(f"{path}: damaged or truncated NPY file ({one_line(error) or type(error).__name__})") from error
+            raise ValueError(f"{path}: damaged or truncated NPY file ({reason_of(error)})") from error
 
 
 def _read_npz(path: Path) -> Frame:
@@ -263,7 +263,7 @@ def _read_npz(path: Path) -> Frame:
     except Exception as error:  # from the archive, its compression, or the array
         if is_of_short_memory(error):
             raise
-        raise ValueError(f"{path}: damaged or truncated NPZ file ({one_line(error) or type(error).__name__})") from error
+        raise ValueError(f"{path}: damaged or truncated NPZ file ({reason_of(error)})") from error
     names = ", ".join(member.filename.removesuffix(".npy") for member in members)
     found = f"{names}, which is none" if len(members) == 1 else f"{len(members)}{names and ': '}{names}"
     raise ValueError(f"{path}: expected an NPZ file with one array, got {found}")

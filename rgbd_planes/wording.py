@@ -35,3 +35,8 @@ def one_line(message: object) -> str:
     if isinstance(message, OSError) and message.strerror is not None:
         message = f"{message.filename}: {message.strerror}" if message.filename else message.strerror
     return " ".join(str(message).split())
+
+
+def reason_of(error: BaseException) -> str:
+    """The text of an error in one line, or its kind if it has no text."""
+    return one_line(error) or type(error).__name__

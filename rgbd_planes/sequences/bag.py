@@ -19,7 +19,7 @@ from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
 from rgbd_planes.files import existing_file, identity, is_of_short_memory, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
-from rgbd_planes.wording import one_line
+from rgbd_planes.wording import reason_of
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
@@ -257,7 +257,7 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
     except Exception as error:  # from the bytes before it, or one of Pillow's many
         if is_of_short_memory(error):
             raise
-        raise ValueError(f"damaged compressed image ({one_line(error) or type(error).__name__})") from None
+        raise ValueError(f"damaged compressed image ({reason_of(error)})") from None
     if pixels.ndim != 2:
         raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
     if encoding == "16UC1":

@@ -17,7 +17,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
 from rgbd_planes.images import read_depth
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.wording import counted, one_line
+from rgbd_planes.wording import counted, reason_of
 
 # What the system says where nothing is wrong with a file: files or memory are short, or a disk does not answer.
 _OF_THE_MACHINE = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.ETIMEDOUT}
@@ -186,7 +186,7 @@ def reason_to_skip(error: Exception, name: str) -> str:
             cause.filename = cause.filename or name
             raise cause
         cause = cause.__cause__ or cause.__context__
-    text = one_line(error) or type(error).__name__
+    text = reason_of(error)
     folder, _, rest = text.partition(f"{name}: ")  # the name is given beside it
     return rest if rest and folder[-1:] in ("", "/") else text
 
