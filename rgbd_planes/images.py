@@ -83,6 +83,15 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
         Image.fromarray(np.ascontiguousarray(image, native)).save(beside, format="PNG", compress_type=zlib.Z_RLE)
 
 
+def check_png_size(image: Any, size: int) -> None:
+    """Raise a ValueError if an open PNG image of so many bytes cannot have its pixels: they would take memory.
+
+    Its compression makes at most 1032 bytes of one, and a byte has at most 8 pixels.
+    """
+    if image.width * image.height > 8 * 1032 * size:
+        raise ValueError(f"{size} bytes for {image.width} x {image.height} pixels")
+
+
 def _read_png(path: Path) -> Frame:
     return _read_with_pillow(path, "PNG")
 
@@ -127,6 +136,8 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
 
     try:
         with Image.open(path, formats=[file_format]) as image:
+            if file_format == "PNG":
+                check_png_size(image, path.stat().st_size)
             mode, count = image.mode, getattr(image, "n_frames", 1)
             codec, stored_as = _encoding(image)
             tags = getattr(image, "tag_v2", {})

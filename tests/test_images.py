@@ -396,6 +396,20 @@ def test_an_array_larger_than_its_file_is_damaged_and_not_short_of_memory(tmp_pa
         images.read_depth(path)
 
 
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_png_with_more_pixels_than_its_bytes_can_hold_is_damaged(tmp_path):
+    """Pillow would make a gigabyte of one of 190 bytes."""
+    content = bytearray(encoded(".png"))
+    content[16:24] = struct.pack(">II", 8, 20_000_000)
+    content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
+    (tmp_path / "depth.png").write_bytes(content)
+    with pytest.raises(ValueError, match=r"depth\.png: damaged .* \(\d+ bytes for 8 x 20000000 pixels\)"):
+        images.read_depth(tmp_path / "depth.png")
+    Image.new("1", (20_000, 2_000)).save(tmp_path / "empty.png", compress_level=9)  # as small as there is
+    with pytest.raises(ValueError, match="got a colour, palette or black-and-white image"):
+        images.read_depth(tmp_path / "empty.png")
+
+
 def test_pickled_arrays_are_not_executed(tmp_path):
     np.save(tmp_path / "depth.npy", np.array([[{"a": 1}]], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match="damaged"):

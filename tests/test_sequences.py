@@ -22,7 +22,7 @@ from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
-from rgbd_planes.sequences.bag import _OpenBag
+from rgbd_planes.sequences.bag import _decode_compressed, _OpenBag
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered
 from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
@@ -618,6 +618,17 @@ def test_rosbag_of_compressed_depth(tmp_path, frames, name):
     for frame, metres in zip(sequence, expected, strict=True):
         assert frame.depth.dtype == np.float32
         np.testing.assert_allclose(frame.depth, metres, rtol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_compressed_image_with_more_pixels_than_its_bytes_can_hold_is_damaged():
+    head = b"IHDR" + struct.pack(">IIBBBBB", 8, 20_000_000, 16, 0, 0, 0, 0)
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    message = SimpleNamespace(
+        format="16UC1; compressedDepth png", data=bytes(12) + png + struct.pack(">I", 9) + b"IDAT"
+    )
+    with pytest.raises(ValueError, match=r"^damaged compressed image \(\d+ bytes for 8 x 20000000 pixels\)$"):
+        _decode_compressed(message)
 
 
 def test_rosbag_of_a_realsense(tmp_path, frames):

@@ -18,6 +18,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
 from rgbd_planes.files import existing_file, identity, is_of_short_memory, naming, readable
+from rgbd_planes.images import check_png_size
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 from rgbd_planes.wording import reason_of
 
@@ -253,6 +254,7 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
     try:
         _, a, b = struct.unpack_from("<iff", content)
         with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
+            check_png_size(png, len(content))
             pixels = np.array(png)
     except Exception as error:  # from the bytes before it, or one of Pillow's many
         if is_of_short_memory(error):
