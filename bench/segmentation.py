@@ -154,11 +154,11 @@ def report(title: str, rows: Sequence[Scores]) -> None:
     )
 
 
-def report_small(frames: Sequence[Frame]) -> None:
+def report_small(labels: Sequence[NDArray[np.int32]], frames: Sequence[Frame]) -> None:
     """Print how many of the small regions are found."""
     regions, found = 0, 0
-    for frame in frames:
-        comparison = compare_labels(segment(frame.depth, frame.camera).labels, frame.truth)
+    for predicted, frame in zip(labels, frames, strict=True):
+        comparison = compare_labels(predicted, frame.truth)
         small = comparison.truth_labels[comparison.truth_sizes < SMALL]
         regions += len(small)
         found += int(np.isin(small, comparison.hoover(0.8).correct_pairs[:, 0]).sum())
@@ -483,9 +483,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     peer = opencv_planes()
     print(HEADER)
     for name, frames in sets:
-        report(name, [score(segment(frame.depth, frame.camera).labels, frame) for frame in frames])
+        labels = [segment(frame.depth, frame.camera).labels for frame in frames]
+        report(name, [score(predicted, frame) for predicted, frame in zip(labels, frames, strict=True)])
         if name == "ABW":
-            report_small(frames)
+            report_small(labels, frames)
         if name == "ABW" and not options.no_cross_validation:
             report("ABW, cross-validated", cross_validate(frames))
         if name in MOVED:

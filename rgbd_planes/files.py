@@ -133,15 +133,17 @@ def readable(path: str | os.PathLike[str], expected: str, remedy: str = "") -> I
     try:
         yield
     except Exception as error:
-        if is_of_short_memory(error):
-            raise
-        reason = getattr(error, "strerror", None) or reason_of(error)
-        raise ValueError(f"{os.fspath(path)}: not {expected}, or damaged ({reason}){remedy}") from error
+        raise damage(f"{os.fspath(path)}: not {expected}, or damaged", error, remedy) from error
 
 
-def is_of_short_memory(error: Exception) -> bool:
-    """Whether an error from reading a file says that memory is short, and not that the file asks for nonsense."""
-    return isinstance(error, MemoryError) and not _is_free(_MORE_THAN_A_FRAME)
+def damage(said: str, error: Exception, remedy: str = "") -> ValueError:
+    """The error for a file that ends early or holds nonsense, with the reason that its reader gave.
+
+    Where memory is short, and the file does not ask for too much, the reader's own error is raised.
+    """
+    if isinstance(error, MemoryError) and not _is_free(_MORE_THAN_A_FRAME):
+        raise error
+    return ValueError(f"{said} ({getattr(error, 'strerror', None) or reason_of(error)}){remedy}")
 
 
 def _is_free(size: int) -> bool:

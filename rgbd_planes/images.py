@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.checks import plain_array
-from rgbd_planes.files import existing_file, is_of_short_memory, write_beside
-from rgbd_planes.wording import reason_of
+from rgbd_planes.files import damage, existing_file, write_beside
 
 Frame = NDArray[Any]
 
@@ -79,7 +78,7 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
     if image.ndim != 2 or native not in (np.uint8, np.uint16):
         raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
     with write_beside(path) as beside:
-        # Noise does not repeat: to look for more than runs takes up to nine times as long, for hardly smaller a file.
+        # Noise does not repeat: to look for more than runs takes up to nine times as long, for a file a seventh smaller at most.
         Image.fromarray(np.ascontiguousarray(image, native)).save(beside, format="PNG", compress_type=zlib.Z_RLE)
 
 
@@ -164,9 +163,7 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
             ) from None
         raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
-        if is_of_short_memory(error):
-            raise
-        raise ValueError(f"{path}: damaged or truncated {file_format} image ({reason_of(error)})") from error
+        raise damage(f"{path}: damaged or truncated {file_format} image", error) from error
     if swapped is not None:
         raise ValueError(
             f"{path}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
@@ -258,9 +255,7 @@ def _read_npy(path: Path) -> Frame:
         try:
             return _array(file, path.stat().st_size)
         except Exception as error:  # also from parsing the header, which is Python text
-            if is_of_short_memory(error):
-                raise
-            raise ValueError(f"{path}: damaged or truncated NPY file ({reason_of(error)})") from error
+            raise damage(f"{path}: damaged or truncated NPY file", error) from error
 
 
 def _read_npz(path: Path) -> Frame:
@@ -272,9 +267,7 @@ def _read_npz(path: Path) -> Frame:
                     if file.read(len(_NPY)) == _NPY:
                         return _array(file, members[0].file_size)
     except Exception as error:  # from the archive, its compression, or the array
-        if is_of_short_memory(error):
-            raise
-        raise ValueError(f"{path}: damaged or truncated NPZ file ({reason_of(error)})") from error
+        raise damage(f"{path}: damaged or truncated NPZ file", error) from error
     names = ", ".join(member.filename.removesuffix(".npy") for member in members)
     found = f"{names}, which is none" if len(members) == 1 else f"{len(members)}{names and ': '}{names}"
     raise ValueError(f"{path}: expected an NPZ file with one array, got {found}")

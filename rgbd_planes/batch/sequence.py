@@ -228,7 +228,7 @@ def _check_unit(sequence: FrameSequence) -> None:
         try:
             dtype = np.asarray(sequence[0].depth).dtype
         except Exception as error:
-            reason_to_skip(error, name)
+            reason_to_skip(error, name)  # raises what is no fault of the frame; a damaged frame is a problem for later
         else:
             with naming(name):
                 check_unit(dtype, camera)

@@ -33,7 +33,6 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         import numpy as np
 
         from rgbd_planes import Camera, TileFitter, fit_tiles, noise, scenes
-        from rgbd_planes.checks import check_whole
         from rgbd_planes.files import check_folder_name, check_writable
         from rgbd_planes.images import write_png
 
@@ -42,8 +41,9 @@ def demo(parser: argparse.ArgumentParser) -> Run:
             noise=noise.kinect_v1(),
         )  # fmt: skip
         check_folder_name(arguments.out, "the files")
-        check_whole("seed", arguments.seed, 0)
         fitter = TileFitter(camera, tile=arguments.tile, num_threads=1)
+        rendering = scenes.room().render(camera)
+        depth = rendering.measure(holes=0.05, patches=0.03, baseline=scenes.KINECT_BASELINE, seed=arguments.seed)
         arguments.out.mkdir(parents=True, exist_ok=True)
         picture, frame_file, camera_file = (
             arguments.out / name for name in ("demo.png", "demo_depth.png", "demo_camera.json")
@@ -51,8 +51,6 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         for path in (picture, frame_file, camera_file):
             check_writable(path)
 
-        rendering = scenes.room().render(camera)
-        depth = rendering.measure(holes=0.05, patches=0.03, baseline=scenes.KINECT_BASELINE, seed=arguments.seed)
         print(
             f"Rendered a room of {len(rendering.planes)} planes, {camera.width} x {camera.height} pixels, "
             f"Kinect noise, {percent(np.mean(depth == 0))} of the pixels missing."

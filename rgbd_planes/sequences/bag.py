@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.camera_formats import depth_scale_of
 from rgbd_planes.extras import needs
-from rgbd_planes.files import existing_file, identity, is_of_short_memory, naming, readable
+from rgbd_planes.files import damage, existing_file, identity, naming, readable
 from rgbd_planes.images import check_png_size
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
-from rgbd_planes.wording import reason_of
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
@@ -257,9 +256,7 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
             check_png_size(png, len(content))
             pixels = np.array(png)
     except Exception as error:  # from the bytes before it, or one of Pillow's many
-        if is_of_short_memory(error):
-            raise
-        raise ValueError(f"damaged compressed image ({reason_of(error)})") from None
+        raise damage("damaged compressed image", error) from None
     if pixels.ndim != 2:
         raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
     if encoding == "16UC1":
