@@ -78,7 +78,7 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
     if image.ndim != 2 or native not in (np.uint8, np.uint16):
         raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
     with write_beside(path) as beside:
-        # Noise does not repeat: to look for more than runs takes up to nine times as long, for a file a seventh smaller at most.
+        # Noise does not repeat: to look for more than runs takes up to nine times as long, and saves a seventh at most.
         Image.fromarray(np.ascontiguousarray(image, native)).save(beside, format="PNG", compress_type=zlib.Z_RLE)
 
 
