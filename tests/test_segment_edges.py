@@ -195,8 +195,8 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     # Large regions are looked at in every other row of blocks: here those are all of one region.
     region = np.zeros((32, 32), np.int32)
     region[1::2] = 1
-    means = np.zeros((32, 32, 4), np.float32)
-    means[..., 0] = 16.0
+    means = np.zeros((4, 32, 32), np.float32)
+    means[0] = 16.0
     moments = np.zeros((2, 10))
     moments[:, 0] = 8192.0
     box = np.array([[0, 32, 0, 32]] * 2)

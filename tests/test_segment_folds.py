@@ -39,7 +39,7 @@ def parts_of(shape, height, scale=1):
     labels = np.broadcast_to((t * strips).astype(np.int32), (rows, columns)).copy()
     u, v = np.meshgrid(0.01 * np.arange(columns), 0.01 * np.arange(rows))
     q = 0.5 + np.broadcast_to(height * SIGMA * surface(t), u.shape)
-    means = np.stack([np.full_like(u, 16.0), u, v, q], axis=-1).astype(np.float32)
+    means = np.stack([np.full_like(u, 16.0), u, v, q]).astype(np.float32)
     terms = np.stack([np.ones_like(u), u, v, q])
     products = 16.0 * np.array(
         [[(terms[:, labels == k][i] * terms[:, labels == k][j]).sum() for i, j in ORDER] for k in range(strips)]

@@ -66,16 +66,16 @@ def test_pixels_inside_a_region_are_those_of_numpy(grain, holes, rng):
         own = (labels == a) & (of_block == a) & measured
         inside = ndimage.binary_erosion(own)
         chosen = own if 2 * inside.sum() < own.sum() else inside
-        pixels = np.full((own.sum() + 5, 4), -1.0, np.float32)
+        pixels = np.full((4, own.sum() + 5), -1.0, np.float32)
         count = inner_pixels(owned, a, box, q, rays_of(CAMERA), pixels)
         assert count == chosen.sum() > 0
         expected = np.stack([np.ones_like(u), u, v, q], axis=-1)[chosen]
         expected = sorted(expected.astype(np.float32).tolist())
-        assert sorted(pixels[:count].tolist()) == expected
-        assert (pixels[count:] == -1.0).all()
-        few = np.full((11, 4), -1.0, np.float32)  # more than there is room for are not written
-        assert inner_pixels(owned, a, box, q, rays_of(CAMERA), few[:10]) <= 10
-        assert (few[10] == -1.0).all()
+        assert sorted(pixels[:, :count].T.tolist()) == expected
+        assert (pixels[:, count:] == -1.0).all()
+        few = np.full((4, 11), -1.0, np.float32)  # more than there is room for are not written
+        assert inner_pixels(owned, a, box, q, rays_of(CAMERA), few[:, :10]) <= 10
+        assert (few[:, 10] == -1.0).all()
 
 
 def is_curled(q, shape, sigma=SIGMA, together=1.0, has_blocks=True):
@@ -202,7 +202,7 @@ def turns_and_angle(q, cut):
     """By how much the surface turns within its two parts, left and right of a column of blocks, and between them."""
     rows, columns = q.shape
     u, v = np.meshgrid(0.02 * np.arange(columns), 0.02 * np.arange(rows))
-    means = np.stack([np.full_like(u, 16.0), u, v, q], axis=-1).astype(np.float32)
+    means = np.stack([np.full_like(u, 16.0), u, v, q]).astype(np.float32)
     region = np.full(q.shape, 0, np.int32)
     region[:, cut:] = 1
     terms = [np.stack([np.ones(here.sum()), u[here], v[here], q[here]]) for here in (region == 0, region == 1)]

@@ -136,7 +136,7 @@ def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
     ----------
     labels : (R, C) int32
         The region of each block.
-    means : (R, C, 4) float32
+    means : (4, R, C) float32
         See `quadrics.owned_means`.
     moments : (N, 10) float64
     noise : Noise

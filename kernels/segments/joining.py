@@ -107,10 +107,11 @@ def leaves(pyramid, state, region, owner, region_moments):
     count = 0
     for row in range(rows):
         above = largest[offsets[1] + (row >> 1) * shapes[1, 1] :]
-        line, owners = region[row], owner[row]
+        line, owners, of_row = region[row], owner[row], pixels[row * columns : (row + 1) * columns]
+        for column in range(columns):
+            owners[column] = EMPTY if of_row[column] == 0.0 else UNSEEN
         for column in range(columns):
             block = row * columns + column
-            owners[column] = EMPTY if pixels[block] == 0.0 else UNSEEN
             if state[block] != 1:
                 line[column] = -1
                 continue

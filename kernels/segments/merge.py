@@ -416,6 +416,11 @@ def renumber(region, number):
         same &= number[a] == a
     if same:
         return
+    none = np.int32(len(number))
+    became = np.empty(len(number) + 1, np.int32)
+    became[none] = -1
+    for a in range(len(number)):
+        became[a] = number[a]
     blocks = region.reshape(-1)
     for i in range(len(blocks)):
-        blocks[i] = number[np.uint32(blocks[i])] if blocks[i] >= 0 else np.int64(-1)
+        blocks[i] = became[np.uint32(blocks[i] if blocks[i] >= 0 else none)]

@@ -61,34 +61,40 @@ def owned_means(owned, pyramid):
 
     Returns
     -------
-    (R, C, 4) float32
-        Written where there is a region.
+    (4, R, C) float32
+        Of blocks that have a region; of the others it means nothing.
     """
     region, number, owners, shares = owned
+    block, first_share, shares_of = owners.block, owners.first, owners.count
+    share_region, share_moments = shares.region, shares.moments
+    rows, columns = region.shape
     moments = pyramid.moments
-    means = np.empty((*region.shape, 4), np.float32)
-    for row in range(region.shape[0]):
-        for column in range(region.shape[1]):
+    means = np.empty((4, rows, columns), np.float32)
+    for row in range(rows):
+        here = slice(row * columns, (row + 1) * columns)
+        n, s_u, s_v, s_q = moments[0, here], moments[1, here], moments[2, here], moments[3, here]
+        of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
+        for column in range(columns):
+            per_pixel = 1.0 / max(n[column], 1.0)
+            of_n[column] = n[column]
+            of_u[column] = s_u[column] * per_pixel
+            of_v[column] = s_v[column] * per_pixel
+            of_q[column] = s_q[column] * per_pixel
+        for column in range(columns):
             a = region[row, column]
-            if a < 0:
+            if a < 0 or block[row, column] != MIXED:
                 continue
-            n, s_u, s_v, s_q = 0.0, 0.0, 0.0, 0.0
-            i = row * region.shape[1] + column
-            if is_whole(owners.block[row, column]):
-                n, s_u, s_v, s_q = moments[0, i], moments[1, i], moments[2, i], moments[3, i]
-            elif owners.block[row, column] == MIXED:
-                first = owners.first[row, column]
-                for s in range(first, first + owners.count[row, column]):
-                    if number[shares.region[s]] == a:
-                        n += shares.moments[s, 0]
-                        s_u += shares.moments[s, 1]
-                        s_v += shares.moments[s, 2]
-                        s_q += shares.moments[s, 3]
-            per_pixel = 1.0 / max(n, 1.0)
-            means[row, column, 0] = n
-            means[row, column, 1] = s_u * per_pixel
-            means[row, column, 2] = s_v * per_pixel
-            means[row, column, 3] = s_q * per_pixel
+            n_a, u_a, v_a, q_a = 0.0, 0.0, 0.0, 0.0
+            first = first_share[row, column]
+            for s in range(first, first + shares_of[row, column]):
+                if number[share_region[s]] == a:
+                    n_a += share_moments[s, 0]
+                    u_a += share_moments[s, 1]
+                    v_a += share_moments[s, 2]
+                    q_a += share_moments[s, 3]
+            per_pixel = 1.0 / max(n_a, 1.0)
+            of_n[column], of_u[column] = n_a, u_a * per_pixel
+            of_v[column], of_q[column] = v_a * per_pixel, q_a * per_pixel
     return means
 
 
@@ -111,7 +117,7 @@ def bits_of(owned, a, row, column):
 
 @kernel()
 def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
-    """Write the pixels inside region ``a`` to ``pixels`` (K, 4), as `owned_means` does blocks; returns how many.
+    """Write the pixels inside region ``a`` to ``pixels`` (4, K), as `owned_means` does blocks; returns how many.
 
     Those that are beside what is not the region's are left out, if they are less than half: a sensor's pixel may see
     both. ``box`` (N, 4) int64 is that of `boxes`, ``inverse_depth`` (H, W) float32.
@@ -119,7 +125,8 @@ def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
     height, width = inverse_depth.shape
     top, left = BLOCK * box[a, 0] - 1, BLOCK * box[a, 2] - 1  # with a rim
     own = np.zeros((BLOCK * box[a, 1] - top + 1, BLOCK * box[a, 3] - left + 1), np.bool_)
-    places = np.empty((len(pixels), 2), np.int32)
+    room = pixels.shape[1]
+    places = np.empty((room, 2), np.int32)
     count = 0
     for row in range(box[a, 0], box[a, 1]):
         for column in range(box[a, 2], box[a, 3]):
@@ -129,7 +136,7 @@ def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
             for y in range(BLOCK * row, min(BLOCK * row + BLOCK, height)):
                 for x in range(BLOCK * column, min(BLOCK * column + BLOCK, width)):
                     is_own = bits >> (BLOCK * (y % BLOCK) + x % BLOCK) & 1 and inverse_depth[y, x] > 0.0
-                    if is_own and count < len(pixels):
+                    if is_own and count < room:
                         own[y - top, x - left] = True
                         places[count, 0], places[count, 1] = y - top, x - left
                         count += 1
@@ -145,8 +152,8 @@ def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
         if inside[i] or everything:
             y, x = top + places[i, 0], left + places[i, 1]
             u, v = ray_of(rays, y, x)
-            pixels[chosen, 0], pixels[chosen, 1], pixels[chosen, 2] = 1.0, u, v
-            pixels[chosen, 3] = inverse_depth[y, x]
+            pixels[0, chosen], pixels[1, chosen], pixels[2, chosen] = 1.0, u, v
+            pixels[3, chosen] = inverse_depth[y, x]
             chosen += 1
     return chosen
 
@@ -163,7 +170,7 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
 
     Parameters
     ----------
-    region, means : (R, C) int32, (R, C, 4) float32
+    region, means : (R, C) int32, (4, R, C) float32
         See `owned_means`.
     box : (N, 4) int64
         See `boxes`.
@@ -187,12 +194,13 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
     count, pixels = 0, 0.0
     first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
     for row in range(first_row, min(window[1], box[a, 1]), step):
-        of_row, mean = region[row], means[row]
+        of_row = region[row]
+        of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
         for column in range(first_column, min(window[3], box[a, 3]), step):
             c, k = np.uint64(column), np.uint64(count)  # unsigned indices: see `kernels`
             if of_row[c] != a:
                 continue
-            chosen[0, k], chosen[1, k], chosen[2, k], chosen[3, k] = mean[c, 0], mean[c, 1], mean[c, 2], mean[c, 3]
+            chosen[0, k], chosen[1, k], chosen[2, k], chosen[3, k] = of_n[c], of_u[c], of_v[c], of_q[c]
             count += 1
             if count == TOGETHER:
                 pixels += add_products(chosen, count, reference, deviation, centre, scale, products)

@@ -77,14 +77,14 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
     alpha, slope_variance, waviness_square, stretch, _ = planes
     products = np.empty((TERMS + 1, TERMS + 1))
     # Pixels as if they were blocks, one beside the other, of one region.
-    pixels, region = np.empty((1, SMALL, 4), np.float32), np.zeros((1, SMALL), np.int32)
+    pixels, region = np.empty((4, 1, SMALL), np.float32), np.zeros((1, SMALL), np.int32)
     row = np.array([[0, 1, 0, 0]])
     for a in range(len(curved)):
         m, waves = region_moments[a], waviness_square[a]
         if curved[a] or m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
-        row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[0])
+        row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[:, 0])
         turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
