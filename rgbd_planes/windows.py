@@ -22,6 +22,9 @@ from rgbd_planes.tile_grid import footprints
 from rgbd_planes.window_moments import WindowMoments
 from rgbd_planes.wording import counted
 
+_AS_TABLES = 3
+"""Summed-area tables take as long as the pixels of windows that have so many times those of the frame."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WindowPlanes(PlacedFits):
@@ -76,7 +79,7 @@ def fit_windows(
     windows: npt.ArrayLike,
     method: str = "range_explicit",
     *,
-    implementation: str = "integral",
+    implementation: str | None = None,
     max_missing: float = 0.5,
     max_error: float | None = None,
     significance: float | None = None,
@@ -84,15 +87,9 @@ def fit_windows(
 ) -> WindowPlanes:
     """Fit a plane to each of many rectangles of a frame, which may overlap.
 
-    Summed-area tables, built once for the frame, make the cost of a window independent of its size (the
-    paper's section on integral images). They differ from the fits of `fit_tiles` only by float64's rounding, which acts
-    on differences of sums over the whole frame. So small windows of large frames may be DEGENERATE: by the standard
-    methods, of a wall at 8 m with the noise of a Kinect v1, seen with a field of view of 63 degrees, all of 3x3 and 4x4
-    pixels and some of 8x8 in 3840 x 2160, half or fewer of 3x3 in 1920 x 1080, none in 640 x 480; in range space some
-    of 3x3 in 3840 x 2160, if half of the frame is nearer than 10 cm. With the standard methods a depth of hundreds of
-    kilometres, as simulators give for none, makes all windows inexact, one of 1000 km by tenths of a degree; beyond
-    that nothing is left of the others, and they get DEGENERATE. In range space a depth of micrometres does the same.
-    The camera's ``depth_range`` or ``invalid_values`` exclude such depths.
+    The pixels of each window are summed up, or, for windows that together have more than three times the pixels of the
+    frame, summed-area tables are built, which make the cost of a window independent of its size (the paper's section on
+    integral images).
 
     Parameters
     ----------
@@ -100,8 +97,8 @@ def fit_windows(
         As in `fit_tiles`.
     windows : (K, 4) array_like of int
         Row, column, height, width of each window in pixels, inside the frame.
-    implementation : {"integral", "naive"}
-        Summed-area tables, or each window's pixels in turn: faster for a few small windows.
+    implementation : {"integral", "naive"}, optional
+        Summed-area tables, or each window's pixels. By default what takes less time.
 
     Returns
     -------
@@ -117,10 +114,22 @@ def fit_windows(
     -----
     UserWarning
         As `fit_tiles`.
+
+    Notes
+    -----
+    Fits by tables differ from those of `fit_tiles` only by float64's rounding, which acts on differences of sums over
+    the whole frame. So small windows of large frames may be DEGENERATE: by the standard methods, of a wall at 8 m with
+    the noise of a Kinect v1, seen with a field of view of 63 degrees, all of 3x3 and 4x4 pixels and some of 8x8 in
+    3840 x 2160, half or fewer of 3x3 in 1920 x 1080, none in 640 x 480; in range space some of 3x3 in 3840 x 2160, if
+    half of the frame is nearer than 10 cm. With the standard methods a depth of hundreds of kilometres, as simulators
+    give for none, makes all windows inexact, one of 1000 km by tenths of a degree; beyond that nothing is left of the
+    others, and they get DEGENERATE. In range space a depth of micrometres does the same. The camera's ``depth_range``
+    or ``invalid_values`` exclude such depths.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
-    check_choice("implementation", implementation, ("integral", "naive"))
+    if implementation is not None:
+        check_choice("implementation", implementation, ("integral", "naive"))
     max_missing = check_share("max_missing", max_missing)
     num_threads = check_num_threads(num_threads)
     error = check_error(max_error)
@@ -130,11 +139,15 @@ def fit_windows(
 
     arrays = allocate((), (len(rectangles),))
     sizes = rectangles[:, 2:]
+    areas = sizes.prod(axis=1)
+    pixels = int(areas.sum())
+    if implementation is None:
+        implementation = "naive" if pixels <= _AS_TABLES * frame.raw.size else "integral"
     footprint = footprints(rectangles)
     growth = growth_of_windows(camera, rectangles)
     assess = Assessment(camera, method, significance, sizes, footprint, growth).of(arrays)
-    needed = valid_needed(sizes.prod(axis=1), max_missing)
-    threads = choose_num_threads(num_threads, frame.raw.size)
+    needed = valid_needed(areas, max_missing)
+    threads = choose_num_threads(num_threads, pixels if implementation == "naive" else frame.raw.size)
     with announced(("windows", method, implementation, camera.is_separable, frame.raw.dtype)):
         window_moments = WindowMoments(camera, method, implementation)
         source = window_moments.prepare(frame)

@@ -57,7 +57,7 @@ def test_one_line_of_pixels_is_no_plane(method):
             assert set(fits.status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
     corner = rng.integers(0, (479, 639), (500, 2))
     smallest = np.column_stack([corner, np.full((500, 2), 2)])  # but four pixels are one
-    fits = rp.fit_windows(depth, camera, smallest, method, max_missing=0.0)
+    fits = rp.fit_windows(depth, camera, smallest, method, implementation="integral", max_missing=0.0)
     usual = rp.fit_windows(depth, camera, smallest, method, implementation="naive", max_missing=0.0)
     assert (fits.status == usual.status).mean() > 0.98
 
@@ -82,7 +82,9 @@ def test_merging_lines_of_pixels_makes_no_plane(method):
             assert set(union.status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
             assert set(rp.merge(union, number).status) <= {rp.TileStatus.TOO_FEW, rp.TileStatus.DEGENERATE}
         two = rp.merge(fits, np.concatenate([number, none, number]))
-        around = rp.fit_windows(depth, camera, np.add(lines, (0, 0, 3, 0)), method, max_missing=1.0)
+        around = rp.fit_windows(
+            depth, camera, np.add(lines, (0, 0, 3, 0)), method, implementation=implementation, max_missing=1.0
+        )
         assert two.fitted[around.fitted].mean() > 0.98  # but two rows do
 
 
@@ -135,8 +137,26 @@ def test_small_windows_of_large_frames_are_degenerate_as_documented(method, widt
     if method.startswith("range"):
         depth[: height // 2] = 0.1
     corners = rng.integers((height // 2, 0), (height - side, width - side), (500, 2))
-    fits = rp.fit_windows(depth, camera, np.column_stack([corners, np.full((500, 2), side)]), method)
+    windows = np.column_stack([corners, np.full((500, 2), side)])
+    fits = rp.fit_windows(depth, camera, windows, method, implementation="integral")
     assert least <= np.mean(fits.status == rp.TileStatus.DEGENERATE) <= most
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_few_windows_are_fitted_from_their_own_pixels(method, rng):
+    """Tables are for windows that have more than three times the pixels of the frame."""
+    camera = rp.presets.primesense()
+    depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
+    side = 64
+    corners = rng.integers(0, (480 - side, 640 - side), (3 * 480 * 640 // side**2, 2))
+    few = np.column_stack([corners, np.full_like(corners, side)])
+    for windows, implementation in ((few, "naive"), (np.concatenate([few, few[:1]]), "integral")):
+        found = rp.fit_windows(depth, camera, windows, method)
+        expected = rp.fit_windows(depth, camera, windows, method, implementation=implementation)
+        np.testing.assert_array_equal(found.planes, expected.planes)
+        np.testing.assert_array_equal(found.status, expected.status)
+    other = rp.fit_windows(depth, camera, few, method, implementation="integral")
+    assert (other.planes != rp.fit_windows(depth, camera, few, method).planes).any()
 
 
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit"])
