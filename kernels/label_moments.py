@@ -3,41 +3,63 @@
 import numpy as np
 
 from ._jit import kernel
-from .copying import copy
 from .depth import depth, inverse_depth
 
 
 @kernel(inline=True)
-def points_of_row(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, points
-):  # fmt: skip
-    """Write the points of a row of pixels, ``points`` (4, W): u, v, w, and 1, or 0 for a missing pixel.
+def labelled_columns(line):
+    """The first column of a row that has a label, and the one after the last; 0 and 0 if there is none."""
+    most = np.int32(0)
+    for column in range(len(line)):  # by itself, since it vectorises: of a mask most rows have none
+        most = max(most, line[column])
+    first, stop = 0, len(line) if most > 0 else 0
+    while first < stop and line[np.uint64(first)] == 0:
+        first += 1
+    while first < stop and line[np.uint64(stop - 1)] == 0:
+        stop -= 1
+    return first, stop
 
-    (u, v, w) is (tanθx, tanθy, q), or (X, Y, Z) if ``is_standard``.
+
+@kernel(inline=True)
+def spread(rays, factor, begin, end, along):
+    """Write a row's tanθx or tanθy, one for all columns or one for each, times ``factor`` from ``begin`` to ``end``."""
+    if len(rays) > 1:
+        for column in range(begin, end):
+            along[column] = rays[column] * factor[column]
+    else:
+        of_row = rays[0]
+        for column in range(begin, end):
+            along[column] = of_row * factor[column]
+
+
+@kernel(inline=True)
+def points_of_row(
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, first, stop, points
+):  # fmt: skip
+    """Write the points of a row's columns ``first`` to ``stop``, ``points`` (4, W): u, v, w, and 1, or 0 if missing.
+
+    (u, v, w) is (tanθx, tanθy, q), or (X, Y, Z) if ``is_standard``; all are 0 for a missing pixel.
     """
     values = raw[row]
-    xs = tan_x[row if tan_x.shape[0] > 1 else 0]
+    xs, ys = tan_x[row if tan_x.shape[0] > 1 else 0], tan_y[row]
     u, v, w, there = points[0], points[1], points[2], points[3]
-    if tan_y.shape[1] > 1:
-        copy(tan_y[row], v)
-    else:
-        v[:] = tan_y[row, 0]
-    for column in range(len(values)):
+    # Unsigned indices, and loops that write one array each: see `kernels`.
+    begin, end = np.uint64(first), np.uint64(stop)
+    for column in range(begin, end):
         value = values[column]
-        valid = (lowest <= value) & (value <= highest)
-        there[column] = 1.0 if valid else 0.0
-        u[column] = xs[column] if valid else 0.0
-        v[column] = v[column] if valid else 0.0
+        there[column] = 1.0 if (lowest <= value) & (value <= highest) else 0.0
     if is_standard:
-        for column in range(len(values)):
-            z = depth(values[column], scale, offset, is_disparity) if there[column] > 0.0 else 0.0
-            u[column] *= z
-            v[column] *= z
-            w[column] = z
+        for column in range(begin, end):
+            z = depth(values[column], scale, offset, is_disparity)
+            w[column] = z if there[column] > 0.0 else 0.0
+        spread(xs, w, begin, end, u)
+        spread(ys, w, begin, end, v)
     else:
-        for column in range(len(values)):
-            q = inverse_depth(values[column], scale, offset, is_disparity) if there[column] > 0.0 else 0.0
-            w[column] = q
+        for column in range(begin, end):
+            q = inverse_depth(values[column], scale, offset, is_disparity)
+            w[column] = q if there[column] > 0.0 else 0.0
+        spread(xs, there, begin, end, u)
+        spread(ys, there, begin, end, v)
 
 
 @kernel(inline=True)
@@ -115,12 +137,14 @@ def label_moments(
     moments[:] = 0.0
     reference[:] = 0.0
     for row in range(height):
-        points_of_row(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, points)
         line = labels[row]
-        stop = 0
-        while stop < width:
+        stop, end = labelled_columns(line)
+        points_of_row(
+            raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, stop, end, points
+        )  # fmt: skip
+        while stop < end:
             start, label = stop, line[stop]
-            while stop < width and line[stop] == label:
+            while stop < end and line[stop] == label:
                 stop += 1
             i = label - 1
             if i < 0:

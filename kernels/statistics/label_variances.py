@@ -7,6 +7,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..depth import inverse_depth
+from ..label_moments import labelled_columns
 from .variances import rounding_at, variance_at
 
 
@@ -79,6 +80,10 @@ def label_variances(
     grown = np.empty(0)
     sums[:] = 0.0
     for row in range(height):
+        line = labels[row]
+        stop, end = labelled_columns(line)
+        if stop == end:
+            continue
         us = tan_x[row if tan_x.shape[0] > 1 else 0]
         if tan_y.shape[1] > 1:
             copy(tan_y[row], vs)
@@ -86,11 +91,9 @@ def label_variances(
             vs[:] = tan_y[row, 0]
         if growth.shape[0] > 0:
             grown = growth[row]
-        line = labels[row]
-        stop = 0
-        while stop < width:
+        while stop < end:
             start, label = stop, line[stop]
-            while stop < width and line[stop] == label:
+            while stop < end and line[stop] == label:
                 stop += 1
             i = label - 1
             if i < 0:
