@@ -72,15 +72,20 @@ def deviates(work, count):
         square = w * w
         # ln of the mantissa is 2·artanh w. Where values are so far from 1 that the omitted terms matter, no more digits
         # are needed.
-        series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square / 9.0)))
+        series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square * (1.0 / 9.0))))
         more = min(max(ratio[i], 1e-18), 1e6) - 1.0
         half_square = more - (exponent[i] * LN_2 + 2.0 * w * (1.0 + series))
         eta = math.copysign(math.sqrt(max(2.0 * half_square, 0.0)), more)
         # a = 1/(2v), so that 1/(a + 1/2) = 2v/(1 + v).
-        s = 2.0 * v * (inverse * (m + 1.0) * root[i])
-        inside = min(max(eta, ETA_LEAST), ETA_MOST)
+        mantissa[i] = eta
+        exponent[i] = 2.0 * v * (inverse * (m + 1.0) * root[i])
+        deviate[i] = eta * (inverse * (m + 1.0) * (1.0 + v))
+    # In a loop of its own the processor has more of these in flight: in one, all wait for divisions and square roots.
+    for i in range(count):
+        s = exponent[i]
+        inside = min(max(mantissa[i], ETA_LEAST), ETA_MOST)
         correction = 0.0
         for j in range(CORRECTION.shape[0] - 1, -1, -1):
             of_s = CORRECTION[j, 2] + s * CORRECTION[j, 3]
             correction = correction * inside + (CORRECTION[j, 0] + s * (CORRECTION[j, 1] + s * of_s))
-        deviate[i] = eta * (inverse * (m + 1.0) * (1.0 + v)) * (1.0 / ROOT_2) + correction * root[i] * ROOT_2
+        deviate[i] = deviate[i] * (1.0 / ROOT_2) + correction * root[i] * ROOT_2
