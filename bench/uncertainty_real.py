@@ -12,7 +12,7 @@ import rgbd_planes as rp
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise.samples import mean_depth
 from rgbd_planes.ray_pitch import slope_square
-from rgbd_planes.tile_grid import central_rays, tile_footprints
+from rgbd_planes.tile_grid import tile_footprints, tile_rays
 from tests.real_data import FOLDER as DATA
 from tests.real_data import needed
 
@@ -165,7 +165,7 @@ def _residual_over_expected(tiles: rp.TilePlanes, chosen: NDArray[np.bool_]) -> 
     assert noise is not None
     footprint = tile_footprints(tiles.camera.shape, tiles.tile)[chosen.ravel()]
     q, count = 1.0 / mean_depth(tiles)[chosen], tiles.valid_count[chosen]
-    growth = noise._growth(*central_rays(tiles.camera, tiles.tile)[:, chosen])
+    growth = noise._growth(*tile_rays(tiles.camera, tiles.tile).centre[:, chosen])
     lateral = noise.lateral**2 * slope_square(tiles.alpha[chosen], tiles.camera, footprint)
     made = noise.statistics(count, np.broadcast_to(tiles.tile, (len(count), 2)))
     expected, _ = made.with_independent(noise._along(q) ** 2 * growth, lateral + noise._rounding(q), count)

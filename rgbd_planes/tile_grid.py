@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -91,30 +91,40 @@ def footprints(windows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return np.stack([number, x, y, xx, yy], axis=1)
 
 
+class TileRays(NamedTuple):
+    """The rays of a camera's tiles.
+
+    Attributes
+    ----------
+    centre : (2, R, C) float64
+        The mean of tanθx and tanθy over each tile, the reference point of its moments.
+    tan_x, tan_y : (H, W) float64
+        The camera's; for a separable one, (C * tile width,) and (H,): tanθx of each column and tanθy of each row,
+        relative to the centre of its tile. Columns that the last tile lacks are 0.
+    """
+
+    centre: npt.NDArray[np.float64]
+    tan_x: npt.NDArray[np.float64]
+    tan_y: npt.NDArray[np.float64]
+
+
 @lru_cache(maxsize=4)
-def central_rays(camera: Camera, tile: tuple[int, int]) -> npt.NDArray[np.float64]:
-    """(2, R, C): the mean of tanθx and tanθy over each tile, the reference point of its moments."""
+def tile_rays(camera: Camera, tile: tuple[int, int]) -> TileRays:
+    """Return the rays of a camera's tiles of (height, width)."""
     heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
     centre = np.empty((2, len(heights), len(widths)))
     if camera.is_separable:
-        centre[0], centre[1] = (_means(camera.tan_x_columns, widths), _means(camera.tan_y_rows, heights)[:, None])
+        of_columns, of_rows = camera.tan_x_columns, camera.tan_y_rows
+        centre[0], centre[1] = (_means(of_columns, widths), _means(of_rows, heights)[:, None])
+        tan_x, tan_y = np.zeros(len(widths) * tile[1]), of_rows - np.repeat(centre[1, :, 0], heights)
+        tan_x[: camera.width] = of_columns - np.repeat(centre[0, 0], widths)
+        tan_x.flags.writeable = tan_y.flags.writeable = False
     else:
-        centre[0] = _means(_means(camera.tan_x, widths).T, heights).T
-        centre[1] = _means(_means(camera.tan_y, widths).T, heights).T
+        tan_x, tan_y = camera.tan_x, camera.tan_y
+        centre[0] = _means(_means(tan_x, widths).T, heights).T
+        centre[1] = _means(_means(tan_y, widths).T, heights).T
     centre.flags.writeable = False
-    return centre
-
-
-def relative_rays(
-    camera: Camera, tile: tuple[int, int], centre: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """tanθx of each column and tanθy of each row, relative to the centre of its tile, for a separable camera.
-
-    (C * tile width,) and (H,): columns that the last tile lacks are 0.
-    """
-    columns = np.zeros(centre.shape[2] * tile[1])
-    columns[: camera.width] = camera.tan_x_columns - np.repeat(centre[0, 0], tile[1])[: camera.width]
-    return columns, camera.tan_y_rows - np.repeat(centre[1, :, 0], tile[0])[: camera.height]
+    return TileRays(centre, tan_x, tan_y)
 
 
 def _means(values: npt.NDArray[np.float64], sizes: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:

@@ -33,7 +33,7 @@ from rgbd_planes.noise.falloff import growth_of_tiles
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
-from rgbd_planes.tile_grid import central_rays, check_tile, grid_shape, relative_rays, tile_footprints, tile_windows
+from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_windows
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.window_moments import WindowMoments
 
@@ -44,6 +44,14 @@ _MANY = 8  # frames for each thread that are enough to share out whole ones fair
 _PIXELS_AT_ONCE = 5_000_000
 
 _arrays_of = operator.attrgetter(*ARRAYS)
+
+
+@functools.lru_cache(maxsize=16)
+def _valid_needed(frame: tuple[int, int], tile: tuple[int, int], max_missing: float) -> npt.NDArray[np.float64]:
+    """`valid_needed` of all tiles of a frame of (height, width)."""
+    needed = valid_needed(tile_footprints(frame, tile)[:, 0], max_missing)
+    needed.flags.writeable = False
+    return needed
 
 
 class TileFitter(FixedArguments):
@@ -95,20 +103,19 @@ class TileFitter(FixedArguments):
         self._noise_is_asked = threading.Lock()  # kept from the first frame on that tells; no thread waits for it
         self._grid = grid_shape(camera, self.tile)
         windows = tile_windows(camera.shape, self.tile)
-        sizes = windows[:, 2:]
-        self._needed = valid_needed(sizes.prod(axis=1), max_missing)
-        self._compiled_for = method, implementation, camera.is_separable
         footprint = tile_footprints(camera.shape, self.tile)
+        # A copy: for a read-only array kernels would be compiled again.
+        self._needed = _valid_needed(camera.shape, self.tile, max_missing).copy()
+        self._compiled_for = method, implementation, camera.is_separable
         growth = growth_of_tiles(camera, self.tile)
-        self._assessment = Assessment(camera, method, significance, sizes, footprint, growth)
+        self._assessment = Assessment(camera, method, significance, windows[:, 2:], footprint, growth)
         if implementation == "direct":
             implicit, standard = SOLVES[method]
             self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
-            centre = central_rays(camera, self.tile)
-            rays = relative_rays(camera, self.tile, centre) if camera.is_separable else (camera.tan_x, camera.tan_y)
+            centre, tan_x, tan_y = tile_rays(camera, self.tile)
             self._of_camera = (
-                *rays, *self.tile, centre.reshape(2, -1), self._needed, implicit if standard is None else standard,
-                self._max_error,
+                tan_x, tan_y, *self.tile, centre.reshape(2, -1), self._needed,
+                implicit if standard is None else standard, self._max_error,
             )  # fmt: skip
         else:
             self._windows = windows

@@ -15,7 +15,7 @@ from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.noise.samples import bins_of, mean_depth
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.ray_pitch import slope_square
-from rgbd_planes.tile_grid import central_rays
+from rgbd_planes.tile_grid import tile_rays
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.uncertainty import same_plane
@@ -93,7 +93,7 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     on_plane, number = labels > 0, labels[labels > 0] - 1
     count = tiles.valid_count[on_plane]
     q = 1.0 / mean_depth(tiles)[on_plane]
-    variance = noise._along(q) ** 2 * noise._growth(*central_rays(tiles.camera, tiles.tile)[:, on_plane])
+    variance = noise._along(q) ** 2 * noise._growth(*tile_rays(tiles.camera, tiles.tile).centre[:, on_plane])
     u, v = tiles._reference[:2, on_plane] + tiles._moments[1:3, on_plane] / count
     a, b, c = merged.alpha[number].T
     off = (q - (a * u + b * v + c)) / np.sqrt(variance)
