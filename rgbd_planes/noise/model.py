@@ -307,10 +307,13 @@ def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None, result: str = _NO
     """Warn of noise that most likely is in other units, which planes do not show; return whether the frame tells."""
     if noise is None:
         return False
-    q = frame._replace(raw=some_of(frame.raw)[:, ::8]).inverse_depth  # a hundred tell the middle well enough
-    q = np.sort(q[q > 0.0])
-    if not len(q):
+    sample = some_of(frame.raw)[:, ::8]  # a hundred tell the middle well enough
+    measured = np.sort(sample[(sample >= frame.lowest) & (sample <= frame.highest)])
+    if not len(measured):
         return False
-    middle = float(q[len(q) // 2])
-    warn_of_large_noise(float(noise.sigma(middle)), middle, result)
+    # That of 1/Z, which falls as depth grows, and of an even number of values the larger of the two in the middle.
+    grows = frame.is_disparity and frame.scale > 0.0
+    value = float(measured[len(measured) // 2 if grows else -1 - len(measured) // 2])
+    middle = frame.scale * value + frame.offset if frame.is_disparity else frame.scale / value
+    warn_of_large_noise(float(noise._sigma(np.asarray(middle), 1.0)), middle, result)
     return True
