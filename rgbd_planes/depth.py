@@ -16,13 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import plain_array, warn_caller
-from rgbd_planes.depth_units import (
-    PLAINLY_NOT_METRES,
-    warn_of_disparity,
-    warn_of_the_range,
-    warn_of_units,
-    without_missing,
-)
+from rgbd_planes.depth_units import PLAINLY_NOT_METRES, warn_of_disparity, warn_of_the_range, warn_of_units
 from rgbd_planes.files import naming
 from rgbd_planes.valid_depth import measurements_of, validity
 
@@ -180,7 +174,6 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     else:
         assert depth_scale is not None
         for sample in samples:
-            sample = without_missing(sample, valid, depth_scale, camera.depth_range)
             warn_of_units(sample, valid, array.dtype, depth_scale, camera.depth_range)
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:

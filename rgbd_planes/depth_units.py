@@ -24,9 +24,66 @@ _LARGEST_NUMBERS |= {  # as metres that were made of millimetres
     for number, what in _LARGEST_NUMBERS.items()
     for kind in (np.float32, np.float64)
 }
+_LEAST_DOUBTFUL = min(_LARGEST_NUMBERS)
+_LEAST_DOUBTFUL_WHOLE = min(filter(float.is_integer, _LARGEST_NUMBERS))
 
 
-def without_missing(
+def warn_of_units(
+    sample: NDArray[Any],
+    valid: Valid,
+    dtype: np.dtype[Any],
+    depth_scale: float,
+    depth_range: tuple[float, float] | None,
+) -> None:
+    """Warn of a frame that is most likely not in the units that it is taken for, or has a number that means missing."""
+    if _is_ordinary(sample, dtype, depth_scale):
+        return
+    sample = _without_missing(sample, valid, depth_scale, depth_range)
+    _warn_of_the_nearest(sample, dtype, depth_scale, depth_range)
+    farthest = PLAINLY_NOT_METRES * depth_scale
+    if _ends_before(farthest, dtype):
+        return
+    near = depth_range is not None and depth_range[1] <= _PLAINLY_TOO_NEAR
+    if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and not near:
+        warn_caller(
+            f"a frame of 8 bits with a depth_scale of {depth_scale:g} per metre ends at {255 / depth_scale:.2g} m: "
+            "is it a picture of the depth?"
+        )
+    if depth_range is not None and depth_range[1] > PLAINLY_NOT_METRES:
+        return
+    far = np.count_nonzero((sample > farthest) & (sample < ENDLESS))
+    if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < ENDLESS))):
+        return
+    measured = measurements_of(sample, valid)
+    if len(measured) > 10 and 2 * np.count_nonzero(measured > farthest) <= len(measured):
+        return  # the camera says that what is far means missing
+    if dtype.kind == "f":
+        warn_caller(
+            f"float depth is in metres, but most of this frame is beyond {PLAINLY_NOT_METRES:g} m: "
+            "millimetres? depth_scale applies to integer frames only; divide the frame by it"
+        )
+    else:
+        warn_caller(
+            f"with a depth_scale of {depth_scale:g} per metre most of this frame is beyond "
+            f"{PLAINLY_NOT_METRES:g} m: is it in millimetres, depth_scale=1000?"
+        )
+
+
+def _is_ordinary(sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float) -> bool:
+    """Whether the largest number alone shows that there is nothing to warn of; mostly it does."""
+    farthest = PLAINLY_NOT_METRES * depth_scale
+    some = sample[::8] if _ends_before(farthest, dtype) else sample
+    largest = float(np.fmax.reduce(some))  # NaN, which compares as False, only where there is no number
+    doubtful = _LEAST_DOUBTFUL if dtype.kind == "f" else _LEAST_DOUBTFUL_WHOLE
+    return _NEARER_THAN_ANY * depth_scale <= largest < doubtful and largest <= farthest and dtype.itemsize > 1
+
+
+def _ends_before(farthest: float, dtype: np.dtype[Any]) -> bool:
+    """Whether most of a frame cannot be plainly too far: at 1000 units per metre those of 16 bits hardly reach it."""
+    return dtype == np.uint16 and 2.0 * farthest > 65535
+
+
+def _without_missing(
     sample: NDArray[Any], valid: Valid, depth_scale: float, depth_range: tuple[float, float] | None
 ) -> NDArray[Any]:
     """Leave out a number that most likely means missing, and would count as a far plane, and warn of it."""
@@ -59,44 +116,6 @@ def without_missing(
     )
     rest: NDArray[Any] = sample[sample != largest]
     return rest
-
-
-def warn_of_units(
-    sample: NDArray[Any],
-    valid: Valid,
-    dtype: np.dtype[Any],
-    depth_scale: float,
-    depth_range: tuple[float, float] | None,
-) -> None:
-    """Warn of a frame that is most likely not in the units that it is taken for."""
-    _warn_of_the_nearest(sample, dtype, depth_scale, depth_range)
-    farthest = PLAINLY_NOT_METRES * depth_scale
-    if dtype == np.uint16 and 2.0 * farthest > 65535:
-        return  # the common case takes no time: at 1000 units per metre such a frame hardly reaches beyond
-    near = depth_range is not None and depth_range[1] <= _PLAINLY_TOO_NEAR
-    if dtype == np.uint8 and _PLAINLY_TOO_NEAR * depth_scale > 255 and not near:
-        warn_caller(
-            f"a frame of 8 bits with a depth_scale of {depth_scale:g} per metre ends at {255 / depth_scale:.2g} m: "
-            "is it a picture of the depth?"
-        )
-    if depth_range is not None and depth_range[1] > PLAINLY_NOT_METRES:
-        return
-    far = np.count_nonzero((sample > farthest) & (sample < ENDLESS))
-    if not (far and 2 * far > np.count_nonzero((sample > 0) & (sample < ENDLESS))):
-        return
-    measured = measurements_of(sample, valid)
-    if len(measured) > 10 and 2 * np.count_nonzero(measured > farthest) <= len(measured):
-        return  # the camera says that what is far means missing
-    if dtype.kind == "f":
-        warn_caller(
-            f"float depth is in metres, but most of this frame is beyond {PLAINLY_NOT_METRES:g} m: "
-            "millimetres? depth_scale applies to integer frames only; divide the frame by it"
-        )
-    else:
-        warn_caller(
-            f"with a depth_scale of {depth_scale:g} per metre most of this frame is beyond "
-            f"{PLAINLY_NOT_METRES:g} m: is it in millimetres, depth_scale=1000?"
-        )
 
 
 def _warn_of_the_nearest(
