@@ -76,14 +76,13 @@ def deviates(work, count):
         more = min(max(ratio[i], 1e-18), 1e6) - 1.0
         half_square = more - (exponent[i] * LN_2 + 2.0 * w * (1.0 + series))
         eta = math.copysign(math.sqrt(max(2.0 * half_square, 0.0)), more)
-        # a = 1/(2v), so that 1/(a + 1/2) = 2v/(1 + v).
+        deviate[i] = eta * (inverse * (m + 1.0) * (1.0 + v))
+        # In place of mantissa and exponent, η and 1/(a + 1/2) = 2v/(1 + v), with a = 1/(2v).
         mantissa[i] = eta
         exponent[i] = 2.0 * v * (inverse * (m + 1.0) * root[i])
-        deviate[i] = eta * (inverse * (m + 1.0) * (1.0 + v))
     # In a loop of its own the processor has more of these in flight: in one, all wait for divisions and square roots.
     for i in range(count):
-        s = exponent[i]
-        inside = min(max(mantissa[i], ETA_LEAST), ETA_MOST)
+        inside, s = min(max(mantissa[i], ETA_LEAST), ETA_MOST), exponent[i]
         correction = 0.0
         for j in range(CORRECTION.shape[0] - 1, -1, -1):
             of_s = CORRECTION[j, 2] + s * CORRECTION[j, 3]
