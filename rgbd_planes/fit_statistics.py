@@ -61,7 +61,8 @@ class FitStatistics:
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
         assessment = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
         # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.
-        arrays = {name: np.require(getattr(fits, name), requirements="W") for name in _ARGUMENTS}
+        kept = {name: getattr(fits, name) for name in _ARGUMENTS}
+        arrays = {name: array if array.flags.writeable else array.copy() for name, array in kept.items()}
         arrays["_statistics"] = self.rows
         assessment.of(arrays, fits._error_sums)(0, math.prod(fits.shape))
         rows = self.rows.view()
