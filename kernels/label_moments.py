@@ -139,6 +139,8 @@ def label_moments(
     for row in range(height):
         line = labels[row]
         stop, end = labelled_columns(line)
+        if stop == end:
+            continue
         points_of_row(
             raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, stop, end, points
         )  # fmt: skip
