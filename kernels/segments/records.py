@@ -44,6 +44,8 @@ class Rules(NamedTuple):
 
     def tolerating(self, share: float) -> "Rules":
         """The rules for a sensor that bends planes less than most: with ``share`` of the tolerances."""
+        if share == 1.0:
+            return self
         return self._replace(
             square_floor=share * self.square_floor,
             region_floor=share * self.region_floor,

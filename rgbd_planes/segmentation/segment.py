@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SMALLEST = 60  # pixels of a region, unless the caller says otherwise
+_RULES = Rules()
 
 
 _REASONS = Reasons(*(np.uint8(Reason[name.upper()]) for name in Reasons._fields))
@@ -86,8 +87,8 @@ def segment(
     another processor, may round the last bit differently.
     """
     check_camera(camera)
-    given, min_size = check_settings(camera, noise, min_size)
-    return segment_frame(as_depth_frame(depth, camera), camera, given, min_size, Rules())
+    given, min_size = _given(camera.noise if noise is None else noise), check_min_size(min_size)
+    return segment_frame(as_depth_frame(depth, camera), camera, given, min_size)
 
 
 def check_settings(camera: Camera | None, noise: Any, min_size: int) -> tuple[Given, int]:
@@ -124,7 +125,9 @@ def _given(noise: Any) -> Given:
     return Given(lambda q: np.full_like(q, sigma))
 
 
-def segment_frame(frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules) -> Segmentation:
+def segment_frame(
+    frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules = _RULES
+) -> Segmentation:
     """`segment` of a frame that is checked, by rules that may be others."""
     with announced(("segment", frame.raw.dtype), "a minute or two"), workspaces.lent(camera) as work:
         return _segment(frame, camera, given, min_size, rules, rays_of(camera._lens), work)

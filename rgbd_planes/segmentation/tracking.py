@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import FixedArguments, check_whole, each_of
 from rgbd_planes.depth import as_numbered_frame
-from rgbd_planes.kernels.segments.records import Rules
 from rgbd_planes.segmentation.known_planes import KnownPlanes, View, motion_since, remember, same_planes
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment_frame
@@ -112,7 +111,7 @@ def segment_sequence(
     def follow(number: int, frame: Any) -> TrackedSegmentation:
         depth, own = _with_camera(frame, camera)
         given, least = check_settings(own, noise, min_size)
-        return tracker.follow(segment_frame(as_numbered_frame(number, depth, own), own, given, least, Rules()))
+        return tracker.follow(segment_frame(as_numbered_frame(number, depth, own), own, given, least))
 
     return (follow(number, frame) for number, frame in enumerate(each_of(frames)))
 
