@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 
 from rgbd_planes import TilePlanes, fit_tiles, noise, presets
 from rgbd_planes.camera import Camera
+from rgbd_planes.lenses import brown_conrady
+from rgbd_planes.lenses import distortion as lens_models
 from rgbd_planes.lenses.brown_conrady import TOLERANCE, distort
 
 REAL = [root / "camera.json" for root in real_data.sets()]
@@ -143,7 +145,8 @@ def test_zeros_at_the_end_of_a_distortion_make_no_other_camera():
 def test_a_distortion_that_folds_inside_the_image(model):
     # The radial part folds at radius 0.577; the image reaches to 0.6 sideways and less up and down.
     camera = small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model)
-    with pytest.raises(ValueError, match=r"inside the image, got \d+ of 3072 pixels, .* radius 0\.577"):
+    message = r"inside the image, got pixels without a single ray, one of them at row 0, column 0: .* radius 0\.577"
+    with pytest.raises(ValueError, match=message):
         _ = camera.tan_x
     assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (48, 64)
 
@@ -154,7 +157,33 @@ def test_a_fold_between_the_axis_and_an_image_beside_it():
     camera = small(
         fx=500.0, fy=500.0, cx=-700.0, distortion=(-2.0, 1.2, 0, 0, 0), distortion_model="inverse_brown_conrady"
     )
-    with pytest.raises(ValueError, match="of 3072 pixels"):
+    with pytest.raises(ValueError, match=r"at row 0, column 0: the radial part folds at radius 0\.4597"):
+        _ = camera.tan_x
+
+
+def test_a_lens_that_cannot_be_inverted_is_refused_after_a_look_at_few_pixels(monkeypatch):
+    """Looking for rays that are not there takes a hundred times as long as for others."""
+    looked_at = []
+    undistort = brown_conrady.undistort
+    monkeypatch.setattr(brown_conrady, "undistort", lambda x, *rest: looked_at.append(x.size) or undistort(x, *rest))
+    camera = Camera(1920, 1080, 500.0, 500.0, 959.5, 539.5, distortion=(0.1, -0.1, 0, 0, 0))
+    with pytest.raises(ValueError, match="at row 0, column 0: the radial part folds"):
+        _ = camera.tan_x
+    assert sum(looked_at) < camera.width * camera.height / 200
+
+
+def test_a_pixel_without_a_ray_between_those_that_are_looked_at_first(monkeypatch):
+    camera = small(distortion=KINECT)
+    single_rays = lens_models._single_rays
+
+    def but_one(x, *rest):
+        found = single_rays(x, *rest)
+        if x.shape == camera.shape:
+            found[2][5, 7] = False
+        return found
+
+    monkeypatch.setattr(lens_models, "_single_rays", but_one)
+    with pytest.raises(ValueError, match="at row 5, column 7: the radial part folds at radius inf"):
         _ = camera.tan_x
 
 

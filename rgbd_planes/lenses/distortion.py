@@ -15,6 +15,8 @@ _COUNTS = {"brown_conrady": (0, 4, 5, 8), "inverse_brown_conrady": (0, 5), "fish
 MODELS = tuple(_COUNTS)
 
 _LARGEST = 1e60  # products of a few coefficients are finite
+_EXPECTED = "expected a lens distortion that can be inverted inside the image"
+_STEP = 16  # rows and columns of an image that are looked at before the others
 _LEAST_SEEN = 0.1  # share of a fisheye's pixels; with fewer the focal length is most likely in other units
 
 
@@ -71,27 +73,41 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
         if one_to_one.mean() >= _LEAST_SEEN:
             return ray_x, ray_y
         widest = np.degrees(fisheye.widest_angle(coefficients))
-        limit = f"a ray, which they have up to {widest:.4g} degrees from the optical axis"
+        row, column = np.argwhere(~one_to_one)[0]
+        raise ValueError(
+            f"{_EXPECTED}, got {np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels, the first at row {row}, "
+            f"column {column}, without a ray, which they have up to {widest:.4g} degrees from the optical axis; "
+            f"distortion={coefficients} ({model})"
+        )
+    for step in (_STEP, 1):  # looking for a ray where there is none takes long: some pixels show it, as at the border
+        rows, columns = (np.unique(np.append(np.arange(0, length, step), length - 1)) for length in x.shape)
+        some = np.ix_(rows, columns)
+        ray_x, ray_y, one_to_one = _single_rays(x[some], y[some], coefficients, model)
+        if not one_to_one.all():
+            row, column = np.argwhere(~one_to_one)[0]
+            raise ValueError(
+                f"{_EXPECTED}, got pixels without a single ray, one of them at row {rows[row]}, column "
+                f"{columns[column]}: the radial part folds at radius {brown_conrady.fold_radius(coefficients):.4g}; "
+                f"distortion={coefficients} ({model})"
+            )
+    return ray_x, ray_y
+
+
+def _single_rays(
+    x: Floats, y: Floats, coefficients: Sequence[float], model: str
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Rays of the pixels of an image, or of some of its rows and columns, and whether each has one alone."""
+    if model == "inverse_brown_conrady":
+        ray_x, ray_y = brown_conrady.distort(x, y, coefficients)
+        one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
+        flat_x, flat_y = x, y
     else:
-        if model == "inverse_brown_conrady":
-            ray_x, ray_y = brown_conrady.distort(x, y, coefficients)
-            one_to_one = np.isfinite(ray_x) & np.isfinite(ray_y)
-            flat_x, flat_y = x, y
-        else:
-            ray_x, ray_y, one_to_one = brown_conrady.undistort(x, y, coefficients)
-            flat_x, flat_y = ray_x, ray_y
-        # The lines from the border to the optical axis sweep the whole image.
-        for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
-            one_to_one[border] &= brown_conrady.unfolded(flat_x[border], flat_y[border], coefficients)
-        if one_to_one.all():
-            return ray_x, ray_y
-        limit = f"a single ray: the radial part folds at radius {brown_conrady.fold_radius(coefficients):.4g}"
-    row, column = np.argwhere(~one_to_one)[0]
-    raise ValueError(
-        f"expected a lens distortion that can be inverted inside the image, got "
-        f"{np.count_nonzero(~one_to_one)} of {one_to_one.size} pixels, the first at row {row}, column {column}, "
-        f"without {limit}; distortion={coefficients} ({model})"
-    )
+        ray_x, ray_y, one_to_one = brown_conrady.undistort(x, y, coefficients)
+        flat_x, flat_y = ray_x, ray_y
+    # The lines from the border to the optical axis sweep the whole image.
+    for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
+        one_to_one[border] &= brown_conrady.unfolded(flat_x[border], flat_y[border], coefficients)
+    return ray_x, ray_y, one_to_one
 
 
 def image_of_rays(x: Floats, y: Floats, coefficients: Sequence[float], model: str) -> tuple[Floats, Floats]:
