@@ -88,8 +88,8 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
             raise ValueError(
                 f"{_EXPECTED}, got pixels without a single ray, one of them at row {rows[row]}, column "
                 f"{columns[column]}: the radial part folds at radius {brown_conrady.fold_radius(coefficients):.4g}; "
-                f"distortion={coefficients} ({model}); is their order k1 k2 p1 p2 k3, and are fx and fy those of images of "
-                f"this size?"
+                f"distortion={coefficients} ({model}); is their order k1 k2 p1 p2 k3, and are fx and fy those of "
+                "images of this size?"
             )
     return ray_x, ray_y
 
