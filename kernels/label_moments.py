@@ -21,8 +21,8 @@ def labelled_columns(line):
 
 
 @kernel(inline=True)
-def spread(rays, factor, begin, end, along):
-    """Write a row's tanθx or tanθy, one for all columns or one for each, times ``factor`` from ``begin`` to ``end``."""
+def scaled(rays, factor, begin, end, along):
+    """Write a row's tanθx or tanθy, one for all columns or for each, times ``factor``, from ``begin`` to ``end``."""
     if len(rays) > 1:
         for column in range(begin, end):
             along[column] = rays[column] * factor[column]
@@ -43,7 +43,7 @@ def points_of_row(
     values = raw[row]
     xs, ys = tan_x[row if tan_x.shape[0] > 1 else 0], tan_y[row]
     u, v, w, there = points[0], points[1], points[2], points[3]
-    # Unsigned indices, and loops that write one array each: see `kernels`.
+    # Unsigned indices: see `kernels`. Each loop writes one array, which takes less time than one loop for all.
     begin, end = np.uint64(first), np.uint64(stop)
     for column in range(begin, end):
         value = values[column]
@@ -52,14 +52,14 @@ def points_of_row(
         for column in range(begin, end):
             z = depth(values[column], scale, offset, is_disparity)
             w[column] = z if there[column] > 0.0 else 0.0
-        spread(xs, w, begin, end, u)
-        spread(ys, w, begin, end, v)
+        scaled(xs, w, begin, end, u)
+        scaled(ys, w, begin, end, v)
     else:
         for column in range(begin, end):
             q = inverse_depth(values[column], scale, offset, is_disparity)
             w[column] = q if there[column] > 0.0 else 0.0
-        spread(xs, there, begin, end, u)
-        spread(ys, there, begin, end, v)
+        scaled(xs, there, begin, end, u)
+        scaled(ys, there, begin, end, v)
 
 
 @kernel(inline=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._jit import kernel
 from .blocks import BLOCK, MIXED, UNSEEN
-from .moments import ray_of
+from .moments import ray_of, rows_of
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
 PLANE_TERMS = 3
@@ -72,7 +72,7 @@ def owned_means(owned, pyramid):
     means = np.empty((4, rows, columns), np.float32)
     for row in range(rows):
         here = slice(row * columns, (row + 1) * columns)
-        n, s_u, s_v, s_q = moments[0, here], moments[1, here], moments[2, here], moments[3, here]
+        n, s_u, s_v, s_q, _ = rows_of(moments, 0, here)
         of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
         for column in range(columns):
             per_pixel = 1.0 / max(n[column], 1.0)

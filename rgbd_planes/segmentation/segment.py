@@ -87,7 +87,7 @@ def segment(
     another processor, may round the last bit differently.
     """
     check_camera(camera)
-    given, min_size = _given(camera.noise if noise is None else noise), check_min_size(min_size)
+    given, min_size = check_settings(camera, noise, min_size)
     return segment_frame(as_depth_frame(depth, camera), camera, given, min_size)
 
 
