@@ -7,8 +7,8 @@ What calls what:
 - windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
 - uncertainty: `statistics`, and segments: `segments`, each a folder of its own
-- used by many of them: `depth`, `copying`; in segments also `disjoint_sets`, `quantiles`; `cache_lines` is for
-  whoever makes arrays for them
+- used by many of them: `depth`, `copying`, `marked`; in segments also `disjoint_sets`, `quantiles`; `cache_lines` is
+  for whoever makes arrays for them
 - tables on disk: `rows`
 
 Habits of these kernels, each because it was measured:

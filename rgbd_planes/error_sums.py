@@ -9,9 +9,11 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.statistics.label_variances import label_variances
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.shared_errors import shares_errors
 
 if TYPE_CHECKING:
     from rgbd_planes.plane_fits import PlaneFits
@@ -28,12 +30,19 @@ class Pixels(NamedTuple):
         Their number, missing ones included, Σx, Σy, Σx² and Σy².
     noise : NoiseModel, optional
     error_sums : (N, 8) float64, optional
-        By that noise, over the valid ones: see `kernels.label_variances`. None where all pixels have one variance.
+        By that noise, over the valid ones: see `kernels.label_variances`. None where all pixels have one variance and
+        share no errors.
+    shared : (N, COLUMNS) float64
+        By that noise: see `shared_errors.covariances_by_shape`.
+    runs : PixelRuns, optional
+        The valid pixels, if neighbours share errors.
     """
 
     footprint: npt.NDArray[np.int64]
     noise: NoiseModel | None
     error_sums: Floats | None
+    shared: Floats
+    runs: PixelRuns | None
 
 
 class KeepsPixels:
@@ -51,14 +60,24 @@ class KeepsPixels:
         # Another noise model, given to the fit later, has other sums.
         return self._pixels.error_sums if self._pixels.noise == self.camera.noise else None
 
+    @property
+    def _shared(self) -> Floats:
+        return self._pixels.shared if self._pixels.noise == self.camera.noise else self._pixels.shared[:, :0]
+
+    @property
+    def _runs(self) -> PixelRuns | None:
+        return self._pixels.runs
+
 
 def _differs(noise: NoiseModel | None) -> bool:
-    """Whether pixels at different depths, or places in the image, have different variances of q."""
-    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0)
+    """Whether moments do not tell the errors: pixels differ in the variance of q, or share some of their errors."""
+    if noise is None:
+        return False
+    return len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0 or shares_errors(noise)
 
 
 def sums_of_labels(frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats) -> Floats | None:
-    """(K, 8) float64: see `kernels.label_variances`; None where all pixels have one variance."""
+    """(K, 8) float64: see `kernels.label_variances`; None where moments tell the errors."""
     if not _differs(camera.noise):
         return None
     sums = np.empty((len(alpha), 8))
@@ -75,7 +94,7 @@ def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
         return None
     if fits._error_sums is not None:
         return fits._error_sums
-    count, rays, q = _mean_rays(fits)
+    count, rays, q = mean_rays(fits.method, fits._moments.reshape(10, -1), fits._reference.reshape(3, -1))
     alpha = np.where(np.isnan(alpha), np.stack([0.0 * q, 0.0 * q, q], axis=1), alpha)
     means = np.empty((len(alpha), 8))
     part_variances(alpha, rays, settings_of(fits.camera), means)
@@ -83,17 +102,16 @@ def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
     return np.asarray(count[:, None] * means)
 
 
-def _mean_rays(fits: "PlaneFits") -> tuple[Floats, Floats, Floats]:
+def mean_rays(method: str, moments: Floats, reference: Floats) -> tuple[Floats, Floats, Floats]:
     """Numbers of pixels; (N, 5) their rays, as `statistics.variances.means_over` takes them; and mean inverse depths.
 
-    From points (X, Y, Z) to first order.
+    From points (X, Y, Z) to first order. ``moments`` are (10, N), and ``reference`` (3, N).
     """
-    moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
     n = np.maximum(moments[0], 1.0)
     first = moments[1:4] / n
     uu, uv, uw, vv, vw, ww = moments[4:] / n - first[[0, 0, 0, 1, 1, 2]] * first[[0, 1, 2, 1, 2, 2]]
     u, v, w = reference + first
-    if not fits.method.startswith("range"):  # as `kernels.statistics.covariances.ray_scatter`
+    if not method.startswith("range"):  # as `kernels.statistics.covariances.ray_scatter`
         w = 1.0 / np.where(w > 0.0, w, np.inf)
         u, v = u * w, v * w
         uu = (uu - 2.0 * u * uw + u * u * ww) * w**2

@@ -14,7 +14,8 @@ from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels.statistics.assess import LIMITS, assess
-from rgbd_planes.kernels.statistics.room import OF_DEPTHS, OF_LENS, RESULTS, TABLE_COLUMNS
+from rgbd_planes.kernels.statistics.room import OF_DEPTHS, OF_LENS, OF_SHAPE, RESULTS, TABLE_COLUMNS
+from rgbd_planes.kernels.statistics.shared_errors import EXPECTED, FREEDOM
 from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
@@ -33,6 +34,7 @@ DEFAULT_SIGNIFICANCE = 0.01
 _MOST_COUNTS, _MOST_SIZES = 10_000, 4
 _MOST_FOR_EACH = 64  # entries for each tile: most of a longer table would be made in vain
 _ARGUMENTS = ("_moments", "_reference", "planes", "rmse_metric", "valid_count", "status")
+_OF_RECTANGLES = np.empty((0, 0))  # `error_sums.Pixels.shared`
 _arguments = operator.itemgetter(*_ARGUMENTS)
 
 
@@ -64,7 +66,7 @@ class FitStatistics:
         kept = {name: getattr(fits, name) for name in _ARGUMENTS}
         arrays = {name: array if array.flags.writeable else array.copy() for name, array in kept.items()}
         arrays["_statistics"] = self.rows
-        assessment.of(arrays, fits._error_sums)(0, math.prod(fits.shape))
+        assessment.of(arrays, fits._error_sums, fits._shared)(0, math.prod(fits.shape))
         rows = self.rows.view()
         rows.flags.writeable = False
         self._by_row = rows.transpose(dimensions, *range(dimensions), *range(dimensions + 1, rows.ndim))
@@ -105,6 +107,14 @@ def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.
     cross = np.sqrt(made.tilt_x * made.tilt_y)
     half_variance = made.expected**2 / made.freedom
     return np.stack([made.expected, half_variance, made.tilt_x, cross, made.tilt_y, made.offset], axis=1)
+
+
+def _expect(tables: Floats, along: Floats, shared: Floats) -> None:
+    """Have tables expect the residuals of parts of any shape, whose pixels have a mean variance ``along`` the ray."""
+    expected, freedom = shared[:, EXPECTED] / along, shared[:, FREEDOM]
+    known = np.isfinite(freedom) & (expected > 0.0) & (tables[:, 0] > 0.0)
+    tables[known, 0] = expected[known]
+    tables[known, 1] = expected[known] ** 2 / freedom[known]
 
 
 @functools.lru_cache(maxsize=32)
@@ -231,11 +241,11 @@ class Assessment:
         self._growth = growth
         self._in_range_space = method.startswith("range")
 
-    def of(self, arrays: "Arrays", error_sums: Floats | None = None) -> Work:
+    def of(self, arrays: "Arrays", error_sums: Floats | None = None, shared: Floats = _OF_RECTANGLES) -> Work:
         """Return a function that marks tiles ``start`` to ``stop``, through all frames, and writes their statistics.
 
         ``arrays`` are those of `plane_fits.allocate`, of one frame or several, and perhaps ``_statistics``, RESULTS
-        rows for each frame. ``error_sums`` are those of `error_sums`, for labels and unions.
+        rows for each frame. ``error_sums`` and ``shared`` are those of `error_sums.Pixels`, for labels and unions.
         """
         noise, results = self._noise, arrays.get("_statistics")
         if noise is None or (results is None and not len(self._limits)):
@@ -249,7 +259,7 @@ class Assessment:
         results = np.empty((frames, 0, tiles)) if results is None else results.reshape(frames, RESULTS, tiles)
         of_pixels, growth = self._of_lens, self._growth
         if error_sums is not None:
-            of_pixels, growth = self._of_depths(error_sums, counts), EVEN
+            of_pixels, growth = self._of_depths(error_sums, shared, counts), EVEN
         settings = self._in_range_space, self._of_noise, growth, of_pixels, self._limits
 
         def assess_tiles(start: int, stop: int) -> None:
@@ -257,6 +267,8 @@ class Assessment:
             if tables is None:
                 some = np.arange(start, stop)  # other parts may not be written yet
                 tables = _some_tables(noise, counts.ravel()[some], self._sizes[some % tiles])
+                if shared.shape[1]:
+                    _expect(tables, of_pixels[OF_LENS, some], shared[some])
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first
@@ -264,13 +276,14 @@ class Assessment:
 
         return assess_tiles
 
-    def _of_depths(self, error_sums: Floats, counts: npt.NDArray[np.int32]) -> Floats:
-        """(OF_DEPTHS, N) float64: means over the pixels of each part."""
-        of_pixels = np.zeros((OF_DEPTHS, counts.size))
+    def _of_depths(self, error_sums: Floats, shared: Floats, counts: npt.NDArray[np.int32]) -> Floats:
+        """(OF_DEPTHS or OF_SHAPE, N) float64: means over the pixels of each part, and what their shape does."""
+        of_pixels = np.zeros((OF_SHAPE if shared.shape[1] else OF_DEPTHS, counts.size))
         lateral_x, lateral_y = self._of_noise[[LATERAL_X, LATERAL_Y]]
         of_pixels[0], of_pixels[2] = lateral_x, lateral_y
         of_pixels[: len(self._of_lens)] = self._of_lens
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
         total = np.where(along + rounding > 0.0, along + rounding, 1.0)
-        of_pixels[OF_LENS:] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
+        of_pixels[OF_LENS:OF_DEPTHS] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
+        of_pixels[OF_DEPTHS:] = shared.T[:EXPECTED]
         return of_pixels

@@ -9,13 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.checks import check_labels, label_array
-from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, sums_of_fits
+from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, mean_rays, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.residuals import like_rectangles
+from rgbd_planes.pixel_runs import joined
 from rgbd_planes.plane_fits import PlaneFits, allocate
+from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,13 +95,17 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
     sizes = like_rectangles(footprint)  # and no growth: the sums include it
+    runs = fits._runs if shares_errors(fits.camera.noise) else None
+    runs = None if runs is None else joined(runs, flat, count)
+    counts, rays, _ = mean_rays(fits.method, arrays["_moments"], arrays["_reference"])
+    shared = covariances_by_shape(runs, fits.camera, counts, rays, arrays["alpha"])
     assessment = Assessment(fits.camera, fits.method, significance, sizes, footprint, EVEN)
-    assessment.of(arrays, error_sums)(0, count)
+    assessment.of(arrays, error_sums, shared)(0, count)
     return MergedPlanes(
         camera=fits.camera,
         method=fits.method,
         labels=flat.reshape(fits.shape),
-        _pixels=Pixels(footprint, fits.camera.noise, error_sums),
+        _pixels=Pixels(footprint, fits.camera.noise, error_sums, shared, runs),
         _of_frame=fits._total,
         **arrays,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rgbd_planes.fit_statistics import FitStatistics
+    from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 
 Floats = npt.NDArray[np.float64]
 
@@ -116,9 +118,10 @@ class PlaneFits:
 
         For labels by ``range_explicit`` it is exact wherever the noise is independent from pixel to pixel; for tiles,
         windows and unions of them if σq is also constant over each. Where it changes with the depth, or by a falloff,
-        their pixels count as if they filled a parallelogram. For the other methods it is, to first order in the spread
-        of depths, that of ``range_explicit`` on the same pixels: where σq is constant, the bound that they
-        reach at best.
+        their pixels count as if they filled a parallelogram. Errors that neighbours share count by where the pixels of
+        labels and unions lie, and as if those of tiles and windows filled rectangles. For the other methods it is, to
+        first order in the spread of depths, that of ``range_explicit`` on the same pixels: where σq is constant, the
+        bound that they reach at best.
         """
         return self._statistics.matrix(ALPHA_COVARIANCE, 3)
 
@@ -176,6 +179,16 @@ class PlaneFits:
     def _error_sums(self) -> Floats | None:
         """(N, 8): for each part, what `error_sums.Pixels` keeps; None where the moments are enough."""
         return None
+
+    @property
+    def _shared(self) -> Floats:
+        """(N, COLUMNS), for each part, what `shared_errors.covariances_by_shape` makes; no columns for rectangles."""
+        return np.empty((math.prod(self.status.shape), 0))
+
+    @property
+    def _runs(self) -> PixelRuns | None:
+        """Where the valid pixels of each part of one frame lie, if it is known."""
+        raise NotImplementedError
 
     @property
     def _total(self) -> float:

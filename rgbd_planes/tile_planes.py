@@ -13,7 +13,9 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.keeping import kept
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.noise.falloff import growth_of_tiles
+from rgbd_planes.pixel_runs import runs_of_windows
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
@@ -68,6 +70,10 @@ class TilePlanes(Savable, PlacedFits):
             return 0.0
         rows = [4, 7] if self.method.startswith("range") else [4, 7, 9]
         return float(np.nansum(self._moments[rows]))  # those of tiles whose digits are lost are NaN
+
+    @property
+    def _runs(self) -> PixelRuns:
+        return runs_of_windows(tile_windows(self.camera.shape, self.tile), self.valid_count.ravel())
 
     @property
     def _growth(self) -> npt.NDArray[np.float64]:

@@ -14,8 +14,10 @@ from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.noise.falloff import growth_of_windows
 from rgbd_planes.noise.model import warn_of_noise
+from rgbd_planes.pixel_runs import runs_of_windows
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.tile_grid import footprints
@@ -63,6 +65,10 @@ class WindowPlanes(PlacedFits):
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
         return footprints(self.windows)
+
+    @property
+    def _runs(self) -> PixelRuns:
+        return runs_of_windows(self.windows, self.valid_count.ravel())
 
     @property
     def _growth(self) -> npt.NDArray[np.float64]:

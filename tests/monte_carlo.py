@@ -84,3 +84,26 @@ def normalised_error(stack: rp.TilePlanes, alpha: Floats) -> Floats:
     error = stack.alpha.reshape(-1, 3) - alpha
     covariance = stack.alpha_covariance.reshape(-1, 3, 3)
     return np.asarray(np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
+
+
+def correlations(noise: rp.noise.NoiseModel, mask: NDArray[np.bool_]) -> Floats:
+    """(N, N): covariance of the errors of the N pixels of a mask in units of their variance."""
+    places = np.argwhere(mask)
+    square = ((places[:, None] - places) ** 2).sum(axis=-1)
+    made = (1.0 - sum(share for share, _ in noise.correlation)) * np.eye(len(places))
+    for variance, length in (*noise.correlation, (noise.floor**2, noise.floor_length)):
+        made += variance * np.exp(-0.5 * square / length**2)
+    return np.asarray(made)
+
+
+def exact_covariance(camera: rp.Camera, mask: NDArray[np.bool_], alpha: Floats) -> Floats:
+    """(3, 3): A⁻¹MᵀCMA⁻¹ for the pixels of a mask on the plane α, with the covariance C of all pairs of them."""
+    noise = camera.noise
+    assert noise is not None
+    rays = np.dstack([*np.broadcast_arrays(camera.tan_x, camera.tan_y), np.ones(camera.shape)])[mask]
+    along = noise._along(rays @ alpha) * noise._growth(*rays.T[:2]) ** 0.5
+    alone = noise._rounding(rays @ alpha)
+    alone = alone + noise.lateral**2 * ((alpha[0] / camera.fx) ** 2 + (alpha[1] / camera.fy) ** 2)
+    covariance = along[:, None] * along * correlations(noise, mask) + np.diag(alone)
+    solve = np.linalg.inv(rays.T @ rays) @ rays.T
+    return np.asarray(solve @ covariance @ solve.T)

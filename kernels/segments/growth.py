@@ -8,7 +8,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import root_of
-from .marked import in_words, list_marked
+from ..marked import in_words, list_marked
 from .merge import describe
 from .moments import residual_of_two
 

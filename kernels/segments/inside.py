@@ -9,7 +9,8 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from .marked import in_words, list_marked
+from ..marked import in_words, list_marked
+from ..statistics.pixel_runs import add_row, by_label
 from .moments import add, ray_of, residual
 from .planes import fit_planes
 from .unevenness import weigh_rays
@@ -76,6 +77,29 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
             inside[k, j] = moments[k, j] - inside[k, j]
         if inside[k, 0] < LEAST_INSIDE * moments[k, 0] or residual(inside[k]) < 0.0:
             copy(moments[k], inside[k])
+
+
+@kernel()
+def runs_inside(label, inverse_depth, moments, inside):
+    """`PixelRuns` of the pixels that planes are fitted to: see `inside_moments`."""
+    height, width = label.shape
+    most, least = np.full(width + 2, BELOW), np.full(width + 2, ABOVE)
+    edge, line, change = np.empty(width, np.bool_), np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
+    columns, found = np.empty(len(change) + 1, np.uint32), np.empty((4, label.size), np.int32)
+    whole = np.empty(len(moments) + 1, np.bool_)
+    for k in range(len(moments)):
+        whole[k + 1] = inside[k, 0] == moments[k, 0]
+    number = 0
+    for y in range(height):
+        find_edges(label, inverse_depth, y, most, least, edge)
+        of, q = label[y], inverse_depth[y]
+        for x in range(width):
+            line[x] = of[x] if (q[x] > 0.0) & (not edge[x]) else 0
+        for x in range(width):
+            if edge[x] and whole[of[x]]:
+                line[x] = of[x] if q[x] > 0.0 else 0
+        number = add_row(line, y, change, columns, found, number)
+    return by_label(found, number, len(moments))
 
 
 @kernel()

@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
-from .marked import in_words, list_marked
+from ..marked import in_words, list_marked
 from .moments import difference, rise, solve
 from .noise import sensor_variance, variance, waviness
 

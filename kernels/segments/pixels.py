@@ -6,6 +6,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
+from ..marked import in_words, list_marked
 from .blocks import BLOCK, MIXED
 from .contest import (
     AREA,
@@ -21,7 +22,6 @@ from .contest import (
     share_out,
     steps_of,
 )
-from .marked import in_words, list_marked
 from .moments import misfit
 from .noise import grown_variance
 from .records import Shares

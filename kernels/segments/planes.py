@@ -44,11 +44,12 @@ def fit_planes(moments, alpha, rss):
 
 
 @kernel()
-def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
-    """Write the covariance of α, (3, 3), about the pixels' middle: see `statistics.sandwich`.
+def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, more, shared, covariance):
+    """Write the covariance of α, (3, 3): see `statistics.sandwich`.
 
     ``weighted`` (5,) comes from `unevenness.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
-    variances of a pixel, one for each part.
+    variances of a pixel, one for each part. Then ``more`` times the covariances of slopes and mean in ``shared``, see
+    `statistics.shared_errors.shared_covariances`, are added.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
     rays = weighted[0], weighted[1], weighted[2], weighted[3], weighted[4]
@@ -56,9 +57,11 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, covariance):
     a, c = slopes[0] * of_slope_x, slopes[2] * of_slope_y
     b = slopes[1] * math.sqrt(of_slope_x * of_slope_y)
     a_mean, b_mean = (with_mean[0] * math.sqrt(of_slope_x * of_mean), with_mean[1] * math.sqrt(of_slope_y * of_mean))
+    a, b, c = a + more * shared[0], b + more * shared[1], c + more * shared[2]
+    a_mean, b_mean, mean = a_mean + more * shared[3], b_mean + more * shared[4], of_mean / n + more * shared[5]
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
     covariance[0, 2], covariance[1, 2] = a_mean - (a * u + b * v), b_mean - (b * u + c * v)
-    covariance[2, 2] = of_mean / n + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)
+    covariance[2, 2] = mean + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)
     covariance[1, 0], covariance[2, 0], covariance[2, 1] = (covariance[0, 1], covariance[0, 2], covariance[1, 2])
 
 
@@ -81,14 +84,12 @@ def describe_planes(
         nx, ny, nz, d; and α.
     covariance : (N, 3, 3) float64, written
         Of α: from the residual or the noise, whichever is larger, and from the rounding error that all pixels have in
-        common. A noise model that is believed gives its own, larger if the residual is larger than by the model;
-        another one is a lower bound.
+        common. A noise model that is believed gives its own, larger if the residual is larger than by the model.
     rmse : (N,) float64, written
     sizes : (N,) int32, written
         Pixels of each label.
     """
     moments, rss, weighted, deviation = found.inside, found.rss, found.weighted, found.deviation
-    of_model = modelled.variances
     for i in range(len(planes)):
         sizes[i] = found.size[i + 1]
         copy(found.alpha[i], alpha[i])
@@ -96,11 +97,12 @@ def describe_planes(
         rmse[i] = math.sqrt(rss[i] / max(n, 1.0))
         seen = rss[i] / max(n - 3.0, 1.0)
         expected = deviation[i] ** 2
-        variance, lateral, more = together * max(seen, expected), 0.0, 1.0
-        if modelled.is_believed and of_model[3, i] > 0.0:
+        variance, more = together * max(seen, expected), 0.0
+        if modelled.is_believed and modelled.residual[i] > 0.0:
             lateral = slope_variance(moments[i], alpha[i], noise) if modelled.has_lateral else 0.0
-            expected = of_model[3, i] + lateral
-            variance, more = 0.0, max(seen / expected, 1.0)
+            expected = modelled.residual[i] + lateral
+            more = max(seen / expected, 1.0)
+            variance = more * (modelled.alone[i] + lateral)
         of_x = of_y = of_mean = 0.0
         step = step_at(moments[i, 3] / n, step_of_raw, scale, is_disparity)
         if step > 0.0:
@@ -113,9 +115,8 @@ def describe_planes(
                 others = max(others - between_codes(step**2, 0.0, u_steps, v_steps), 0.0)
             of_x, of_y, of_mean = in_common(step**2, others, n, u_steps, v_steps)
         covariance_of(
-            moments[i], weighted[i], max(variance, more * (of_model[0, i] + lateral)) + of_x,
-            max(variance, more * (of_model[1, i] + lateral)) + of_y,
-            max(variance, more * (of_model[2, i] + lateral)) + of_mean, covariance[i],
+            moments[i], weighted[i], variance + of_x, variance + of_y, variance + of_mean, more, modelled.shared[i],
+            covariance[i],
         )  # fmt: skip
         d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
         for k in range(3):

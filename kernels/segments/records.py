@@ -105,9 +105,11 @@ class Noise(NamedTuple):
 class Modelled(NamedTuple):
     """What a noise model says of N planes."""
 
-    variances: Array  # (4, N) float64: of a pixel, for the slopes along x and y, the mean, and the residual
-    has_lateral: bool  # whether the lateral error of `Noise` is the model's
-    is_believed: bool  # whether the frame shows no more, beyond chance
+    shared: Array  # (N, 6 or more) float64: see `statistics.shared_errors.shared_covariances`; 0 for no such errors
+    alone: Array  # (N,) float64: variance of a pixel, of the errors that are not in ``shared``
+    residual: Array  # (N,) float64: variance of a pixel about its plane by all of them
+    has_lateral: bool  # whether the lateral error of `Noise` is the model's, and comes on top
+    is_believed: bool  # otherwise the frame alone tells
 
 
 class Planes(NamedTuple):

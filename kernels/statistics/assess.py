@@ -68,7 +68,7 @@ def assess(
     growth : (2, N) float64, or (2, 0)
         Factors on the variances of q along the ray in ``noise``, at each tile's place in the image, and the variances
         of their logarithms within the tiles.
-    of_pixels : (OF_LENS or OF_DEPTHS, N) float64, or without rows
+    of_pixels : (OF_LENS, OF_DEPTHS or OF_SHAPE, N) float64, or without rows
         See OF_LENS.
     limits : (LIMITS,) float64
         The largest permitted sum of squared residuals over its expected value, as a polynomial in 1/√(degrees of
@@ -108,10 +108,10 @@ def assess(
         mean_inverse_depth(in_range_space, room)
         if everything:
             ray_scatter(in_range_space, room)
-        uneven = of_pixels.shape[0] == OF_DEPTHS
+        uneven = of_pixels.shape[0] >= OF_DEPTHS
         if uneven:
             load(of_pixels[OF_LENS : OF_LENS + 1], first, last, room, SHARED)
-            load(of_pixels[OF_LENS + 1 :], first, last, room, ROUNDING)
+            load(of_pixels[OF_LENS + 1 : OF_DEPTHS], first, last, room, ROUNDING)
         else:
             pixel_variance(noise, last - first, room)
             if growth.shape[1] > 0:
@@ -164,5 +164,5 @@ def assess(
                 rounded_alike(noise, last - first, room)
             covariances(room)
             if uneven:
-                uneven_covariances(room)
+                uneven_covariances(room, of_pixels[OF_DEPTHS:, first:last])
             store(room, results[frame], first, last)

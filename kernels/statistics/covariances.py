@@ -78,12 +78,14 @@ def covariances(room):
 
 
 @kernel(reduction=True, inline=True)
-def uneven_covariances(room):
+def uneven_covariances(room, of_shape):
     """As `covariances`, where some of a tile's pixels are noisier than others: see `sandwich.sandwich`.
 
-    Errors that neighbours share raise them by the same factors as if all variances were alike.
+    Errors that neighbours share raise them by the same factors as if all variances were alike. If ``of_shape`` has
+    rows, they say instead what all errors along the ray make: see OF_SHAPE.
     """
-    for i in range(TILES_AT_ONCE):
+    is_known = of_shape.shape[0] > 0
+    for i in range(of_shape.shape[1]):
         if not room[UNEVENNESS, i] > 0.0:
             continue
         w = WEIGHTED
@@ -95,12 +97,25 @@ def uneven_covariances(room):
         nothing = 0.0 * room[D, i]  # NaN where there is no plane
         lateral = room[INDEPENDENT, i] - rounding + nothing
         f_a, f_b, f_mean = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
-        aa = (shared * f_a + rounding) * slopes[0] + lateral * even[0]
-        ab = (shared * room[OF_COUNT + 3, i] + rounding) * slopes[1] + lateral * even[1]
-        bb = (shared * f_b + rounding) * slopes[2] + lateral * even[2]
-        a_mean = (shared * math.sqrt(f_a * f_mean) + rounding) * with_mean[0]
-        b_mean = (shared * math.sqrt(f_b * f_mean) + rounding) * with_mean[1]
-        mean = (shared * f_mean + rounding + lateral) * room[PER_PIXEL, i]
+        per_pixel = room[PER_PIXEL, i]
+        if is_known:
+            aa, ab, bb = of_shape[0, i], of_shape[1, i], of_shape[2, i]
+            a_mean, b_mean, mean = of_shape[3, i], of_shape[4, i], of_shape[5, i]
+        else:
+            aa, ab, bb = (
+                shared * f_a * slopes[0],
+                shared * room[OF_COUNT + 3, i] * slopes[1],
+                shared * f_b * slopes[2],
+            )
+            a_mean = shared * math.sqrt(f_a * f_mean) * with_mean[0]
+            b_mean = shared * math.sqrt(f_b * f_mean) * with_mean[1]
+            mean = shared * f_mean * per_pixel
+        aa += rounding * slopes[0] + lateral * even[0]
+        ab += rounding * slopes[1] + lateral * even[1]
+        bb += rounding * slopes[2] + lateral * even[2]
+        a_mean += rounding * with_mean[0]
+        b_mean += rounding * with_mean[1]
+        mean += (rounding + lateral) * per_pixel
         write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room)
 
 

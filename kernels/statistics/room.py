@@ -23,8 +23,9 @@ ROWS = 55
 # Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
 # differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
 # of those in ``noise``. And for a part of many depths: variances of q along the ray and of rounding; how uneven their
-# sum is, its root mean square over its mean; and means, weighted by that sum, of u, v, u², uv and v².
-OF_LENS, OF_DEPTHS = 3, 11
+# sum is, its root mean square over its mean; and means, weighted by that sum, of u, v, u², uv and v². For a part of any
+# shape, the covariances that errors along the ray have in all: see `shared_errors.shared_covariances`.
+OF_LENS, OF_DEPTHS, OF_SHAPE = 3, 11, 17
 
 # Rows of the results.
 P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27

@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
+from rgbd_planes.error_sums import mean_rays
 from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
+from rgbd_planes.kernels.segments.inside import runs_inside
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
-from rgbd_planes.noise.model import SMALLEST
-from rgbd_planes.noise.residuals import ResidualStatistics, like_rectangles
+from rgbd_planes.kernels.statistics.shared_errors import COLUMNS, EXPECTED
+from rgbd_planes.noise.model import SMALLEST, NoiseModel
 from rgbd_planes.segmentation.reach import reach_table
+from rgbd_planes.segmentation.workspace import Workspace
+from rgbd_planes.shared_errors import covariances_by_shape
 
 Floats = NDArray[np.float64]
 
@@ -31,33 +35,38 @@ class Given(NamedTuple):
         Standard deviation, in pixels, of where within its pixel a measurement lies; 0 if it is not known.
     at_large : bool
         ``sigma`` is a sensor's: some of it may be errors that neighbours share.
-    statistics : callable, optional
-        What such errors do to planes, if known: `NoiseModel.statistics`.
+    model : NoiseModel, optional
+        The same sensor's, if it says how neighbours share errors.
     """
 
     sigma: Callable[[Floats], Floats] | None = None
     lateral: float = 0.0
     at_large: bool = False
-    statistics: Callable[[Floats, Floats], ResidualStatistics] | None = None
+    model: NoiseModel | None = None
 
-    def of_planes(self, moments: Floats, camera: Camera, together: float) -> Modelled:
-        """What a noise model says of planes, from the moments of their pixels, (N, 10).
+    def of_planes(
+        self, work: Workspace, labels: NDArray[np.int32], count: int, camera: Camera, together: float
+    ) -> Modelled:
+        """What a noise model says of the planes that were found, whose pixels are labelled.
 
         ``together`` is that of `FrameNoise`. A model of independent errors says nothing of a frame whose pixels share
         them: how large the errors are, such a frame tells better.
         """
-        variances = np.zeros((4, len(moments)))
-        is_believed = self.at_large and together == 1.0
-        if self.sigma is None or not (is_believed or self.statistics):
-            return Modelled(variances, False, False)
+        moments, alpha = work.found.inside[:count], work.found.alpha[:count]
+        shared, alone = np.zeros((count, COLUMNS)), np.zeros(count)
         pixels = moments[:, 0]
-        variances[:] = self.sigma(moments[:, 3] / pixels) ** 2
-        if self.statistics is not None:
-            footprint = moments[:, [0, 1, 2, 4, 7]] * [1.0, camera.fx, camera.fy, camera.fx**2, camera.fy**2]
-            made = self.statistics(pixels, like_rectangles(footprint))
-            of_residual = made.expected / np.maximum(pixels - 3.0, 1.0)
-            variances *= np.stack([made.tilt_x, made.tilt_y, made.offset, of_residual])
-        return Modelled(variances, self.lateral > 0.0, is_believed)
+        if self.model is not None:
+            runs = runs_inside(labels, work.inverse_depth, work.found.moments[:count], moments)
+            counts, rays, q = mean_rays("range_explicit", moments.T, np.zeros((3, count)))
+            shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)
+            alone = self.model._rounding(q)
+            return Modelled(
+                shared, alone, alone + shared[:, EXPECTED] / np.maximum(pixels - 3.0, 1.0), self.lateral > 0.0, True
+            )
+        if self.at_large and together == 1.0 and self.sigma is not None:
+            alone = self.sigma(moments[:, 3] / pixels) ** 2
+            return Modelled(shared, alone, alone, self.lateral > 0.0, True)
+        return Modelled(shared, alone, alone, False, False)
 
 
 class FrameNoise(NamedTuple):

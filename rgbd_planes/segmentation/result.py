@@ -58,13 +58,13 @@ class Segmentation(Savable):
         fit.
     alpha_covariance : (N, 3, 3) float64
         Of α, in 1/m². With a noise model it is that of `fit_labels` for the pixels of the fit, or as much more as their
-        residual is larger than by the model, if the frame shows no errors that neighbours share: squares of 16 to 64
-        pixels within its planes show what chance makes of independent errors in 99 frames of a hundred, or are too few
-        to tell. Otherwise, and without a model, it comes from the residual or the frame's noise, whichever is larger,
-        and as many independent pixels as flat squares show; with a model of correlated errors it is no less than these
-        make. The frame's noise counts as no less than 0.04 % of 1/Z, and chance and edges pass for errors that reach
-        far. So where errors are independent, covariances without a model are too large, in single frames many times.
-        Where errors reach farther than the squares show, as those of most sensors do, they are too small.
+        residual is larger than by the model, if the model says what errors neighbours share, or the frame shows none:
+        squares of 16 to 64 pixels within its planes show what chance makes of independent errors in 99 frames of a
+        hundred, or are too few to tell. Otherwise, and without a model, it comes from the residual or the frame's
+        noise, whichever is larger, and as many independent pixels as flat squares show. The frame's noise counts as no
+        less than 0.04 % of 1/Z, and chance and edges pass for errors that reach far. So where errors are independent,
+        covariances without a model are too large, in single frames many times. Where errors reach farther than the
+        squares show, as those of most sensors do, they are too small.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,11 @@ from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.kernels.segments.planes import describe_planes
 from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
+from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.segmentation.noise import Given, noise_of
 from rgbd_planes.segmentation.result import Reason, Segmentation
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
-
-if TYPE_CHECKING:
-    from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.shared_errors import shares_errors
 
 Floats = NDArray[np.float64]
 
@@ -52,9 +51,9 @@ def segment(
         object with such a function as ``sigma``: a noise model. It counts as no less than 0.04 % of the inverse depth,
         and the lateral error that the frame shows is added. For a model, its own ``lateral`` error, in pixels, is
         taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours share their
-        errors, that counts. Covariances are by the model alone, unless neighbours do share errors: see
-        `Segmentation.alpha_covariance`. By default ``camera.noise``; without either, noise is estimated from the frame:
-        the same in 1/Z at all depths, or in Z if the frame shows that plainly.
+        errors, that counts. Covariances are by the model alone, unless neighbours share errors of which it does not
+        know: see `Segmentation.alpha_covariance`. By default ``camera.noise``; without either, noise is estimated from
+        the frame: the same in 1/Z at all depths, or in Z if the frame shows that plainly.
     min_size : int
         Pixels that a plane must have, at least 3. Planes of fewer are left out: from 60 on, that does not change the
         fits of the others, and takes no more from their labels than some strays, less than a pixel in fifty.
@@ -108,9 +107,8 @@ def _given(noise: Any) -> Given:
     if noise is None:
         return Given()
     if callable(getattr(noise, "sigma", None)):  # a noise model
-        statistics = None if getattr(noise, "is_independent", True) else noise.statistics
-        lateral = float(getattr(noise, "lateral", 0.0))
-        return Given(noise.sigma, lateral, at_large=True, statistics=statistics)
+        model = noise if isinstance(noise, NoiseModel) and shares_errors(noise) else None
+        return Given(noise.sigma, float(getattr(noise, "lateral", 0.0)), at_large=True, model=model)
     check_not_a_maker(noise)
     if callable(noise):
         return Given(noise)
@@ -153,7 +151,7 @@ def _segment(
         work.make_room(runs)  # there are more edges than in any frame before
     planes, alpha, covariance = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3, 3))
     rmse, sizes = np.empty(count), np.empty(count, np.int32)
-    modelled = given.of_planes(work.found.inside[:count], camera, together)
+    modelled = given.of_planes(work, labels, count, camera, together)
     describe_planes(
         work.found, noise, together, modelled, step_of_raw, frame.scale, frame.is_disparity, planes, alpha, covariance,
         rmse, sizes,

@@ -1,8 +1,8 @@
-"""Segmentation: where marks are, of which most are none."""
+"""Where marks are, of which most are none."""
 
 import numpy as np
 
-from .._jit import kernel
+from ._jit import kernel
 
 # Marks that are tested together.
 WORD = 8

@@ -1,0 +1,85 @@
+"""The pixels of parts of an image as runs along its rows, part after part."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import kernel
+from ..marked import in_words, list_marked
+
+
+class PixelRuns(NamedTuple):
+    """Runs of pixels side by side, those of part i in rows ``first[i]`` to ``first[i + 1]``."""
+
+    first: NDArray[np.int64]  # (N + 1,)
+    row: NDArray[np.int32]  # (M,)
+    start: NDArray[np.int32]  # first column
+    stop: NDArray[np.int32]  # last column + 1
+    share: NDArray[Any]  # float64: of these pixels, how many are measured
+
+
+@kernel()
+def add_row(line, row, change, columns, found, number):
+    """Write the runs of labels of a row, (W,) int32, 0 for none, behind the ``number`` of them that were found before.
+
+    Parameters
+    ----------
+    change : (in_words(W),) bool
+        False from column W on; for work.
+    columns : (len(change) + 1,) uint32
+        For work.
+    found : (4, M) int32
+        Row, first column, last column + 1, and label.
+
+    Returns
+    -------
+    number : int
+        With those of this row.
+    """
+    change[0] = True
+    for x in range(1, len(line)):
+        change[x] = line[x] != line[x - 1]
+    count = list_marked(change, True, columns)
+    columns[count] = len(line)
+    for i in range(count):
+        start, stop = columns[i], columns[i + 1]
+        if line[start] > 0:
+            found[0, number], found[1, number], found[2, number], found[3, number] = row, start, stop, line[start]
+            number += 1
+    return number
+
+
+@kernel()
+def by_label(found, number, count):
+    """`PixelRuns` of labels 1 to ``count``, from so many runs that `add_row` found."""
+    first = np.zeros(count + 1, np.int64)
+    for k in range(number):
+        first[found[3, k]] += 1
+    for i in range(count):
+        first[i + 1] += first[i]
+    position = first.copy()
+    row, start, stop = np.empty(number, np.int32), np.empty(number, np.int32), np.empty(number, np.int32)
+    for k in range(number):
+        to = position[found[3, k] - 1]
+        row[to], start[to], stop[to] = found[0, k], found[1, k], found[2, k]
+        position[found[3, k] - 1] = to + 1
+    return PixelRuns(first, row, start, stop, np.ones(number))
+
+
+@kernel()
+def runs_of_labels(labels, raw, lowest, highest, count):
+    """`PixelRuns` of the measured pixels of labels 1 to ``count``.
+
+    ``labels`` is (H, W) int32, 0 for none; pixels of ``raw`` from ``lowest`` to ``highest`` are measured.
+    """
+    height, width = labels.shape
+    line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
+    columns, found = np.empty(len(change) + 1, np.uint32), np.empty((4, labels.size), np.int32)
+    number = 0
+    for row in range(height):
+        label, values = labels[row], raw[row]
+        for x in range(width):
+            line[x] = label[x] if (lowest <= values[x]) & (values[x] <= highest) else 0
+        number = add_row(line, row, change, columns, found, number)
+    return by_label(found, number, count)

@@ -1,0 +1,30 @@
+"""What errors that neighbours share do to the planes of parts of any shape."""
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes.camera import Camera
+from rgbd_planes.fit_statistics import settings_of
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
+from rgbd_planes.kernels.statistics.shared_errors import COLUMNS, shared_covariances
+from rgbd_planes.noise.model import NoiseModel
+
+Floats = npt.NDArray[np.float64]
+
+
+def shares_errors(noise: NoiseModel | None) -> bool:
+    """Whether a noise model has errors that neighbours share."""
+    return noise is not None and any(length for _, length in noise._components)
+
+
+def covariances_by_shape(
+    runs: PixelRuns | None, camera: Camera, counts: Floats, rays: Floats, alpha: Floats, with_freedom: bool = True
+) -> Floats:
+    """(N, COLUMNS) float64: see `kernels.statistics.shared_errors.shared_covariances`; no columns without ``runs``."""
+    if runs is None:
+        return np.empty((len(alpha), 0))
+    assert camera.noise is not None
+    components = np.array(camera.noise._components)
+    made = np.empty((len(alpha), COLUMNS))
+    shared_covariances(runs, *camera._rays, counts, rays, alpha, settings_of(camera), components, with_freedom, made)
+    return made
