@@ -9,13 +9,14 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.statistics.label_variances import label_variances
-from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns, runs_of_labels
 from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.shared_errors import shares_errors
+from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 
 if TYPE_CHECKING:
+    from rgbd_planes.fitting import Arrays
     from rgbd_planes.plane_fits import PlaneFits
 
 Floats = npt.NDArray[np.float64]
@@ -69,35 +70,52 @@ class KeepsPixels:
         return self._pixels.runs
 
 
-def _differs(noise: NoiseModel | None) -> bool:
-    """Whether moments do not tell the errors: pixels differ in the variance of q, or share some of their errors."""
-    if noise is None:
-        return False
-    return len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0 or shares_errors(noise)
+def _varies(noise: NoiseModel | None) -> bool:
+    """Whether pixels at different depths, or places in the image, have different variances of q."""
+    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0)
 
 
-def sums_of_labels(frame: DepthFrame, camera: Camera, labels: npt.NDArray[np.int32], alpha: Floats) -> Floats | None:
-    """(K, 8) float64: see `kernels.label_variances`; None where moments tell the errors."""
-    if not _differs(camera.noise):
-        return None
-    sums = np.empty((len(alpha), 8))
-    label_variances(*frame.values, *camera._rays, labels, alpha, settings_of(camera), growth_of_pixels(camera), sums)
-    return sums
+def pixels_of_labels(
+    frame: DepthFrame,
+    camera: Camera,
+    labels: npt.NDArray[np.int32],
+    method: str,
+    footprint: npt.NDArray[np.int64],
+    arrays: "Arrays",
+) -> Pixels:
+    """What a fit to labels keeps of their pixels; ``arrays`` are those of `plane_fits.allocate`."""
+    noise, alpha = camera.noise, arrays["alpha"]
+    runs = runs_of_labels(labels, *frame.values[:3], len(alpha)) if shares_errors(noise) else None
+    shared, sums = np.empty((len(alpha), 0)), None
+    if runs is not None:
+        counts, rays, q = mean_rays(method, arrays["_moments"], arrays["_reference"])
+        shared = covariances_by_shape(runs, camera, counts, rays, alpha)
+        sums = _sums_of_rays(camera, counts, rays, q, alpha)
+    if _varies(noise):
+        sums = np.empty((len(alpha), 8))
+        settings, growth = settings_of(camera), growth_of_pixels(camera)
+        label_variances(*frame.values, *camera._rays, labels, alpha, settings, growth, sums)
+    return Pixels(footprint, noise, sums, shared, runs)
 
 
 def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
-    """`sums_of_labels` for the parts of one frame: those that were kept, or from each part's moments.
+    """`kernels.label_variances` for the parts of one frame: what was kept, or from each part's moments.
 
-    ``alpha`` (N, 3) are the planes at whose depths the parts' pixels are; where it is NaN, at their mean depth.
+    ``alpha`` (N, 3) are the planes at whose depths the parts' pixels are; where it is NaN, at their mean depth. None
+    where moments tell the errors: all pixels have one variance, and share none.
     """
-    if not _differs(fits.camera.noise):
+    if not (_varies(fits.camera.noise) or shares_errors(fits.camera.noise)):
         return None
     if fits._error_sums is not None:
         return fits._error_sums
-    count, rays, q = mean_rays(fits.method, fits._moments.reshape(10, -1), fits._reference.reshape(3, -1))
+    return _sums_of_rays(fits.camera, *mean_rays(fits.method, fits._moments, fits._reference), alpha)
+
+
+def _sums_of_rays(camera: Camera, count: Floats, rays: Floats, q: Floats, alpha: Floats) -> Floats:
+    """(N, 8) float64: see `sums_of_fits`; the others are from `mean_rays`."""
     alpha = np.where(np.isnan(alpha), np.stack([0.0 * q, 0.0 * q, q], axis=1), alpha)
     means = np.empty((len(alpha), 8))
-    part_variances(alpha, rays, settings_of(fits.camera), means)
+    part_variances(alpha, rays, settings_of(camera), means)
     means[count == 0.0] = 0.0  # there may be no ray, as at the rim of a fisheye
     return np.asarray(count[:, None] * means)
 
@@ -105,8 +123,9 @@ def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
 def mean_rays(method: str, moments: Floats, reference: Floats) -> tuple[Floats, Floats, Floats]:
     """Numbers of pixels; (N, 5) their rays, as `statistics.variances.means_over` takes them; and mean inverse depths.
 
-    From points (X, Y, Z) to first order. ``moments`` are (10, N), and ``reference`` (3, N).
+    From points (X, Y, Z) to first order. ``moments`` and ``reference`` are a fit's, of one frame.
     """
+    moments, reference = moments.reshape(10, -1), reference.reshape(3, -1)
     n = np.maximum(moments[0], 1.0)
     first = moments[1:4] / n
     uu, uv, uw, vv, vw, ww = moments[4:] / n - first[[0, 0, 0, 1, 1, 2]] * first[[0, 1, 2, 1, 2, 2]]

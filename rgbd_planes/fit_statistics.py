@@ -15,7 +15,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels.statistics.assess import LIMITS, assess
 from rgbd_planes.kernels.statistics.room import OF_DEPTHS, OF_LENS, OF_SHAPE, RESULTS, TABLE_COLUMNS
-from rgbd_planes.kernels.statistics.shared_errors import EXPECTED, FREEDOM
+from rgbd_planes.kernels.statistics.shared_errors import EXPECTED, FREEDOM, MEAN
 from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
@@ -109,12 +109,21 @@ def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.
     return np.stack([made.expected, half_variance, made.tilt_x, cross, made.tilt_y, made.offset], axis=1)
 
 
-def _expect(tables: Floats, along: Floats, shared: Floats) -> None:
-    """Have tables expect the residuals of parts of any shape, whose pixels have a mean variance ``along`` the ray."""
+def _tables_of_shapes(
+    noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.NDArray[Any], along: Floats, shared: Floats
+) -> Floats:
+    """A row for each part of any shape, whose pixels have a mean variance ``along`` the ray.
+
+    ``shared`` says all that counts of the rows, or else the part counts as a rectangle.
+    """
     expected, freedom = shared[:, EXPECTED] / along, shared[:, FREEDOM]
-    known = np.isfinite(freedom) & (expected > 0.0) & (tables[:, 0] > 0.0)
+    known = np.isfinite(freedom) & (expected > 0.0)
+    tables = np.ones((len(counts), TABLE_COLUMNS))
     tables[known, 0] = expected[known]
     tables[known, 1] = expected[known] ** 2 / freedom[known]
+    others = ~known & np.isfinite(shared[:, MEAN])  # those that have a plane
+    tables[others] = _some_tables(noise, counts[others], sizes[others])
+    return tables
 
 
 @functools.lru_cache(maxsize=32)
@@ -266,9 +275,11 @@ class Assessment:
             index, tables = counts, self._tables
             if tables is None:
                 some = np.arange(start, stop)  # other parts may not be written yet
-                tables = _some_tables(noise, counts.ravel()[some], self._sizes[some % tiles])
+                parts = noise, counts.ravel()[some], self._sizes[some % tiles]
                 if shared.shape[1]:
-                    _expect(tables, of_pixels[OF_LENS, some], shared[some])
+                    tables = _tables_of_shapes(*parts, of_pixels[OF_LENS, some], shared[some])
+                else:
+                    tables = _some_tables(*parts)
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first

@@ -19,16 +19,14 @@ from rgbd_planes.checks import (
 )
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.error_sums import KeepsPixels, Pixels, mean_rays, sums_of_labels
+from rgbd_planes.error_sums import KeepsPixels, Pixels, pixels_of_labels
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.kernels.label_moments import label_moments
-from rgbd_planes.kernels.statistics.pixel_runs import runs_of_labels
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.plane_fits import PlacedFits, allocate
-from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 from rgbd_planes.wording import counted
 
 
@@ -112,15 +110,7 @@ def fit_labels(
         )
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
-        counts, rays, _ = mean_rays(method, arrays["_moments"], arrays["_reference"])
-        runs = runs_of_labels(numbers, *frame.values[:3], count) if shares_errors(camera.noise) else None
-        pixels = Pixels(
-            footprint,
-            camera.noise,
-            sums_of_labels(frame, camera, numbers, arrays["alpha"]),
-            covariances_by_shape(runs, camera, counts, rays, arrays["alpha"]),
-            runs,
-        )
+        pixels = pixels_of_labels(frame, camera, numbers, method, footprint, arrays)
         sizes = like_rectangles(footprint)  # and no growth: the sums include it
         assessment = Assessment(camera, method, significance, sizes, footprint, EVEN)
         assessment.of(arrays, pixels.error_sums, pixels.shared)(0, count)

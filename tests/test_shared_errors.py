@@ -62,8 +62,8 @@ def runs_as_labels(runs, shape):
 @pytest.mark.parametrize("kind", ["all", "holes", "frame", "corner", "diagonal", "two pieces", "strewn"])
 @pytest.mark.parametrize("noise", NOISES.values(), ids=NOISES)
 def test_small_parts_are_exact(kind, noise, rng):
-    """Of at most 1024 pixels, each of which is a cell: but for what is beyond reach."""
-    shape = (26, 31)
+    """Of at most 512 pixels, each of which is a cell: but for what is beyond reach."""
+    shape = (20, 25)
     camera, alpha = camera_of(shape, noise), np.array([0.3, -0.2, 0.6])
     mask = mask_of(kind, shape, rng)
     depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])

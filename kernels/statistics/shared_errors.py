@@ -14,7 +14,7 @@ from .cells import add_runs, product_of, shared_by_cells, smooth, spread_out, su
 
 # A part has at most MOST_CELLS cells, and not many more than FILLED have pixels. They are wider where errors reach as
 # far as that, but divide each of the part's sides by ALONG or more. FEW_CELLS are enough for the degrees of freedom.
-MOST_CELLS, FILLED, FEW_CELLS, ALONG = 4096, 1024, 128, 16
+MOST_CELLS, FILLED, FEW_CELLS, ALONG = 4096, 512, 128, 16
 # Columns of what is written.
 SLOPES, WITH_MEAN, MEAN, EXPECTED, FREEDOM, COLUMNS = 0, 3, 5, 6, 7, 8
 
