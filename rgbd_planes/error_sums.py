@@ -34,7 +34,7 @@ class Pixels(NamedTuple):
         By that noise, over the valid ones: see `kernels.label_variances`. None where all pixels have one variance and
         share no errors.
     shared : (N, COLUMNS) float64
-        By that noise: see `shared_errors.covariances_by_shape`.
+        By that noise: see `shared_errors.covariances_by_shape`. No columns where neighbours share no errors.
     runs : PixelRuns, optional
         The valid pixels, if neighbours share errors.
     """

@@ -95,10 +95,11 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
     sizes = like_rectangles(footprint)  # and no growth: the sums include it
-    runs = fits._runs if shares_errors(fits.camera.noise) else None
-    runs = None if runs is None else joined(runs, flat, count)
-    counts, rays, _ = mean_rays(fits.method, arrays["_moments"], arrays["_reference"])
-    shared = covariances_by_shape(runs, fits.camera, counts, rays, arrays["alpha"])
+    runs, shared = fits._runs if shares_errors(fits.camera.noise) else None, np.empty((count, 0))
+    if runs is not None:
+        runs = joined(runs, flat, count)
+        counts, rays, _ = mean_rays(fits.method, arrays["_moments"], arrays["_reference"])
+        shared = covariances_by_shape(runs, fits.camera, counts, rays, arrays["alpha"])
     assessment = Assessment(fits.camera, fits.method, significance, sizes, footprint, EVEN)
     assessment.of(arrays, error_sums, shared)(0, count)
     return MergedPlanes(

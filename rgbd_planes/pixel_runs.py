@@ -9,8 +9,9 @@ from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 def runs_of_windows(windows: npt.NDArray[np.int64], counts: npt.NDArray[np.int32]) -> PixelRuns:
     """The rows of windows, (N, 4), of each of which so many pixels are measured, as if evenly all over it."""
     top, left, height, width = windows.T
-    which = np.repeat(np.arange(len(windows)), height)
-    first = np.concatenate([[0], np.cumsum(height)])
+    lines = np.where(counts > 0, height, 0)
+    which = np.repeat(np.arange(len(windows)), lines)
+    first = np.concatenate([[0], np.cumsum(lines)])
     row = np.arange(len(which)) - first[which] + top[which]
     share = (counts / (height * width))[which]
     row, start, stop = (of.astype(np.int32) for of in (row, left[which], (left + width)[which]))

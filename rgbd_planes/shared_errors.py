@@ -18,11 +18,9 @@ def shares_errors(noise: NoiseModel | None) -> bool:
 
 
 def covariances_by_shape(
-    runs: PixelRuns | None, camera: Camera, counts: Floats, rays: Floats, alpha: Floats, with_freedom: bool = True
+    runs: PixelRuns, camera: Camera, counts: Floats, rays: Floats, alpha: Floats, with_freedom: bool = True
 ) -> Floats:
-    """(N, COLUMNS) float64: see `kernels.statistics.shared_errors.shared_covariances`; no columns without ``runs``."""
-    if runs is None:
-        return np.empty((len(alpha), 0))
+    """(N, COLUMNS) float64: see `kernels.statistics.shared_errors.shared_covariances`; by the camera's noise."""
     assert camera.noise is not None
     components = np.array(camera.noise._components)
     made = np.empty((len(alpha), COLUMNS))

@@ -247,6 +247,18 @@ def test_runs_of_windows_have_the_share_that_is_measured():
     np.testing.assert_array_equal(made, wanted)
 
 
+def test_errors_that_all_pixels_share(rng):
+    """Whatever their reach beyond the part: they move the plane as a whole."""
+    camera = camera_of((30, 40), rp.noise.NoiseModel((1e-3,), correlation=((0.9, 1e50),), floor=2.0, floor_length=1e60))
+    depth, mask = np.full(camera.shape, 2.0), mask_of("corner", (30, 40), rng)
+    fits = rp.fit_labels(depth, camera, mask)
+    independent = rp.fit_labels(depth, camera.with_noise(rp.noise.NoiseModel((1e-3 * 0.1**0.5,))), mask)
+    expected = independent.alpha_covariance[0].copy()
+    expected[2, 2] += 1e-6 * (0.9 + 4.0)
+    assert ratios(fits.alpha_covariance[0], expected) == pytest.approx((1.0, 1.0), rel=1e-3)
+    assert fits._pixels.shared[0, FREEDOM] == pytest.approx(np.count_nonzero(mask) - 3, rel=0.01)
+
+
 @pytest.mark.parametrize("holes", [0.0, 0.2])
 def test_runs_inside_are_those_that_planes_are_fitted_to(holes, rng):
     labels = np.zeros((24, 40), np.int32)

@@ -113,7 +113,7 @@ def spread_out(cells, rows, columns, shift_y, shift_x, stride, made):
 @kernel()
 def shared_by_cells(length, side, cells, along):
     """Write what the errors of cells ``side`` pixels wide share, 0, 1, 2, ... cells apart; return how many do."""
-    reach = min(math.ceil(REACH * length / side) + 1, cells)
+    reach = min(math.ceil(min(REACH * length / side, float(cells))) + 1, cells)  # lengths may be beyond whole numbers
     for d in range(reach):
         total = 0.0
         for h in range(1 - side, side):

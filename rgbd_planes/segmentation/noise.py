@@ -59,6 +59,7 @@ class Given(NamedTuple):
             runs = runs_inside(labels, work.inverse_depth, work.found.moments[:count], moments)
             counts, rays, q = mean_rays("range_explicit", moments.T, np.zeros((3, count)))
             shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)
+            shared[np.isnan(shared[:, EXPECTED])] = 0.0  # without a plane of these pixels: then the frame tells
             alone = self.model._rounding(q)
             return Modelled(
                 shared, alone, alone + shared[:, EXPECTED] / np.maximum(pixels - 3.0, 1.0), self.lateral > 0.0, True
