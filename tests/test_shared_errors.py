@@ -255,7 +255,7 @@ def test_errors_that_all_pixels_share(rng):
     independent = rp.fit_labels(depth, camera.with_noise(rp.noise.NoiseModel((1e-3 * 0.1**0.5,))), mask)
     expected = independent.alpha_covariance[0].copy()
     expected[2, 2] += 1e-6 * (0.9 + 4.0)
-    assert ratios(fits.alpha_covariance[0], expected) == pytest.approx((1.0, 1.0), rel=1e-3)
+    assert ratios(fits.alpha_covariance[0], expected) == pytest.approx((1.0, 1.0), rel=0.02)
     assert fits._pixels.shared[0, FREEDOM] == pytest.approx(np.count_nonzero(mask) - 3, rel=0.01)
 
 
