@@ -122,11 +122,11 @@ def test_of_all_methods(method, rng):
     assert ratios(found, monte_carlo.exact_covariance(camera, mask, alpha)) == pytest.approx((1.0, 1.0), abs=0.03)
 
 
-@pytest.mark.parametrize("kind", ["all", "holes", "corner", "two pieces"])
+@pytest.mark.parametrize("shape", [(10, 12), (26, 40)], ids=["small", "large"])
+@pytest.mark.parametrize("kind", ["all", "holes", "corner", "two pieces", "strewn"])
 @pytest.mark.parametrize("noise", list(NOISES.values())[:3], ids=list(NOISES)[:3])
-def test_residuals_are_exact_where_pixels_are_cells(kind, noise, rng):
-    """Expected sum and degrees of freedom, tr(PC) and tr(PC)² / tr((PC)²)."""
-    shape = (10, 12)
+def test_residuals(kind, noise, shape, rng):
+    """Expected sum and degrees of freedom, tr(PC) and tr(PC)² / tr((PC)²): exact where each pixel is a cell."""
     camera, alpha = camera_of(shape, noise), np.array([0.3, -0.2, 0.6])
     mask = mask_of(kind, shape, rng)
     depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
@@ -136,8 +136,9 @@ def test_residuals_are_exact_where_pixels_are_cells(kind, noise, rng):
     covariance = residual @ monte_carlo.correlations(noise, mask)
     expected = np.trace(covariance)
     freedom = expected**2 / np.trace(covariance @ covariance)
-    assert made[EXPECTED] == pytest.approx(expected * noise.sigma(1.0) ** 2, rel=1e-3)
-    assert made[FREEDOM] == pytest.approx(freedom, rel=5e-3)
+    is_exact = shape == (10, 12)
+    assert made[EXPECTED] == pytest.approx(expected * noise.sigma(1.0) ** 2, rel=1e-3 if is_exact else 0.01)
+    assert made[FREEDOM] == pytest.approx(freedom, rel=5e-3 if is_exact else 0.2)
 
 
 @pytest.mark.parametrize("kind", ["frame", "diagonal", "two pieces", "strewn"])
