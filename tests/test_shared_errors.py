@@ -87,6 +87,19 @@ def test_parts_of_many_pixels_are_nearly_exact(kind, noise, rng):
     assert most < 1.05
 
 
+def test_pixels_here_and_there(rng):
+    """They have most of their errors alone, if these reach over few pixels, also where a cell has room for more."""
+    noise = rp.noise.NoiseModel((1e-3,), correlation=((0.9, 1.0),))
+    camera, alpha = camera_of((160, 200), noise), np.array([0.3, -0.2, 0.6])
+    mask = rng.random(camera.shape) < 0.05
+    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    fits = rp.fit_labels(depth, camera, mask)
+    exact = monte_carlo.exact_covariance(camera, mask, alpha)
+    assert ratios(fits.alpha_covariance[0], exact) == pytest.approx((1.0, 1.0), abs=0.05)
+    alone = rp.fit_labels(depth, camera.with_noise(rp.noise.NoiseModel((1e-3,))), mask)
+    assert ratios(alone.alpha_covariance[0], exact)[1] < 0.9
+
+
 @pytest.mark.parametrize("distortion", [(), (0.2, -0.5, 0.001, 0.002, 0.3)], ids=["pinhole", "lens"])
 @pytest.mark.parametrize(
     "noise",
