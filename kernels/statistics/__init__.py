@@ -4,6 +4,8 @@
   `chi_square` or, if the noise has a spread, `variance_ratio`, and `normal_distribution`; `covariances`; and
   `rounded_tiles`
 - `variances` and `label_variances` are means over the pixels of parts of many depths
+- `shared_errors` has what errors that neighbours share do to parts of any shape, whose pixels are `pixel_runs`, summed
+  up by `cells`
 - `same_planes` compares planes by pairs
-- `rounding` and `sandwich` are also for the planes of segments
+- `rounding`, `sandwich` and `shared_errors` are also for the planes of segments
 """

@@ -280,6 +280,20 @@ def write_covariance(moments, sums, total, from_u, from_v, measured, made):
 
 
 @kernel()
+def extent(runs, begin, end):
+    """First row and column of some runs; how many rows and columns; pixels; whether all of these are measured."""
+    _, rows, starts, stops, shares = runs
+    top, bottom, left, right = rows[begin], rows[begin], starts[begin], stops[begin]
+    pixels, is_exact = 0, True
+    for k in range(begin, end):
+        top, bottom = min(top, rows[k]), max(bottom, rows[k])
+        left, right = min(left, starts[k]), max(right, stops[k])
+        pixels += stops[k] - starts[k]
+        is_exact &= shares[k] == 1.0
+    return top, left, bottom + 1 - top, right - left, pixels, is_exact
+
+
+@kernel()
 def shared_covariances(runs, tan_x, tan_y, counts, rays, alpha, noise, components, with_freedom, made):
     """Covariances of the planes of N parts by their errors along the ray.
 
@@ -312,20 +326,14 @@ def shared_covariances(runs, tan_x, tan_y, counts, rays, alpha, noise, component
     cells, room, sums = np.empty((4, MOST_CELLS)), np.empty((14, 2 * MOST_CELLS)), np.empty((3, 3))
     moments = np.empty(6)
     factors = np.empty((len(components), 2, FEW_CELLS))
-    first, rows, starts, stops, shares = runs
+    first = runs.first
     made[:] = math.nan
     for i in range(len(alpha)):
         begin, end = first[i], first[i + 1]
         if begin == end or math.isnan(alpha[i, 0]):
             continue
-        top, bottom, left, right = rows[begin], rows[begin], starts[begin], stops[begin]
-        pixels, is_exact = 0, True
-        for k in range(begin, end):
-            top, bottom = min(top, rows[k]), max(bottom, rows[k])
-            left, right = min(left, starts[k]), max(right, stops[k])
-            pixels += stops[k] - starts[k]
-            is_exact &= shares[k] == 1.0
-        tall, wide, shift = bottom + 1 - top, right - left, 0
+        top, left, tall, wide, pixels, is_exact = extent(runs, begin, end)
+        shift = 0
         while (pixels >> 2 * shift) > FILLED or (((tall - 1) >> shift) + 1) * (((wide - 1) >> shift) + 1) > MOST_CELLS:
             shift += 1
         lines, columns = ((tall - 1) >> shift) + 1, ((wide - 1) >> shift) + 1
