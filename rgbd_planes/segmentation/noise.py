@@ -57,7 +57,7 @@ class Given(NamedTuple):
         pixels = moments[:, 0]
         if self.model is not None:
             runs = runs_inside(labels, work.inverse_depth, work.found.moments[:count], moments)
-            counts, rays, q = mean_rays("range_explicit", moments.T, np.zeros((3, count)))
+            counts, rays, q = mean_rays("range_explicit", moments.T.copy(), np.zeros((3, count)))
             shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)
             shared[np.isnan(shared[:, EXPECTED])] = 0.0  # without a plane of these pixels: then the frame tells
             alone = self.model._rounding(q)
