@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from monte_carlo import CORRELATED
+from scipy import stats
 from scipy.ndimage import minimum_filter
 
 import rgbd_planes as rp
@@ -152,6 +153,34 @@ def test_residuals(kind, noise, shape, rng):
     is_exact = shape == (10, 12)
     assert made[EXPECTED] == pytest.approx(expected * noise.sigma(1.0) ** 2, rel=1e-3 if is_exact else 0.01)
     assert made[FREEDOM] == pytest.approx(freedom, rel=5e-3 if is_exact else 0.2)
+
+
+@pytest.mark.parametrize("shares", [((0.7, 2.0),), ((0.001, 2.0),)], ids=["shared", "hardly shared"])
+def test_p_values_where_variances_differ(shares, rng):
+    """Of a floor from 0.6 to 4 m: the chi-square that has the mean and the variance of the sum of squared residuals."""
+    noise = replace(rp.noise.time_of_flight(0.01), correlation=shares)
+    camera = rp.Camera(20, 24, 15.0, 15.0, 9.5, 11.5, noise=noise)
+    slope = (1.0 / 0.6 - 1.0 / 4.0) / (camera.tan_y.max() - camera.tan_y.min())
+    alpha = np.array([0.0, slope, 1.0 / 4.0 - slope * camera.tan_y.min()])
+    q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
+    mask = mask_of("corner", camera.shape, rng)
+    rays = np.dstack([*np.broadcast_arrays(camera.tan_x, camera.tan_y), np.ones(camera.shape)])[mask]
+    residual = np.eye(len(rays)) - rays @ np.linalg.pinv(rays)
+    sigma = noise.sigma(q[mask])
+    of_errors = sigma[:, None] * sigma * monte_carlo.correlations(noise, mask)
+    covariance = residual @ of_errors
+    expected = np.trace(covariance)
+    freedom = expected**2 / np.trace(covariance @ covariance)
+    p_values = []
+    for error in rng.standard_normal((20, len(rays))) @ np.linalg.cholesky(of_errors + 1e-12 * np.eye(len(rays))).T:
+        measured = q.copy()
+        measured[mask] += error
+        fits = rp.fit_labels(1.0 / measured, camera, mask)
+        square = fits.valid_count[0] * fits.rmse[0] ** 2
+        p_values.append(stats.chi2.sf(square / expected * freedom, freedom))
+        assert fits.p_value[0] == pytest.approx(p_values[-1], abs=0.05)
+    assert min(p_values) < 0.2
+    assert max(p_values) > 0.8
 
 
 @pytest.mark.parametrize("kind", ["frame", "diagonal", "two pieces", "strewn"])

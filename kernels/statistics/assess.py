@@ -23,6 +23,7 @@ from .room import (
     N_Z,
     OF_DEPTHS,
     OF_LENS,
+    OF_SHAPE,
     RATIO,
     ROOT,
     ROUNDING,
@@ -139,7 +140,7 @@ def assess(
             room[BETWEEN] = 0.0
         by_count(counts[frame, first:last], tables, room)
         residual_ratio(room)
-        if uneven:
+        if uneven and of_pixels.shape[0] < OF_SHAPE:  # otherwise ``tables`` have it
             uneven_freedom(room)
         if limits.shape[0] > 0:
             if noise[INVERSE_FREEDOM] > 0.0:
