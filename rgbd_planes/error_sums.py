@@ -33,8 +33,8 @@ class Pixels(NamedTuple):
     error_sums : (N, 8) float64, optional
         By that noise, over the valid ones: see `kernels.label_variances`. None where all pixels have one variance and
         share no errors.
-    shared : (N, COLUMNS) float64
-        By that noise: see `shared_errors.covariances_by_shape`. No columns where neighbours share no errors.
+    shared : (N, COLUMNS) float64, optional
+        By that noise, if neighbours share errors: see `shared_errors.covariances_by_shape`.
     runs : PixelRuns, optional
         The valid pixels, if neighbours share errors.
     """
@@ -42,7 +42,7 @@ class Pixels(NamedTuple):
     footprint: npt.NDArray[np.int64]
     noise: NoiseModel | None
     error_sums: Floats | None
-    shared: Floats
+    shared: Floats | None
     runs: PixelRuns | None
 
 
@@ -62,8 +62,8 @@ class KeepsPixels:
         return self._pixels.error_sums if self._pixels.noise == self.camera.noise else None
 
     @property
-    def _shared(self) -> Floats:
-        return self._pixels.shared if self._pixels.noise == self.camera.noise else self._pixels.shared[:, :0]
+    def _shared(self) -> Floats | None:
+        return self._pixels.shared if self._pixels.noise == self.camera.noise else None
 
     @property
     def _runs(self) -> PixelRuns | None:
@@ -85,9 +85,9 @@ def pixels_of_labels(
 ) -> Pixels:
     """What a fit to labels keeps of their pixels; ``arrays`` are those of `plane_fits.allocate`."""
     noise, alpha = camera.noise, arrays["alpha"]
-    runs = runs_of_labels(labels, *frame.values[:3], len(alpha)) if shares_errors(noise) else None
-    shared, sums = np.empty((len(alpha), 0)), None
-    if runs is not None:
+    runs = shared = sums = None
+    if shares_errors(noise):
+        runs = runs_of_labels(labels, *frame.values[:3], len(alpha))
         counts, rays, q = mean_rays(method, arrays["_moments"], arrays["_reference"])
         shared = covariances_by_shape(runs, camera, counts, rays, alpha)
         sums = _sums_of_rays(camera, counts, rays, q, alpha)

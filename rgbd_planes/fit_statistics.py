@@ -14,8 +14,16 @@ from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels.statistics.assess import LIMITS, assess
-from rgbd_planes.kernels.statistics.room import OF_DEPTHS, OF_LENS, OF_SHAPE, RESULTS, TABLE_COLUMNS
-from rgbd_planes.kernels.statistics.shared_errors import EXPECTED, FREEDOM, MEAN
+from rgbd_planes.kernels.statistics.room import (
+    EXPECTED,
+    FREEDOM,
+    MEAN,
+    OF_DEPTHS,
+    OF_LENS,
+    OF_SHAPE,
+    RESULTS,
+    TABLE_COLUMNS,
+)
 from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
@@ -34,7 +42,6 @@ DEFAULT_SIGNIFICANCE = 0.01
 _MOST_COUNTS, _MOST_SIZES = 10_000, 4
 _MOST_FOR_EACH = 64  # entries for each tile: most of a longer table would be made in vain
 _ARGUMENTS = ("_moments", "_reference", "planes", "rmse_metric", "valid_count", "status")
-_OF_RECTANGLES = np.empty((0, 0))  # `error_sums.Pixels.shared`
 _arguments = operator.itemgetter(*_ARGUMENTS)
 
 
@@ -250,7 +257,7 @@ class Assessment:
         self._growth = growth
         self._in_range_space = method.startswith("range")
 
-    def of(self, arrays: "Arrays", error_sums: Floats | None = None, shared: Floats = _OF_RECTANGLES) -> Work:
+    def of(self, arrays: "Arrays", error_sums: Floats | None = None, shared: Floats | None = None) -> Work:
         """Return a function that marks tiles ``start`` to ``stop``, through all frames, and writes their statistics.
 
         ``arrays`` are those of `plane_fits.allocate`, of one frame or several, and perhaps ``_statistics``, RESULTS
@@ -276,10 +283,10 @@ class Assessment:
             if tables is None:
                 some = np.arange(start, stop)  # other parts may not be written yet
                 parts = noise, counts.ravel()[some], self._sizes[some % tiles]
-                if shared.shape[1]:
-                    tables = _tables_of_shapes(*parts, of_pixels[OF_LENS, some], shared[some])
-                else:
+                if shared is None:
                     tables = _some_tables(*parts)
+                else:
+                    tables = _tables_of_shapes(*parts, of_pixels[OF_LENS, some], shared[some])
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             elif self._first is not None:
                 index = counts + self._first
@@ -287,14 +294,15 @@ class Assessment:
 
         return assess_tiles
 
-    def _of_depths(self, error_sums: Floats, shared: Floats, counts: npt.NDArray[np.int32]) -> Floats:
+    def _of_depths(self, error_sums: Floats, shared: Floats | None, counts: npt.NDArray[np.int32]) -> Floats:
         """(OF_DEPTHS or OF_SHAPE, N) float64: means over the pixels of each part, and what their shape does."""
-        of_pixels = np.zeros((OF_SHAPE if shared.shape[1] else OF_DEPTHS, counts.size))
+        of_pixels = np.zeros((OF_DEPTHS if shared is None else OF_SHAPE, counts.size))
         lateral_x, lateral_y = self._of_noise[[LATERAL_X, LATERAL_Y]]
         of_pixels[0], of_pixels[2] = lateral_x, lateral_y
         of_pixels[: len(self._of_lens)] = self._of_lens
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
         total = np.where(along + rounding > 0.0, along + rounding, 1.0)
         of_pixels[OF_LENS:OF_DEPTHS] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
-        of_pixels[OF_DEPTHS:] = shared.T[:EXPECTED]
+        if shared is not None:
+            of_pixels[OF_DEPTHS:] = shared.T[:EXPECTED]
         return of_pixels

@@ -95,7 +95,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
     sizes = like_rectangles(footprint)  # and no growth: the sums include it
-    runs, shared = fits._runs if shares_errors(fits.camera.noise) else None, np.empty((count, 0))
+    runs, shared = fits._runs if shares_errors(fits.camera.noise) else None, None
     if runs is not None:
         runs = joined(runs, flat, count)
         counts, rays, _ = mean_rays(fits.method, arrays["_moments"], arrays["_reference"])

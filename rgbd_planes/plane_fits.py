@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -181,9 +180,9 @@ class PlaneFits:
         return None
 
     @property
-    def _shared(self) -> Floats:
-        """(N, COLUMNS), for each part, what `shared_errors.covariances_by_shape` makes; no columns for rectangles."""
-        return np.empty((math.prod(self.status.shape), 0))
+    def _shared(self) -> Floats | None:
+        """(N, COLUMNS): for each part, what `error_sums.Pixels` keeps; None for rectangles."""
+        return None
 
     @property
     def _runs(self) -> PixelRuns | None:

@@ -13,9 +13,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_choice
 from rgbd_planes.fitting import ARRAYS, METHODS
 from rgbd_planes.keeping import kept
-from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.noise.falloff import growth_of_tiles
-from rgbd_planes.pixel_runs import runs_of_windows
 from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
 from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
@@ -23,6 +21,7 @@ from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from rgbd_planes.fit_statistics import FitStatistics
+    from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,6 +72,8 @@ class TilePlanes(Savable, PlacedFits):
 
     @property
     def _runs(self) -> PixelRuns:
+        from rgbd_planes.pixel_runs import runs_of_windows
+
         return runs_of_windows(tile_windows(self.camera.shape, self.tile), self.valid_count.ravel())
 
     @property

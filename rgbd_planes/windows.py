@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,15 +14,16 @@ from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
-from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.noise.falloff import growth_of_windows
 from rgbd_planes.noise.model import warn_of_noise
-from rgbd_planes.pixel_runs import runs_of_windows
 from rgbd_planes.plane_fits import PlacedFits, allocate
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.tile_grid import footprints
 from rgbd_planes.window_moments import WindowMoments
 from rgbd_planes.wording import counted
+
+if TYPE_CHECKING:
+    from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 
 _AS_TABLES = 3
 """Summed-area tables take as long as the pixels of windows that have so many times those of the frame."""
@@ -68,6 +69,8 @@ class WindowPlanes(PlacedFits):
 
     @property
     def _runs(self) -> PixelRuns:
+        from rgbd_planes.pixel_runs import runs_of_windows
+
         return runs_of_windows(self.windows, self.valid_count.ravel())
 
     @property

@@ -14,7 +14,7 @@ from scipy.ndimage import minimum_filter
 import rgbd_planes as rp
 from rgbd_planes.kernels.segments.inside import runs_inside
 from rgbd_planes.kernels.statistics.pixel_runs import runs_of_labels
-from rgbd_planes.kernels.statistics.shared_errors import EXPECTED, FREEDOM
+from rgbd_planes.kernels.statistics.room import EXPECTED, FREEDOM
 from rgbd_planes.pixel_runs import joined, runs_of_windows
 
 FAR = rp.noise.NoiseModel((1e-3,), correlation=((0.6, 9.0),), floor=1.2, floor_length=40.0)

@@ -27,6 +27,9 @@ ROWS = 55
 # shape, the covariances that errors along the ray have in all: see `shared_errors.shared_covariances`.
 OF_LENS, OF_DEPTHS, OF_SHAPE = 3, 11, 17
 
+# Columns of what `shared_errors.shared_covariances` writes.
+SLOPES, WITH_MEAN, MEAN, EXPECTED, FREEDOM, COLUMNS = 0, 3, 5, 6, 7, 8
+
 # Rows of the results.
 P_VALUE, ALPHA_COVARIANCE, PLANE_COVARIANCE, ANGLE_STD, OFFSET_STD = 0, 1, 10, 26, 27
 RESULTS = 28

@@ -11,12 +11,11 @@ import numpy as np
 
 from .._jit import kernel
 from .cells import add_runs, product_of, shared_by_cells, smooth, spread_out, sums_before, weigh, weighted_product
+from .room import EXPECTED, FREEDOM, MEAN, SLOPES, WITH_MEAN
 
 # A part has at most MOST_CELLS cells, and not many more than FILLED have pixels. They are wider where errors reach as
 # far as that, but divide each of the part's sides by ALONG or more. FEW_CELLS are enough for the degrees of freedom.
 MOST_CELLS, FILLED, FEW_CELLS, ALONG = 4096, 512, 128, 16
-# Columns of what is written.
-SLOPES, WITH_MEAN, MEAN, EXPECTED, FREEDOM, COLUMNS = 0, 3, 5, 6, 7, 8
 
 
 @kernel(inline=True)
@@ -159,7 +158,7 @@ def freedom_of(cells, rows, columns, shift, components, factors, room):
     """Degrees of freedom of the sum of squared residuals: its squared mean over half its variance; NaN if unknown.
 
     With the projection P = I - MA⁻¹Mᵀ on residuals these are tr(PC)² and tr((PC)²) = tr(C²) - 2tr(A⁻¹MᵀC²M) +
-    tr((A⁻¹B)²). All of it, also A, from the same cells: little may remain of large numbers.
+    tr((A⁻¹B)²) (Satterthwaite 1946). All of it, also A, from the same cells: little may remain of large numbers.
 
     Parameters
     ----------
@@ -348,15 +347,12 @@ def shared_covariances(runs, tan_x, tan_y, counts, rays, alpha, noise, component
         weigh(cells, lines * columns, u, v, mean_u, mean_v, alpha[i], noise)
         sums[:] = 0.0
         add_alone(cells, lines * columns, 0.0, 1.0, room[0], sums)
-        total = sums[2, 2]  # Σσ²
-        sums[:] = 0.0
+        total = sums[2, 2] * components[:, 0].sum()  # of Σσ²
+        sums *= components[components[:, 1] == 0.0, 0].sum()
         for k in range(len(components)):
             factor, length = components[k, 0], components[k, 1]
             if length > 0.0:
                 add_correlated(cells, lines, columns, shift, tall, wide, length, factor, room, sums)
-            else:
-                add_alone(cells, lines * columns, 0.0, factor, room[0], sums)
-        total *= components[:, 0].sum()
         n, uu, uv, vv = counts[i], counts[i] * rays[i, 2], counts[i] * rays[i, 3], counts[i] * rays[i, 4]
         measured = (moments[0], moments[3], moments[4], moments[5]) if is_exact else (n, uu, uv, vv)
         write_covariance(moments, sums, total, rays[i, 0] - u - mean_u, rays[i, 1] - v - mean_v, measured, made[i])

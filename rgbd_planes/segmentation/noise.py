@@ -13,7 +13,7 @@ from rgbd_planes.error_sums import mean_rays
 from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
 from rgbd_planes.kernels.segments.inside import runs_inside
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
-from rgbd_planes.kernels.statistics.shared_errors import COLUMNS, EXPECTED
+from rgbd_planes.kernels.statistics.room import COLUMNS, EXPECTED
 from rgbd_planes.noise.model import SMALLEST, NoiseModel
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.workspace import Workspace
