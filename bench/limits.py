@@ -105,11 +105,9 @@ def p_values(noise: Noise, mask: Mask, runs: int) -> Floats:
     rng = np.random.default_rng(1)
     camera = monte_carlo.tile_camera(mask.shape, noise)
     alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
-    root = np.linalg.cholesky(monte_carlo.correlations(noise, mask) + 1e-9 * np.eye(int(mask.sum())))
     found = []
     for start in range(0, runs, 2000):
-        error = np.full((min(2000, runs - start), *mask.shape), np.nan)
-        error[:, mask] = rng.standard_normal((len(error), len(root))) @ root.T * noise.sigma(1.0)
+        error = monte_carlo.correlated_errors(noise, mask, min(2000, runs - start), rng)
         frames = monte_carlo.measure(camera, alpha, len(error), rng, error=error)
         if mask.all():
             found.append(monte_carlo.fit(camera, frames).p_value.ravel())
@@ -135,11 +133,7 @@ def _inverse_depth(camera: rp.Camera, alpha: Floats) -> Floats:
 
 def _ratios(camera: rp.Camera, mask: Mask, alpha: Floats, fits: rp.LabelPlanes | rp.WindowPlanes) -> Floats:
     """The ratios of the variances that a fit to the pixels of a mask, on the plane α, reports to the exact ones."""
-    noise = camera.noise
-    assert noise is not None
-    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])[mask]
-    solve = np.linalg.inv(rays.T @ rays) @ rays.T * noise.sigma(rays @ alpha, *rays.T[:2])
-    exact = solve @ (solve.T if noise.is_independent else monte_carlo.correlations(noise, mask) @ solve.T)
+    exact = monte_carlo.exact_covariance(camera, mask, alpha)
     return np.asarray(eigvalsh(fits.alpha_covariance[0], exact))
 
 

@@ -96,6 +96,16 @@ def correlations(noise: rp.noise.NoiseModel, mask: NDArray[np.bool_]) -> Floats:
     return np.asarray(made)
 
 
+def correlated_errors(
+    noise: rp.noise.NoiseModel, mask: NDArray[np.bool_], runs: int, rng: np.random.Generator
+) -> Floats:
+    """(runs, H, W): errors of 1/Z at 1 m of the pixels of a mask, as the model has them; NaN elsewhere."""
+    root = np.linalg.cholesky(correlations(noise, mask) + 1e-9 * np.eye(int(mask.sum())))
+    error = np.full((runs, *mask.shape), np.nan)
+    error[:, mask] = rng.standard_normal((runs, len(root))) @ root.T * noise.sigma(1.0)
+    return error
+
+
 def exact_covariance(camera: rp.Camera, mask: NDArray[np.bool_], alpha: Floats) -> Floats:
     """(3, 3): A⁻¹MᵀCMA⁻¹ for the pixels of a mask on the plane α, with the covariance C of all pairs of them."""
     noise = camera.noise
@@ -104,6 +114,7 @@ def exact_covariance(camera: rp.Camera, mask: NDArray[np.bool_], alpha: Floats) 
     along = noise._along(rays @ alpha) * noise._growth(*rays.T[:2]) ** 0.5
     alone = noise._rounding(rays @ alpha)
     alone = alone + noise.lateral**2 * ((alpha[0] / camera.fx) ** 2 + (alpha[1] / camera.fy) ** 2)
-    covariance = along[:, None] * along * correlations(noise, mask) + np.diag(alone)
     solve = np.linalg.inv(rays.T @ rays) @ rays.T
-    return np.asarray(solve @ covariance @ solve.T)
+    shared, of_alone = solve * along, solve * alone**0.5
+    exact = shared @ (shared.T if noise.is_independent else correlations(noise, mask) @ shared.T)
+    return np.asarray(exact + of_alone @ of_alone.T)

@@ -86,13 +86,6 @@ def test_correlated_noise_between_whole_sides():
     np.testing.assert_allclose([general.tilt_x, general.tilt_y, general.offset], 1.0)
 
 
-def correlated_errors(model, height, width, runs, rng):
-    """(runs, height, width): errors of 1/Z as the model has them."""
-    root = np.linalg.cholesky(pixel_covariance(model, height, width) + 1e-9 * np.eye(height * width))
-    error = rng.standard_normal((runs, height * width)) @ root.T
-    return error.reshape(runs, height, width) * model.sigma(1.0)
-
-
 def test_correlated_noise_of_a_window_does_not_depend_on_the_others(rng):
     """The same bits for small windows alone, and together with large ones."""
     camera = rp.Camera(300, 200, 300.0, 300.0, 149.5, 99.5, noise=CORRELATED)
@@ -119,7 +112,7 @@ def test_simulated_correlated_noise(tile, rng):
     """Frames with that noise: p-values are nearly uniform, covariances hold, and ignoring it fails."""
     runs = 3000
     camera = monte_carlo.tile_camera(tile, CORRELATED)
-    error = correlated_errors(CORRELATED, *tile, runs, rng)
+    error = monte_carlo.correlated_errors(CORRELATED, np.ones(tile, bool), runs, rng)
     alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
     frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
     stack = monte_carlo.fit(camera, frames)
@@ -147,7 +140,7 @@ def test_simulated_correlated_noise_on_masks(shape, rng):
         "chessboard": (x // 6 + y // 6) % 2 == 0,
     }[shape]
     alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
-    error = correlated_errors(noise, 36, 36, runs, rng)
+    error = monte_carlo.correlated_errors(noise, np.ones((36, 36), bool), runs, rng)
     frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
     fits = [rp.fit_labels(frame, camera, mask) for frame in frames]
     assert np.mean([fit.p_value[0] < 0.01 for fit in fits]) < 0.045
@@ -171,7 +164,7 @@ def test_simulated_correlated_noise_with_missing_pixels(tile, noise, missing, rn
     runs = 3000
     camera = monte_carlo.tile_camera(tile, noise)
     alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
-    error = correlated_errors(noise, *tile, runs, rng)
+    error = monte_carlo.correlated_errors(noise, np.ones(tile, bool), runs, rng)
     frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
     if missing == "a corner":
         frames[:, : 11 * tile[0] // 16, 5 * tile[1] // 16 :] = np.nan

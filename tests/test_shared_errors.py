@@ -31,6 +31,10 @@ def camera_of(shape, noise, **options):
     return replace(camera, **options)
 
 
+def depth_of(camera, alpha):
+    return 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+
+
 def ratios(covariance, exact):
     """The least and the largest ratio of variances in any direction."""
     found = np.linalg.eigvals(np.linalg.solve(exact, covariance)).real
@@ -67,7 +71,7 @@ def test_small_parts_are_exact(kind, noise, rng):
     shape = (20, 25)
     camera, alpha = camera_of(shape, noise), np.array([0.3, -0.2, 0.6])
     mask = mask_of(kind, shape, rng)
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     fits = rp.fit_labels(depth, camera, mask)
     least, most = ratios(fits.alpha_covariance[0], monte_carlo.exact_covariance(camera, mask, alpha))
     assert least > 0.995
@@ -81,7 +85,7 @@ def test_parts_of_many_pixels_are_nearly_exact(kind, noise, rng):
     mask = mask_of(kind, shape, rng) & (rng.random(shape) < 0.97)
     mask[::3] &= np.indices(shape)[1][::3] % 2 == 0  # no more than the exact covariance has room for
     camera, alpha = camera_of(shape, noise), np.array([0.3, -0.2, 0.6])
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     fits = rp.fit_labels(depth, camera, mask)
     least, most = ratios(fits.alpha_covariance[0], monte_carlo.exact_covariance(camera, mask, alpha))
     assert least > (0.75 if kind == "diagonal" else 0.85)  # it is narrow, and cells are four pixels wide
@@ -93,7 +97,7 @@ def test_pixels_here_and_there(rng):
     noise = rp.noise.NoiseModel((1e-3,), correlation=((0.9, 1.0),))
     camera, alpha = camera_of((160, 200), noise), np.array([0.3, -0.2, 0.6])
     mask = rng.random(camera.shape) < 0.05
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     fits = rp.fit_labels(depth, camera, mask)
     exact = monte_carlo.exact_covariance(camera, mask, alpha)
     assert ratios(fits.alpha_covariance[0], exact) == pytest.approx((1.0, 1.0), abs=0.05)
@@ -116,7 +120,7 @@ def test_variances_that_differ(noise, distortion):
     top, bottom = camera.tan_y.min(), camera.tan_y.max()
     slope = (1.0 / 0.8 - 1.0 / 6.0) / (bottom - top)
     alpha = np.array([0.02, slope, 1.0 / 6.0 - slope * top])
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     y, x = np.indices(camera.shape)
     mask = (x + y < 40) | (x > 30)
     fits = rp.fit_labels(depth, camera, mask)
@@ -131,7 +135,7 @@ def test_of_all_methods(method, rng):
     shape = (20, 20)
     camera, alpha = replace(camera_of(shape, FAR), fx=40.0, fy=40.0), np.array([0.9, -0.6, 0.55])
     mask = mask_of("corner", shape, rng)
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     found = rp.fit_labels(depth, camera, mask, method).alpha_covariance[0]
     assert ratios(found, monte_carlo.exact_covariance(camera, mask, alpha)) == pytest.approx((1.0, 1.0), abs=0.03)
 
@@ -143,7 +147,7 @@ def test_residuals(kind, noise, shape, rng):
     """Expected sum and degrees of freedom, tr(PC) and tr(PC)² / tr((PC)²): exact where each pixel is a cell."""
     camera, alpha = camera_of(shape, noise), np.array([0.3, -0.2, 0.6])
     mask = mask_of(kind, shape, rng)
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     made = rp.fit_labels(depth, camera, mask)._pixels.shared[0]
     rays = np.dstack([*np.broadcast_arrays(camera.tan_x, camera.tan_y), np.ones(shape)])[mask]
     residual = np.eye(len(rays)) - rays @ np.linalg.pinv(rays)
@@ -190,9 +194,7 @@ def test_p_values_of_any_shape_are_uniform(kind, noise, rng):
     camera = monte_carlo.tile_camera(shape, noise)
     mask = mask_of(kind, shape, rng)
     alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
-    root = np.linalg.cholesky(monte_carlo.correlations(noise, mask) + 1e-9 * np.eye(np.count_nonzero(mask)))
-    error = np.full((runs, *shape), np.nan)
-    error[:, mask] = rng.standard_normal((runs, len(root))) @ root.T * noise.sigma(1.0)
+    error = monte_carlo.correlated_errors(noise, mask, runs, rng)
     frames = monte_carlo.measure(camera, alpha, runs, rng, error=error)
     fits = [rp.fit_labels(frame, camera, mask) for frame in frames]
     p_values = np.array([fit.p_value[0] for fit in fits])
@@ -207,7 +209,7 @@ def test_p_values_of_any_shape_are_uniform(kind, noise, rng):
 def test_unions_are_as_uncertain_as_their_pixels(noise, rng):
     """Of tiles, windows, labels and unions of them, with pieces that lie far apart."""
     camera, alpha = camera_of((96, 128), noise), np.array([0.3, -0.2, 0.6])
-    depth = 1.0 / (alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
+    depth = depth_of(camera, alpha)
     depth[rng.random(depth.shape) < 0.05] = 0.0
     tiles = rp.fit_tiles(depth, camera, (12, 16))
     union = np.zeros(tiles.shape, int)
