@@ -437,7 +437,7 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
         (sequence[::-1], None, "sequence, locations"),
         (rp.open_sequence(recording, camera), None, "cameras"),
     ):
-        with pytest.raises(ValueError, match=rf"another sequence, camera or settings \({word} differ\)"):
+        with pytest.raises(ValueError, match=rf"another sequence, camera, settings or version \({word} differ\)"):
             rp.fit_sequence(other, out, settings)
     check_rows(out, sequence)
     (out / ".hidden").touch()
@@ -460,6 +460,29 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
         rp.fit_sequence(sequence, out)
 
 
+def test_frames_whose_files_have_changed_are_fitted_again(recording, tmp_path):
+    sequence, out = rp.open_sequence(recording), tmp_path / "out"
+    (recording / "depth" / "20.png").write_bytes(b"nonsense")
+    assert [problem.frame for problem in rp.fit_sequence(sequence, out, num_threads=1).problems] == [20]
+    rendering = scenes.room().render(CAMERA)
+    images.write_png(recording / "depth" / "20.png", rendering.measure(seed=77))  # mended: only with retry
+    assert rp.fit_sequence(sequence, out, num_threads=1).resumed == 30
+    images.write_png(recording / "depth" / "3.png", rendering.measure(holes=0.1, seed=99))
+    report = rp.fit_sequence(sequence, out, num_threads=1)
+    assert 15 < report.resumed < 30
+    assert [problem.frame for problem in report.problems] == [20]
+    assert rp.fit_sequence(sequence, out, num_threads=1, retry=True).problems == []
+    check_rows(out, sequence)
+
+
+def test_a_table_of_another_version_is_not_resumed(recording, tmp_path, monkeypatch):
+    sequence = rp.open_sequence(recording)[:3]
+    rp.fit_sequence(sequence, tmp_path / "out")
+    monkeypatch.setattr(batch, "__version__", "0.1.0")
+    with pytest.raises(ValueError, match=r"or version \(version differ\)"):
+        rp.fit_sequence(sequence, tmp_path / "out")
+
+
 def test_another_recording_of_the_same_names_is_another_table(tmp_path, monkeypatch, link):
     depth = scenes.room().render(presets.seven_scenes()).measure(seed=1)
     for name in ("seq-01", "seq-02"):
@@ -467,7 +490,7 @@ def test_another_recording_of_the_same_names_is_another_table(tmp_path, monkeypa
         images.write_png(tmp_path / name / "frame-000000.depth.png", depth)
     first, second = (rp.open_sequence(tmp_path / name) for name in ("seq-01", "seq-02"))
     rp.fit_sequence(first, tmp_path / "out")
-    with pytest.raises(ValueError, match=r"another sequence, camera or settings \(locations differ\)"):
+    with pytest.raises(ValueError, match=r"another sequence, camera, settings or version \(locations differ\)"):
         rp.fit_sequence(second, tmp_path / "out")
     # The same folder from elsewhere, or over a link, is the same.
     monkeypatch.chdir(tmp_path)
@@ -578,9 +601,10 @@ def test_frames_of_other_names_or_times_are_another_table(tmp_path, other):
 
 def test_a_noise_in_other_units_draws_a_warning(recording, tmp_path):
     sequence = rp.open_sequence(recording)[:2].with_noise(rp.noise.NoiseModel((1.0,)))
-    with pytest.warns(UserWarning, match="most likely it is not in 1/m, .* nothing is ROUGH") as warned:
-        rp.fit_sequence(sequence, tmp_path / "out")
-    assert len(warned) == 1
+    for out in ("out", "again"):  # with the same fitter
+        with pytest.warns(UserWarning, match="most likely it is not in 1/m, .* nothing is ROUGH") as warned:
+            rp.fit_sequence(sequence, tmp_path / out)
+        assert len(warned) == 1
 
 
 @pytest.mark.parametrize(
@@ -788,7 +812,7 @@ def test_command_writes_the_table_and_says_what_it_did(recording, tmp_path, caps
     assert written.startswith("29 of 30 frames, 725 rows: ")
     assert err.splitlines() == [first, last]
     assert cli.main([*arguments, "--tile", "20"]) == 2
-    assert "another sequence, camera or settings" in capsys.readouterr().err
+    assert "another sequence, camera, settings or version" in capsys.readouterr().err
     assert cli.main(["batch", str(tmp_path / "gone"), "--out", str(out)]) == 2
     assert "no such file or folder" in capsys.readouterr().err
     CAMERA.save(tmp_path / "c.json")

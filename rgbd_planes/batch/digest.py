@@ -1,11 +1,13 @@
 """Digests of what a table on disk was made from: by them a call recognises a table that it may resume."""
 
+import contextlib
 import functools
 import hashlib
 import io
 import json
 import os
 import pickle
+import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -35,6 +37,27 @@ def digests(sequence: FrameSequence) -> dict[str, str | None]:
         "locations": _of_locations(sequence),
         "cameras": _of_cameras([entry.camera for entry in entries]),
     }
+
+
+def stamps(location: Any) -> str:
+    """The sizes and times of change of the files that a frame is read from, as far as its location names them.
+
+    Not of folders, where others may write.
+    """
+    paths = [path for path in (location if isinstance(location, tuple) else (location,)) if isinstance(path, Path)]
+    texts = []
+    for path in paths:
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            if stat.S_ISREG(status.st_mode):
+                texts.append(f"{status.st_size} {status.st_mtime_ns}")
+    return " ".join(texts)
+
+
+def of_files(stamps_of_frames: Iterable[str], skipped: Iterable[int]) -> str:
+    """Digest of the `stamps` of some frames, without those that were skipped, whose files may be mended."""
+    left_out = frozenset(skipped)
+    return _digest(f"{i} {text}\n".encode() for i, text in enumerate(stamps_of_frames) if i not in left_out)
 
 
 def _digest(texts: Iterable[bytes | memoryview]) -> str:

@@ -12,14 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rgbd_planes.batch.digest import of_files, stamps
 from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_choice, check_error, check_share, collected_warnings
+from rgbd_planes.checks import check_bool, check_choice, check_error, check_share, collected_warnings
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
 from rgbd_planes.fit_statistics import check_level
 from rgbd_planes.fitting import METHODS
+from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence, reason_to_skip
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
@@ -59,7 +61,7 @@ class FitSettings:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
         sides = tile_sides(self.tile)
         plain: dict[str, Any] = {
-            "segments": bool(self.segments),
+            "segments": check_bool("segments", self.segments),
             "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
             "max_missing": check_share("max_missing", self.max_missing),
@@ -132,12 +134,14 @@ def in_words(problems: Iterable[Problem]) -> list[str]:
 class Part(NamedTuple):
     """Some frames' rows: the content of a Parquet file, unless that is already written, and a summary of it.
 
-    `warnings` has, for each `kind_of` warning, the first frame that it is about and the message.
+    `files` is the digest of those that its frames were read from, see `digest.of_files`; `warnings` has, for each
+    `kind_of` warning, the first frame that it is about and the message.
     """
 
     content: bytes
     status: dict[str, int]
     problems: tuple[Problem, ...]
+    files: str
     seconds: dict[str, float]
     warnings: dict[str, tuple[str, str]]
 
@@ -149,7 +153,7 @@ class Part(NamedTuple):
 
         try:
             about = json.loads(pyarrow.parquet.read_schema(path).metadata[KEY])
-            return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), {}, {})
+            return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), about["files"], {}, {})
         except (OSError, pyarrow.ArrowException, KeyError, TypeError, ValueError):
             return None
 
@@ -187,6 +191,7 @@ def fit_part(
     import pyarrow
 
     problems: list[Problem] = []
+    files: list[str] = []  # before they are read: a file that changes meanwhile is another one then
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
     rows = empty_rows(columns, len(sequence) * settings.rows_of_frame(sequence.camera))
     add = partial(_add_segments, settings.min_size) if settings.segments else _TileAdder(settings)
@@ -199,11 +204,14 @@ def fit_part(
         begin = middle = time.perf_counter()
         try:
             with collected_warnings(said):
+                files.append(stamps(entry.location))
                 frame = sequence[i]
                 middle = time.perf_counter()
                 add(frame, i, rows)
-                if not asked:
-                    warn_of_distances(as_depth_frame(frame.depth, frame.camera), frame.camera)
+                if not asked:  # the fitter asks one frame of all that it ever fits
+                    depth = as_depth_frame(frame.depth, frame.camera)
+                    warn_of_noise(depth, frame.camera.noise)
+                    warn_of_distances(depth, frame.camera)
             asked = True
         except Exception as error:  # whatever is wrong with one frame, the others are still wanted
             problems.append(Problem(first + i, entry.name, reason_to_skip(error, entry.name)))
@@ -215,7 +223,8 @@ def fit_part(
         fitted()
     begin = time.perf_counter()
     status = rows.status_counts()
-    about = json.dumps({"status": status, "problems": problems})
+    digest = of_files(files, [problem.frame - first for problem in problems])
+    about = json.dumps({"status": status, "problems": problems, "files": digest})
     content = b""
     if where is None:
         stream = pyarrow.BufferOutputStream()
@@ -226,7 +235,7 @@ def fit_part(
             file = pyarrow.OSFile(os.fspath(beside), "wb")
             rows.write(file, first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
-    return Part(content, status, tuple(problems), seconds, warnings)
+    return Part(content, status, tuple(problems), digest, seconds, warnings)
 
 
 def kind_of(message: str) -> str:

@@ -23,11 +23,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rgbd_planes.batch.digest import UNKNOWN, digests
+from rgbd_planes import __version__
+from rgbd_planes.batch.digest import UNKNOWN, digests, of_files, stamps
 from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part, in_words
 from rgbd_planes.batch.rows import Columns
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_num_threads, check_whole, warn_caller
+from rgbd_planes.checks import check_bool, check_num_threads, check_whole, warn_caller
 from rgbd_planes.depth import check_unit
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, check_folder_name, naming, write_beside
@@ -121,10 +122,11 @@ def fit_sequence(
     """Fit every frame of a sequence and write a Parquet table of the planes, one row per tile or segment.
 
     If `out` holds part of this very table, from a call that was interrupted, only the rest is done. The table must be
-    of the same frames, read from the same files at the same paths, by the same function, with the same cameras and
-    settings. At most the part that each thread is at is lost: up to 512 frames, or 64 of segments. A table with a noise
-    model that is a function, or of a sequence that cannot be pickled, is not resumed. A frame that cannot be read or
-    fitted is skipped and reported, and tried again with `retry` only. Memory does not grow with the sequence.
+    of the same frames, read from the same places by the same function, with the same cameras and settings, and by this
+    version. Where the file of a frame has changed since, the part of the table that it is in is done again. At most the
+    part that each thread is at is lost: up to 512 frames, or 64 of segments. A table with a noise model that is a
+    function, or of a sequence that cannot be pickled, is not resumed. A frame that cannot be read or fitted is skipped
+    and reported, and tried again with `retry` only. Memory does not grow with the sequence.
 
     Parameters
     ----------
@@ -179,7 +181,7 @@ def fit_sequence(
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
     check_sequence(sequence)
-    num_threads = check_num_threads(num_threads)
+    num_threads, retry = check_num_threads(num_threads), check_bool("retry", retry)
     settings = FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):
         raise TypeError(f"expected settings as FitSettings(...), got {settings!r}")
@@ -200,7 +202,7 @@ def fit_sequence(
         missing = []
         for task in tasks:
             done = Part.of_file(_file(folder, task[0]))
-            if done is None or (retry and done.problems):
+            if done is None or (retry and done.problems) or _has_changed(done, sequence, task):
                 missing.append(task)
                 continue
             report.add(done)
@@ -221,6 +223,13 @@ def fit_sequence(
     return report
 
 
+def _has_changed(part: Part, sequence: FrameSequence, task: Task) -> bool:
+    """Whether the files of frames that were fitted are others now."""
+    _, start, stop = task
+    files = (stamps(entry.location) for entry in sequence.entries[start:stop])
+    return part.files != of_files(files, [problem.frame - start for problem in part.problems])
+
+
 def _check_unit(sequence: FrameSequence) -> None:
     """Refuse, before a table is begun, a camera that does not say what integers are: no frame could be fitted."""
     name, camera = sequence.names[0], sequence.camera
@@ -237,7 +246,7 @@ def _check_unit(sequence: FrameSequence) -> None:
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
     """Begin a table in an empty folder, or check the one that is there; returns the number of frames of a part."""
     chosen = asdict(settings) | {"tile": np.broadcast_to(settings.tile, 2).tolist()}  # 16 is (16, 16)
-    about = {"frames": len(sequence), **digests(sequence), "settings": chosen}
+    about = {"version": __version__, "frames": len(sequence), **digests(sequence), "settings": chosen}
     about = json.loads(json.dumps(about))
     file = folder / _ABOUT
     if file.is_file():
@@ -249,7 +258,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
         if found != about:
             different = [name for name in about if found.get(name) != about[name]]
             raise ValueError(
-                f"{folder} holds the table of another sequence, camera or settings ({', '.join(different)} "
+                f"{folder} holds the table of another sequence, camera, settings or version ({', '.join(different)} "
                 f"differ): remove it, or choose another folder"
             )
         unknown = [reason for name, reason in UNKNOWN.items() if about[name] is None]
