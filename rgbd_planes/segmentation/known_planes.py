@@ -17,6 +17,9 @@ TURNED = 20.0  # degrees between them, at most
 MOVED = 0.15  # at most, difference of their distances from the camera, or of 1/Z where they were seen, as a share of it
 NEARER = 1.03  # times 1/Z of a plane, at least, is that of what covers it
 LONG = 60  # frames after which a plane is not better known than before
+# Where less than this share of what is known and in sight is seen again, it is another scene, or something covers most
+# of it: known planes stay where they are then, and only what has hardly turned or moved is the same.
+FAMILIAR, HARDLY_TURNED, HARDLY_MOVED = 0.3, 3.0, 0.03
 
 # The camera's motion is found from so many planes, and again, with what is seen then, as often as this at most. Of each
 # plane about so many points are kept.
@@ -142,11 +145,39 @@ class View(NamedTuple):
         return points.some(np.flatnonzero(q > 0.0))
 
 
+class Matches(NamedTuple):
+    """Pairs of a known plane and one in sight that are the same.
+
+    Attributes
+    ----------
+    before, now : (M,) intp
+        The planes, counted from 0.
+    shared : (M,) float64
+        The squares that they share.
+    share : float
+        Of all squares where points of known planes are in sight, and some plane is seen.
+    """
+
+    before: Indices
+    now: Indices
+    shared: Floats
+    share: float
+
+
+def recognise(known: KnownPlanes, view: View) -> tuple[KnownPlanes, Matches]:
+    """The known planes as the camera sees them now, and which of them are in sight."""
+    moved = known.moved(motion_since(known, view))
+    matches = same_planes(moved, view, close=HARDLY_MOVED)
+    if matches.share >= FAMILIAR:
+        return moved, matches
+    return known, same_planes(known, view, HARDLY_TURNED, HARDLY_MOVED, HARDLY_MOVED)
+
+
 def motion_since(known: KnownPlanes, view: View) -> Motion:
     """How the camera has moved since it saw the planes that are known, from the largest of those in sight again."""
     largest, motion = known.largest(), Motion()
     for _ in range(ROUNDS):
-        before, now, shared = same_planes(largest.moved(motion), view)
+        before, now, shared, _ = same_planes(largest.moved(motion), view)
         if not len(before):
             break
         last, motion = motion, camera_motion(largest.planes[before], view.found.planes[now], shared)
@@ -155,8 +186,13 @@ def motion_since(known: KnownPlanes, view: View) -> Motion:
     return motion
 
 
-def same_planes(known: KnownPlanes, view: View) -> tuple[Indices, Indices, Floats]:
-    """Pairs of a known plane and one in sight that are the same, counted from 0, and the squares that they share."""
+def same_planes(
+    known: KnownPlanes, view: View, turned: float = TURNED, moved: float = MOVED, close: float = np.inf
+) -> Matches:
+    """Known planes that are in sight, turned by so many degrees at most, and moved by such a share: see MOVED.
+
+    Where several might be, one that moved by less than the share ``close`` rather than by more.
+    """
     from scipy.optimize import linear_sum_assignment
 
     found, labels = view.found, view.labels
@@ -178,18 +214,21 @@ def same_planes(known: KnownPlanes, view: View) -> tuple[Indices, Indices, Float
     # the camera turns away from it is the other way round.
     x, y = (sums(tangent[row, column])[rows, columns] / squares for tangent in (view.tan_x, view.tan_y))
     before, now = (a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns]))
-    near = (np.abs(errors.offset) <= MOVED * np.abs(old[:, 3])) | (np.abs(now - before) <= MOVED * before)
+    change = np.abs(now - before)
+    near = (np.abs(errors.offset) <= moved * np.abs(old[:, 3])) | (change <= moved * before)
     size = np.bincount(known.points.of, known.points.squares, len(known.ids))
     smaller = np.minimum(size[rows], view.sizes[1:][columns])
-    same = (squares >= SHARED * smaller) & (errors.angle_deg <= TURNED) & near
+    same = (squares >= SHARED * smaller) & (errors.angle_deg <= turned) & near
     # Planes in sight take precedence over those that were covered, and those known for long over new ones.
     weight = squares / (1.0 + known.missed[rows]) * np.sqrt(np.minimum(known.seen[rows], LONG))
+    weight /= 1.0 + (change / np.maximum(close * before, 1e-12)) ** 2
     table = np.zeros(shared.shape)
     table[rows, columns] = np.where(same, weight, 0.0)
     first, second = linear_sum_assignment(table, maximize=True)
     chosen = np.flatnonzero(table[first, second] > 0.0)
     first, second = first[chosen], second[chosen]
-    return first, second, shared[first, second]
+    of_pairs = shared[first, second]
+    return Matches(first, second, of_pairs, float(of_pairs.sum() / max(shared.sum(), 1.0)))
 
 
 def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int) -> KnownPlanes:

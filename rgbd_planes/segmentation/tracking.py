@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import FixedArguments, check_whole, each_of
 from rgbd_planes.depth import as_numbered_frame
-from rgbd_planes.segmentation.known_planes import KnownPlanes, View, motion_since, remember, same_planes
+from rgbd_planes.segmentation.known_planes import KnownPlanes, View, recognise, remember
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment_frame
 from rgbd_planes.sequences.frames import Frame
@@ -82,7 +82,8 @@ def segment_sequence(
     The largest planes tell how the camera has moved since the last frame, and so where the earlier ones should be. Each
     plane is identified with the one that it shares most pixels with, if the two are nearly the same plane. So the
     camera may move as long as it sees much of the same planes again, and a plane that was covered, out of the image or
-    lost for a while comes back under its old id.
+    lost for a while comes back under its old id. Where hardly any is seen again, as after a cut or in a frame of
+    another camera, planes are new unless they are just where one was, and those before are remembered as they were.
 
     Parameters
     ----------
@@ -167,9 +168,8 @@ class PlaneTracker(FixedArguments):
             self._shape, self._known = found.camera.shape, KnownPlanes()
         view, ids = View.of(found), np.zeros(len(found), np.int32)
         if len(self._known.ids) and len(found):
-            self._known = self._known.moved(motion_since(self._known, view))
-            before, now, _ = same_planes(self._known, view)
-            ids[now] = self._known.ids[before]
+            self._known, matches = recognise(self._known, view)
+            ids[matches.now] = self._known.ids[matches.before]
         new = np.flatnonzero(ids == 0)
         ids[new] = self._newest + 1 + np.arange(len(new))
         self._newest += len(new)
