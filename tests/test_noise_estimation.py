@@ -8,7 +8,6 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
-from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise import estimation
 from rgbd_planes.noise import large_planes as large
 from rgbd_planes.noise.flatness import flatness
@@ -364,17 +363,14 @@ def test_what_coarse_rounding_adds_is_told_apart(rng):
 
 def test_the_rounding_is_the_finest_step_of_most_frames():
     """In some frames values happen to be even; a frame of floats among many has none."""
-    frame = as_depth_frame(np.full(CAMERA.shape, 20000, np.uint16), CAMERA)
     for steps, expected in (
-        ([2.0, 1.0, 3.0], 1e-4),
-        ([1.0, 0.0, 2.0], 1e-4),
-        ([1.0, 0.0], 0.0),
-        ([0.0, 0.0, 1.0], 0.0),
+        ([2e-4, 1e-4, 3e-4], 1e-4),
+        ([1e-4, 0.0, 2e-4], 1e-4),
+        ([1e-4, 0.0], 0.0),
+        ([0.0, 0.0, 1e-4], 0.0),
     ):
-        assert estimation._rounding(steps, frame).step == pytest.approx(expected)
-    camera = replace(CAMERA, depth_scale=None, disparity=(-0.002, 3.0))
-    frame = as_depth_frame(np.full(CAMERA.shape, 1000, np.uint16), camera)
-    model = estimation._rounding([2.0, 1.0], frame)
+        assert estimation._rounding(steps, False).step == pytest.approx(expected)
+    model = estimation._rounding([0.004, 0.002], True)
     assert (model.step, model.disparity_step) == (0.0, pytest.approx(0.002))
 
 
@@ -448,6 +444,9 @@ def test_integers_that_were_made_metres_are_as_rounded(rng):
     assert as_integers.step == pytest.approx(1e-3)
     q = np.array([0.3, 0.6, 1.2])
     np.testing.assert_allclose(as_metres.sigma(q), as_integers.sigma(q), rtol=1e-3)
+    some_of_each = [seen[0].astype(np.uint16), (seen[1] / 1000.0).astype(np.float32)]
+    for mixed in (some_of_each, some_of_each[::-1]):
+        assert rp.estimate_noise(mixed, millimetres).step == pytest.approx(1e-3)
 
 
 def test_real_kinect_frames():

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, warn_caller
-from rgbd_planes.depth import DepthFrame, as_depth_frame, as_numbered_frame, step_of
+from rgbd_planes.depth import as_depth_frame, as_numbered_frame, step_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
@@ -126,7 +126,7 @@ def estimate_noise(
     for index, depth in enumerate(opened):
         frame = as_depth_frame(depth, bare) if is_one else as_numbered_frame(index, depth, bare)
         warn_of_distances(frame, bare)
-        steps.append(step_of(frame))
+        steps.append(abs(step_of(frame) * frame.scale if frame.is_disparity else step_of(frame) / frame.scale))
     for most_missing in MOST_MISSING:
         tiles = {
             size: TileFitter(bare, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
@@ -161,7 +161,7 @@ def estimate_noise(
         if np.count_nonzero(large) >= _ENOUGH_LARGE:
             parts = large.repeat(2, axis=1).repeat(2, axis=2)
             reaching = all_samples(tiles, parts, most_missing, 2 * WINDOW)
-    model = _fit_depth(samples[REFERENCE], _rounding(steps, frame))
+    model = _fit_depth(samples[REFERENCE], _rounding(steps, frame.is_disparity))
     model = _fit_falloff(samples[REFERENCE], model)
     for _ in range(3):
         model = _fit_reach(reaching, _fit_spread(samples, model))
@@ -177,14 +177,12 @@ def estimate_noise(
     return replace(model, evidence=evidence_of(opened, camera, model, samples, count, num_threads))
 
 
-def _rounding(steps: Sequence[float], frame: DepthFrame) -> NoiseModel:
-    """A model with the rounding of frames like this one, whose raw values have these steps: 0 where none is seen."""
+def _rounding(steps: Sequence[float], is_disparity: bool) -> NoiseModel:
+    """A model with the rounding of frames that have these steps, of depth in metres or of q; 0 where none is seen."""
     seen = [step for step in steps if step > 0.0]
     if len(seen) <= 0.5 * len(steps):
         return NoiseModel()
-    if frame.is_disparity:
-        return NoiseModel(disparity_step=abs(min(seen) * frame.scale))
-    return quantised(NoiseModel(), min(seen) / frame.scale)
+    return NoiseModel(disparity_step=min(seen)) if is_disparity else quantised(NoiseModel(), min(seen))
 
 
 def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
