@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats
 from rgbd_planes.checks import (
+    check_bool,
     check_not_a_maker,
     check_whole,
     collected_warnings,
@@ -539,7 +540,7 @@ class Camera:
         The principal point follows ROS's own image_geometry: (cx - x_offset) / binning_x. For a camera that
         averages blocks of pixels the exact value would be (binning_x - 1) / (2 binning_x) less.
         """
-        whole, part = camera_formats.from_ros(info, rectified)
+        whole, part = camera_formats.from_ros(info, check_bool("rectified", rectified))
         return cls(**whole, **depth)._with(**part)
 
     @classmethod

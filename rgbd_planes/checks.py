@@ -108,7 +108,11 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     # Without their module, which takes time to import, there are no masked arrays.
     if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
-    return np.asarray(values)
+    try:
+        return np.asarray(values)
+    except ValueError:  # lists of different lengths, say
+        kind = type(values).__name__
+        raise ValueError(f"expected {name} as an array, got a {kind} of which NumPy makes none") from None
 
 
 def label_array(name: str, labels: Any) -> NDArray[Any]:

@@ -22,6 +22,7 @@ from rgbd_planes.valid_depth import measurements_of, validity
 
 if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
+    from rgbd_planes.sequences.frames import Frame
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
 _GRAIN, _GRAIN_OF_DISPARITY = 1e-5, 1.0 / 256.0  # metres, raw units
@@ -119,10 +120,19 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     return _read(array, camera)
 
 
-def as_numbered_frame(number: int, depth: ArrayLike, camera: Camera) -> DepthFrame:
+def depth_of(frame: ArrayLike | Frame) -> ArrayLike:
+    """The depth of a frame of a sequence; anything else is a depth itself."""
+    if isinstance(frame, np.ndarray):
+        return frame
+    from rgbd_planes.sequences.frames import Frame
+
+    return frame.depth if isinstance(frame, Frame) else frame
+
+
+def as_numbered_frame(number: int, frame: ArrayLike | Frame, camera: Camera) -> DepthFrame:
     """`as_depth_frame` of one of many: an error begins with its number, from 0."""
     with naming(f"frame {number}"):
-        return as_depth_frame(depth, camera)
+        return as_depth_frame(depth_of(frame), camera)
 
 
 def as_depth_frames(frames: NDArray[Any], camera: Camera) -> DepthFrame:
@@ -212,7 +222,7 @@ def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
     elif array.ndim == 3 and 1 in array.shape:
         reason = ": squeeze it"
     elif array.ndim == 3 and array.shape[1:] == expected:
-        reason = ": TileFitter.fit_batch takes several frames"
+        reason = ": TileFitter.fit_batch and segment_sequence take several frames"
     elif array.shape == expected[1:]:
         reason = ": is it a row of a frame, in the place of several? TileFitter.fit and rp.segment take one frame"
     elif array.shape == expected[::-1]:

@@ -38,6 +38,12 @@ def warn_of_units(
     """Warn of a frame that is most likely not in the units that it is taken for, or has a number that means missing."""
     if _is_ordinary(sample, dtype, depth_scale):
         return
+    if _points_backwards(sample):
+        warn_caller(
+            "all depths of this frame are negative, which means missing: does its z axis point backwards, as OpenGL's? "
+            "Then -depth is in front of the camera"
+        )
+        return
     sample = _without_missing(sample, valid, depth_scale, depth_range)
     _warn_of_the_nearest(sample, dtype, depth_scale, depth_range)
     farthest = PLAINLY_NOT_METRES * depth_scale
@@ -76,6 +82,12 @@ def _is_ordinary(sample: NDArray[Any], dtype: np.dtype[Any], depth_scale: float)
     largest = float(np.fmax.reduce(some))  # NaN, which compares as False, only where there is no number
     doubtful = _LEAST_DOUBTFUL if dtype.kind == "f" else _LEAST_DOUBTFUL_WHOLE
     return _NEARER_THAN_ANY * depth_scale <= largest < doubtful and largest <= farthest and dtype.itemsize > 1
+
+
+def _points_backwards(sample: NDArray[Any]) -> bool:
+    """Whether depths are negative, and not by a number that stands for missing."""
+    negative = sample[sample < 0]
+    return len(negative) > 10 and bool(negative.min() < negative.max()) and not (sample > 0).any()
 
 
 def _ends_before(farthest: float, dtype: np.dtype[Any]) -> bool:
@@ -147,9 +159,11 @@ def warn_of_disparity(
 ) -> None:
     """Warn of a disparity image whose depths are none of a camera's: most likely it is their scale."""
     scale, offset = disparity
-    farthest, nearest = 1.0 / PLAINLY_NOT_METRES, 1.0 / _NEARER_THAN_ANY
     if abs(scale) == 1.0 or sample.size < _FEW_PIXELS:  # relative disparities have no unit
         return
+    if valid[0] <= 0:
+        _warn_of_the_lowest(measurements_of(sample, valid))
+    farthest, nearest = 1.0 / PLAINLY_NOT_METRES, 1.0 / _NEARER_THAN_ANY
     # Mostly a few pixels show that nothing is wrong, and for so few Python is faster than NumPy.
     few = sample[::64].tolist()
     if 2 * sum(farthest <= scale * value + offset <= nearest for value in few) > len(few):
@@ -169,6 +183,18 @@ def warn_of_disparity(
     warn_caller(
         f"with disparity=({scale:g}, {offset:g}) {where}: the scale is 1 / (focal length in pixels * baseline in "
         "metres), over the raw units of a pixel if these are more than one. A scale of 1 says that it is not known"
+    )
+
+
+def _warn_of_the_lowest(measured: NDArray[Any]) -> None:
+    """Warn of a disparity of 0, or less, that many pixels have: mostly it stands for missing."""
+    lowest = measured.min(initial=1)
+    if lowest > 0 or np.count_nonzero(measured == lowest) <= 10:  # a hundredth
+        return
+    number = str(lowest).removesuffix(".0")
+    warn_caller(
+        f"many pixels have a disparity of {number}, which is a depth, too, with the camera's offset: are they missing? "
+        f"A camera with invalid_values=({number},) says so"
     )
 
 

@@ -1,6 +1,7 @@
 """Files appear whole or not at all, and errors about them name them."""
 
 import os
+import shutil
 import sys
 import threading
 import zlib
@@ -28,6 +29,7 @@ _OF_FILES = frozenset(
         ".h5",
     )
 )
+_LONGEST_SUFFIX = 20  # characters; what is longer names no format
 # Bytes. Nonsense in a file may ask for any number of them: if this many are free, memory was not short of a frame.
 _MORE_THAN_A_FRAME = 2**28
 
@@ -36,24 +38,29 @@ _MORE_THAN_A_FRAME = 2**28
 def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A path beside `path` to write to; it takes the place of `path` once the block has ended without an error.
 
-    It has the suffix of `path`, by which many writers know the format. After an error nothing is left behind, and a
-    file that was there before is unchanged.
+    It has the suffix of `path`, by which many writers know the format, and the permissions of a file that was there
+    before, which is unchanged after an error; then nothing is left behind.
 
     Raises
     ------
     OSError
         The folder does not exist, `path` is a folder, or it cannot be written there.
     """
-    target = Path(os.path.realpath(path))  # a link stays a link
-    check_writable(target)
+    target = Path(path)
     replaceable = target.is_file() or not target.exists()  # unlike a device or a pipe
+    if replaceable:
+        target = Path(os.path.realpath(path))  # a link stays a link
+    check_writable(target)
     # Not the whole name, which may already be as long as names can be.
     name = f"{target.stem[:40]}-{zlib.crc32(os.fsencode(target.name)):x}"
-    beside = target.with_name(f".{name}.{os.getpid()}-{threading.get_ident()}{target.suffix}")
+    suffix = target.suffix if len(target.suffix) <= _LONGEST_SUFFIX else ""
+    beside = target.with_name(f".{name}.{os.getpid()}-{threading.get_ident()}{suffix}")
     written = beside if replaceable else target
     try:
         yield written
         if replaceable:
+            if target.exists():
+                shutil.copymode(target, beside)
             beside.replace(target)
     except OSError as error:
         if type(error) is OSError and error.errno is None:  # a library's own, in its own words
@@ -184,11 +191,12 @@ def identity(path: Path) -> tuple[tuple[int, ...], ...]:
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now the OSError that writing `path` would raise after the work is done."""
-    target = Path(os.path.realpath(path))
+    target = Path(path)
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
-    existing_device = target.exists() and not target.is_file()
-    if not os.access(target if existing_device else target.parent, os.W_OK):
+    if not target.exists() or target.is_file():  # not a device or a pipe: beside it, then in its place
+        target = Path(os.path.realpath(path)).parent
+        if not target.is_dir():
+            raise FileNotFoundError(f"cannot write {path}: there is no folder {target}")
+    if not os.access(target, os.W_OK):
         raise PermissionError(f"cannot write {path}: permission denied")

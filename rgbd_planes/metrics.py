@@ -361,8 +361,7 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
 def _with_unit_normals(name: str, planes: NDArray[np.float64]) -> NDArray[np.float64]:
     """(..., 4) planes with normals of length 1."""
     length = np.linalg.norm(planes[..., :3], axis=-1, keepdims=True)
-    if (length == 0.0).any():
-        raise ValueError(
-            f"expected planes with a normal in {name}, got {planes.reshape(-1, 4)[length.argmin()].tolist()}"
-        )
+    without = planes[length[..., 0] == 0.0]
+    if len(without):
+        raise ValueError(f"expected planes with a normal in {name}, got {without[0].tolist()}")
     return np.asarray(planes / length)

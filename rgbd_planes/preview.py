@@ -68,6 +68,8 @@ def _beside(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np
 def fits_html(fits: PlacedFits) -> str:
     """Return a few lines of HTML: what was found, a picture, and what its colours mean."""
     batch = len(fits.shape) == 3
+    if batch and len(fits.planes) == 0:
+        return f"<div>{html.escape(repr(fits).strip('<>'))}</div>"
     first = fits[0] if batch else fits  # type: ignore[index]
     which = " of the first frame" if batch else ""
     return (

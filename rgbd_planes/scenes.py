@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import as_motion, check_camera, check_share, check_whole, number, real_array
+from rgbd_planes.checks import as_motion, check_bool, check_camera, check_share, check_whole, number, real_array
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 from rgbd_planes.wording import counted
@@ -234,7 +234,7 @@ class Rendering:
         if not noise >= 0.0:
             raise ValueError(f"noise must be 0 or more (1/m), got {noise}")
         holes, patches = check_share("holes", holes), check_share("patches", patches)
-        baseline = number("baseline", baseline)
+        baseline, quantise = number("baseline", baseline), check_bool("quantise", quantise)
         if not isinstance(seed, np.random.Generator):
             check_whole("seed", seed, 0)
         generator = np.random.default_rng(seed)

@@ -166,7 +166,7 @@ class TilePlanes(Savable, PlacedFits):
         check_alike(own, allocate(own["status"].shape[:-2], grid))
         pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid)
         count = own["valid_count"]
-        if own["status"].max() > max(TileStatus) or ((count < 0) | (count > pixels)).any():
+        if own["status"].max(initial=0) > max(TileStatus) or ((count < 0) | (count > pixels)).any():
             raise ValueError("an invalid status or number of pixels")
         made = cls(camera=camera, method=method, tile=tile, **own)
         check_planes(made.planes[made.fitted], made.alpha[made.fitted])

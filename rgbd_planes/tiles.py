@@ -9,7 +9,7 @@ import operator
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,9 @@ from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_windows
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.window_moments import WindowMoments
+
+if TYPE_CHECKING:
+    from rgbd_planes.sequences.frames import Frame
 
 IMPLEMENTATIONS = ("direct", "integral", "naive")
 
@@ -174,13 +177,13 @@ class TileFitter(FixedArguments):
         return out
 
     def fit_batch(
-        self, frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], out: TilePlanes | None = None
+        self, frames: Sequence[npt.ArrayLike | Frame] | npt.NDArray[Any], out: TilePlanes | None = None
     ) -> TilePlanes:
         """Fit the tiles of many frames, which threads share.
 
         Parameters
         ----------
-        frames : (F, H, W) array or sequence of (H, W)
+        frames : (F, H, W) array or sequence of (H, W), or of Frame, as of `open_sequence`
             Each is asked for once, if there are eight or more for each thread; threads share fewer. With four threads
             or more, an array takes less time than a sequence.
         out : TilePlanes, optional
@@ -233,12 +236,12 @@ class TileFitter(FixedArguments):
         run_in_ranges(lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads)
         return self._result(arrays) if out is None else out
 
-    def fit_stream(self, frames: Iterable[npt.ArrayLike]) -> Iterator[TilePlanes]:
+    def fit_stream(self, frames: Iterable[npt.ArrayLike | Frame]) -> Iterator[TilePlanes]:
         """Fit the tiles of frames one after the other, as they come, in constant memory.
 
         Parameters
         ----------
-        frames : iterable of (H, W) array_like
+        frames : iterable of (H, W) array_like, or of Frame
             Of any length, even without end: a generator that reads a camera or files.
 
         Yields
@@ -259,8 +262,10 @@ class TileFitter(FixedArguments):
         UserWarning
             As `fit_tiles`, for each frame.
         """
+        return self._stream(each_of(frames))
+
+    def _stream(self, source: Iterator[npt.ArrayLike | Frame]) -> Iterator[TilePlanes]:
         ahead = 1 if self._num_threads is None else self._num_threads
-        source = each_of(frames)
         if ahead == 1:
             for number, frame in enumerate(source):
                 yield self._fit(as_numbered_frame(number, frame, self.camera))
@@ -283,7 +288,7 @@ class TileFitter(FixedArguments):
         if wrong is not None:
             raise wrong
 
-    def _fit_alone(self, number: int, depth: npt.ArrayLike) -> TilePlanes:
+    def _fit_alone(self, number: int, depth: npt.ArrayLike | Frame) -> TilePlanes:
         """Fit a frame in this thread."""
         arrays = self._arrays((), None)
         frame = as_numbered_frame(number, depth, self.camera)
@@ -447,7 +452,8 @@ def fit_tiles(
         nothing of the frame, which is between those numbers of millimetres. Or one number counts as depth in more than
         one pixel of a hundred that most likely means missing: 65535 or 32767, the largest of 16 bits, or one beyond 50
         m that is more than three times as far as all else in the frame, such as the 1e10 of a renderer's sky, which a
-        ``depth_range`` reaching beyond 50 m silences, too. Or the camera's noise model says more than a fifth of 1/Z:
+        ``depth_range`` reaching beyond 50 m silences, too; or a disparity of 0 or less. Or all depths are negative, as
+        where z points backwards. Or the camera's noise model says more than a fifth of 1/Z:
         most likely it is in other units. A `TileFitter` says so once.
     """
     fitter = TileFitter(

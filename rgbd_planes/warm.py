@@ -1,12 +1,12 @@
 """Compile the kernels before they are needed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice
+from rgbd_planes.checks import check_bool, check_camera, check_choice
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.tiles import TileFitter
 
@@ -54,8 +54,10 @@ def warmup(
         8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
         depth_scale=1.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
     )  # fmt: skip
-    several = [dtypes] if isinstance(dtypes, (str, type, np.dtype)) else dtypes
-    for method in [methods] if isinstance(methods, str) else methods:
+    segment = check_bool("segment", segment)
+    several = dtypes if isinstance(dtypes, Iterable) and not isinstance(dtypes, (str, type)) else [dtypes]
+    several = [np.dtype(dtype) for dtype in several]
+    for method in methods if isinstance(methods, Iterable) and not isinstance(methods, str) else [methods]:
         check_choice("method", method, METHODS)
         fitter = TileFitter(small, 4, method, num_threads=1)
         for dtype in several:

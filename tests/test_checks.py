@@ -20,6 +20,16 @@ LARGE = np.full((2, 2), 2**63, np.uint64)
 FRAMES = sequences.FrameSequence([sequences.FrameEntry("0", 0.0, CAMERA, None)], lambda location: DEPTH)
 
 
+class Noise:
+    """A model of a user's own."""
+
+    def __init__(self, lateral):
+        self.lateral = lateral
+
+    def sigma(self, q):
+        return 1e-3 + 0.0 * q
+
+
 @pytest.mark.parametrize(
     "use",
     [
@@ -75,7 +85,7 @@ def test_what_would_make_a_camera_is_named(camera, message):
         (np.zeros((48, 64, 3), np.uint8), ValueError, "is it a colour image.* IMREAD_UNCHANGED$"),
         (CAMERA.points(DEPTH), ValueError, r"or points, whose depth is \[..., 2\]"),
         (DEPTH[None], ValueError, "squeeze it$"),
-        ([DEPTH, DEPTH], ValueError, "TileFitter.fit_batch takes several frames$"),
+        ([DEPTH, DEPTH], ValueError, "TileFitter.fit_batch and segment_sequence take several frames$"),
         (DEPTH.T, ValueError, "is it transposed, or are the camera's width and height swapped"),
         (DEPTH[0], ValueError, r"of several\? TileFitter\.fit and rp\.segment take one frame$"),
         (DEPTH[::2, ::2], ValueError, "is the calibration that of another resolution"),
@@ -134,11 +144,29 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.segment(DEPTH, CAMERA, min_size=10**30), ValueError, "min_size must be below 2"),
         (lambda: rp.segment_sequence([], CAMERA, memory=1.5), TypeError, "whole number of frames, got 1.5"),
         (lambda: rp.segment_sequence(None, CAMERA), TypeError, "expected frames, as an iterable, got NoneType"),
-        (lambda: next(rp.TileFitter(CAMERA).fit_stream(None)), TypeError, "frames, as an iterable, got NoneType"),
+        (lambda: rp.TileFitter(CAMERA).fit_stream(None), TypeError, "frames, as an iterable, got NoneType"),
+        (lambda: rp.TileFitter(CAMERA, num_threads=2).fit_stream(3), TypeError, "as an iterable, got int"),
+        (lambda: rp.FitSettings(segments="no"), TypeError, "segments as True or False, got 'no'"),
+        (lambda: rp.fit_sequence(FRAMES, "out", retry=1), TypeError, "retry as True or False, got 1"),
+        (lambda: rp.warmup(CAMERA, segment="no"), TypeError, "segment as True or False, got 'no'"),
+        (lambda: rp.warmup(CAMERA, None), ValueError, "method must be one of .*, got None"),
+        (lambda: rp.warmup(CAMERA, dtypes="metres"), TypeError, "metres"),
+        (lambda: rp.Camera.from_ros({}, rectified="no"), TypeError, "rectified as True or False, got 'no'"),
+        (lambda: scenes.room().render(CAMERA).measure(quantise=0), TypeError, "quantise as True or False, got 0"),
+        (lambda: sequences.FrameSequence([5], np.load), TypeError, r"FrameEntry\(...\), got int"),
+        (lambda: sequences.FrameSequence([], "read"), TypeError, "read as a function of a location, got str"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=Noise(np.nan)), ValueError, "noise.lateral as a finite number"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=Noise(-3.0)), ValueError, "noise.lateral of 0 pixels or more, got -3"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=Noise("a")), TypeError, "noise.lateral as a number, got 'a'"),
         (
-            lambda: next(rp.TileFitter(CAMERA, num_threads=2).fit_stream(3)),
-            TypeError,
-            "expected frames, as an iterable, got int",
+            lambda: uncertainty.point_distance([[1.0, 2.0], [3.0]], np.ones(4), np.zeros((4, 4))),
+            ValueError,
+            "points as an array, got a list of which NumPy makes none",
+        ),
+        (
+            lambda: metrics.plane_errors([[np.nan] * 4, [0, 0, 0, 1]], [[0, 0, 1, 1]] * 2),
+            ValueError,
+            r"in predicted, got \[0.0, 0.0, 0.0, 1.0\]",
         ),
         (lambda: rp.fit_windows(iter([DEPTH]), CAMERA, [(0, 0, 8, 8)]), TypeError, "got list_iterator: TileFitter.fit"),
         (lambda: rp.fit_windows(DEPTH, CAMERA, iter([(0, 0, 8, 8)])), TypeError, r"shape \(K, 4\), got list_iterator"),

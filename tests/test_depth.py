@@ -583,3 +583,32 @@ def test_a_few_measurements_beside_what_a_fisheye_sees_are_strays():
     as_depth_frame(np.where(beside & (strewn > 0.02), 0.0, 1.5), cam)  # warnings are errors here
     with pytest.warns(UserWarning, match="where the fisheye lens has no ray"):
         as_depth_frame(np.where(beside & (strewn > 0.2), 0.0, 1.5), cam)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32, np.int32])
+@pytest.mark.parametrize("scale", [1.0 / 300.0, -1.0 / 300.0])
+def test_a_lowest_disparity_of_many_pixels_is_doubted(dtype, scale, rng):
+    """With an offset it is a depth; without one, or below it, nothing is measured there."""
+    cam = camera((240, 320), disparity=(scale, 0.5))
+    raw = rng.integers(20, 100, cam.shape).astype(dtype)
+    missing = rng.random(cam.shape) < 0.1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_depth_frame(raw, cam)
+        as_depth_frame(np.where(missing, raw.dtype.type(0), raw), replace(cam, invalid_values=(0,)))
+        as_depth_frame(np.where(missing, raw.dtype.type(0), raw), replace(cam, disparity=(abs(scale), 0.0)))
+        as_depth_frame(np.where(missing, raw.dtype.type(0), raw), replace(cam, disparity=(1.0, 0.5)))  # relative
+    for number in (0, -1)[: 1 if dtype == np.uint16 else 2]:
+        with pytest.warns(UserWarning, match=rf"disparity of {number}, .* invalid_values=\({number},\) says so"):
+            as_depth_frame(np.where(missing, raw.dtype.type(number), raw), cam)
+
+
+def test_depths_that_are_all_negative_are_doubted():
+    depth = scenes.room().render(CAMERA).depth
+    for negative in (-depth, -depth.astype(np.float32), (-1000.0 * depth).astype(np.int32)):
+        with pytest.warns(UserWarning, match="does its z axis point backwards"):
+            as_depth_frame(negative, CAMERA)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_depth_frame(np.full(CAMERA.shape, -1.0), CAMERA)  # nothing was measured
+        as_depth_frame(np.where(np.arange(320) % 2 == 0, depth, -1.0), CAMERA)

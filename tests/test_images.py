@@ -5,6 +5,8 @@ import io
 import os
 import re
 import struct
+import subprocess
+import sys
 import threading
 import zipfile
 import zlib
@@ -501,6 +503,28 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
     reader.join()
     assert received == ["through"]
     assert pipe.is_fifo()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="this system has no /dev/stdout")
+def test_the_output_is_written_to_where_it_is_a_pipe():
+    write = "from rgbd_planes import files\nwith files.write_beside('/dev/stdout') as target: target.write_text('out')"
+    made = subprocess.run([sys.executable, "-c", write], stdout=subprocess.PIPE, check=True)
+    assert made.stdout == b"out"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="this system has other permissions")
+def test_permissions_are_kept(tmp_path):
+    (tmp_path / "secret.json").write_text("old")
+    (tmp_path / "secret.json").chmod(0o600)
+    with files.write_beside(tmp_path / "secret.json") as beside:
+        beside.write_text("new")
+    assert (tmp_path / "secret.json").stat().st_mode & 0o777 == 0o600
+
+
+def test_what_follows_the_last_dot_of_a_name_may_be_long(tmp_path):
+    with files.write_beside(tmp_path / ("a." + "x" * 240)) as beside:
+        beside.write_text("new")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["new"]
 
 
 def test_places_that_cannot_be_written(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Models of a sensor's noise: what they say, what they take, and where they go."""
 
 import pickle
+import warnings
 from dataclasses import replace
 
 import monte_carlo
@@ -269,3 +270,22 @@ def test_a_fitter_doubts_its_noise_once(threads):
     list(fitter.fit_stream([MEASURED]))
     with pytest.warns(UserWarning, match="the noise that is given"):
         pickle.loads(pickle.dumps(fitter)).fit(MEASURED)
+
+
+def test_depths_where_nothing_is_measured_have_no_deviation():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sigma = rp.noise.kinect_v1().sigma_depth([0.0, 2.0, -1.0, np.nan])
+    np.testing.assert_allclose(sigma, [np.nan, 4.0 * rp.noise.KINECT_V1, np.nan, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"formula": 5}, TypeError, "formula as a function of inverse depth, got 5"),
+        ({"formula": np.sqrt, "samples": ((1.0, 0.1),)}, ValueError, "samples or a formula, got both"),
+    ],
+)
+def test_formulas_that_cannot_be_used(options, error, message):
+    with pytest.raises(error, match=message):
+        rp.noise.NoiseModel(**options)

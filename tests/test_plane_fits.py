@@ -47,6 +47,13 @@ def test_save_and_load(tiles, frames, tmp_path, rng):
     assert [path.name for path in tmp_path.iterdir()] == ["planes.npz"]
 
 
+def test_a_slice_without_frames(tiles, tmp_path, rng):
+    none = rp.TileFitter(tiles.camera, 8).fit_batch([make_depth(tiles.camera, rng)])[0:0]
+    assert "0 frames" in none._repr_html_()
+    none.save(tmp_path / "none.npz")
+    assert rp.TilePlanes.load(tmp_path / "none.npz").shape == none.shape
+
+
 def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "other.npz", a=np.ones(3))
     np.savez(tmp_path / "about.npz", about=np.array('{"camera": {}}'))

@@ -14,14 +14,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_num_threads, warn_caller
-from rgbd_planes.depth import as_depth_frame, as_numbered_frame, step_of
+from rgbd_planes.checks import check_camera, check_num_threads, collected_warnings, warn_caller
+from rgbd_planes.depth import as_depth_frame, as_numbered_frame, depth_of, step_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
@@ -42,6 +42,9 @@ from rgbd_planes.noise.samples import (
 )
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.wording import counted, two_digits
+
+if TYPE_CHECKING:
+    from rgbd_planes.sequences.frames import Frame
 
 Floats = npt.NDArray[np.float64]
 
@@ -73,13 +76,13 @@ _ENOUGH_LARGE = 48  # windows twice as large that are enough to tell how far err
 
 
 def estimate_noise(
-    frames: Sequence[npt.ArrayLike] | npt.NDArray[Any], camera: Camera, *, num_threads: int | None = None
+    frames: Sequence[npt.ArrayLike | Frame] | npt.NDArray[Any], camera: Camera, *, num_threads: int | None = None
 ) -> NoiseModel:
     """Estimate a sensor's noise from frames of ordinary scenes, without a target or a still camera.
 
     Parameters
     ----------
-    frames : (F, H, W) array or sequence of (H, W), or one (H, W)
+    frames : (F, H, W) array or sequence of (H, W) or of Frame, or one (H, W)
         With surfaces that are flat over 50 pixels or more, at the depths that matter; for the covariances of large
         planes, with such planes. The more frames and the more places, the better; one can be enough.
     camera : Camera
@@ -113,8 +116,8 @@ def estimate_noise(
     num_threads = check_num_threads(num_threads)
     if not hasattr(frames, "__len__") or isinstance(frames, (bytes, bytearray, Mapping)):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
-    is_one = getattr(frames, "ndim", None) == 0 or (len(frames) > 0 and np.ndim(frames[0]) == 1)
-    opened: list[Any] = [frames] if is_one else list(frames)
+    is_one = getattr(frames, "ndim", None) == 0 or (len(frames) > 0 and np.ndim(depth_of(frames[0])) == 1)
+    opened: list[Any] = [frames] if is_one else [depth_of(frame) for frame in frames]
     if not opened:
         raise ValueError("expected at least one frame, got none")
     bare = camera.with_noise(None)
@@ -128,11 +131,12 @@ def estimate_noise(
         warn_of_distances(frame, bare)
         steps.append(abs(step_of(frame) * frame.scale if frame.is_disparity else step_of(frame) / frame.scale))
     for most_missing in MOST_MISSING:
-        tiles = {
-            size: TileFitter(bare, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
-            for size in SIZES
-            if size <= min(camera.shape)
-        }
+        with collected_warnings([]):  # of the frames, which are given above
+            tiles = {
+                size: TileFitter(bare, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
+                for size in SIZES
+                if size <= min(camera.shape)
+            }
         flat = flat_windows(tiles[WINDOW], tiles[8], most_missing)
         count = int(np.count_nonzero(flat))
         if count >= FEWEST_WINDOWS:
@@ -167,14 +171,18 @@ def estimate_noise(
         model = _fit_reach(reaching, _fit_spread(samples, model))
         model = _fit_scale(samples[REFERENCE], model)
     # Biases over hundreds of pixels are nearly planar on any tile, and make little residual.
-    model = _fit_reach(reaching, model, large_planes(opened, camera.with_noise(model), num_threads))
+    with collected_warnings([]):
+        planes = large_planes(opened, camera.with_noise(model), num_threads)
+    model = _fit_reach(reaching, model, planes)
     model = _fit_scale(samples[REFERENCE], model)
     if model.spread >= SPREADS[-1] or unevenness(tiles[WINDOW], tiles[8], flat) > _UNEVEN:
         warn_caller(
             "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
             "are surfaces in the frames flat over 50 pixels or more?"
         )
-    return replace(model, evidence=evidence_of(opened, camera, model, samples, count, num_threads))
+    with collected_warnings([]):
+        evidence = evidence_of(opened, camera, model, samples, count, num_threads)
+    return replace(model, evidence=evidence)
 
 
 def _rounding(steps: Sequence[float], is_disparity: bool) -> NoiseModel:

@@ -94,7 +94,11 @@ class NoiseModel:
         coefficients = numbers("coefficients", self.coefficients)
         if not 1 <= len(coefficients) <= 3:
             raise ValueError(f"expected 1 to 3 coefficients, got {self.coefficients!r}")
+        if self.formula is not None and not callable(self.formula):
+            raise TypeError(f"expected formula as a function of inverse depth, got {self.formula!r}")
         if self.samples is not None:
+            if self.formula is not None:
+                raise ValueError("expected samples or a formula, got both")
             coefficients = (KINECT_V1,)  # neither used nor saved
             samples = _pairs("samples", self.samples, "inverse depth, sigma")
             if not (samples.size and (np.diff(samples[:, 0]) > 0.0).all() and (samples[:, 1] > 0.0).all()):
@@ -192,8 +196,12 @@ class NoiseModel:
         return np.asarray(((self.step * q * q) ** 2 + self.disparity_step**2) / 12.0)
 
     def sigma_depth(self, depth: ArrayLike, tan_x: ArrayLike = 0.0, tan_y: ArrayLike = 0.0) -> Floats:
-        """Standard deviation of one pixel's depth in metres at depths in metres, σZ = σq·Z²: see `sigma`."""
+        """Standard deviation of one pixel's depth in metres at depths in metres, σZ = σq·Z²: see `sigma`.
+
+        NaN where a depth is not positive, as where nothing is measured.
+        """
         z = real_array("depth", depth)
+        z = np.where(z > 0.0, z, np.nan)
         return np.asarray(self.sigma(1.0 / z, tan_x, tan_y) * z * z)
 
     @property

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import check_camera, number
+from rgbd_planes.checks import check_camera, number, warn_caller
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.noise.falloff import growth_of_pixels
@@ -30,8 +30,7 @@ def measurement_noise(
     camera : Camera
     sigma_inverse_depth : float, optional
         Standard deviation of 1/Z in 1/m: for a disparity sensor that of the disparity over focal length times
-        baseline. By default that of ``camera.noise`` at each pixel, or a Kinect v1's if the camera has no
-        noise model.
+        baseline. By default that of ``camera.noise`` at each pixel.
 
     Returns
     -------
@@ -47,7 +46,7 @@ def measurement_noise(
     Warns
     -----
     UserWarning
-        As `rgbd_planes.fit_tiles`.
+        As `rgbd_planes.fit_tiles`. Or neither the camera nor the call says what the noise is: a Kinect v1's is taken.
 
     Notes
     -----
@@ -59,6 +58,10 @@ def measurement_noise(
     check_camera(camera)
     if sigma_inverse_depth is None and camera.noise is None:
         sigma_inverse_depth = KINECT_V1
+        warn_caller(
+            "the camera has no noise model, so a Kinect v1's noise is taken: rp.estimate_noise finds a sensor's own, "
+            "and sigma_inverse_depth=rp.noise.KINECT_V1 says that this one is meant"
+        )
     frame = as_depth_frame(depth, camera)
     along_axis = frame.metres**2
     if sigma_inverse_depth is None:

@@ -108,7 +108,10 @@ def _given(noise: Any) -> Given:
         return Given()
     if callable(getattr(noise, "sigma", None)):  # a noise model
         model = noise if isinstance(noise, NoiseModel) and shares_errors(noise) else None
-        return Given(noise.sigma, float(getattr(noise, "lateral", 0.0)), at_large=True, model=model)
+        lateral = number("noise.lateral", getattr(noise, "lateral", 0.0))
+        if lateral < 0.0:
+            raise ValueError(f"expected noise.lateral of 0 pixels or more, got {lateral!r}")
+        return Given(noise.sigma, lateral, at_large=True, model=model)
     check_not_a_maker(noise)
     if callable(noise):
         return Given(noise)

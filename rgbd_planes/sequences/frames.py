@@ -73,12 +73,17 @@ class FrameSequence(Sequence[Frame]):
     Raises
     ------
     TypeError
-        The camera of an entry is not a `Camera`.
+        An entry is not a `FrameEntry`, its camera not a `Camera`, or `read` not a function.
     """
 
     def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
         self.entries = tuple(entries)
         self._read = read
+        for entry in self.entries:
+            if not isinstance(entry, FrameEntry):
+                raise TypeError(f"expected entries as FrameEntry(...), got {type(entry).__name__}")
+        if not callable(read):
+            raise TypeError(f"expected read as a function of a location, got {type(read).__name__}")
         for camera in {id(entry.camera): entry.camera for entry in self.entries}.values():
             check_camera(camera)
 
