@@ -96,7 +96,7 @@ def same_plane(
 def point_distance(
     points: npt.ArrayLike,
     planes: npt.ArrayLike,
-    plane_covariance: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike | None,
     point_covariance: npt.ArrayLike | None = None,
 ) -> tuple[Floats, Floats]:
     """Signed distance of points to planes, positive on the camera's side, and its standard deviation.
@@ -106,7 +106,8 @@ def point_distance(
     points : (..., 3) array_like
         Metres.
     planes : (..., 4) array_like
-    plane_covariance : (..., 4, 4) array_like
+    plane_covariance : (..., 4, 4) array_like, or None
+        None if it is not known: then the standard deviations are NaN.
     point_covariance : (..., 3, 3) array_like, optional
         For points that are measured independently of the planes.
 
@@ -116,7 +117,7 @@ def point_distance(
         Metres.
     """
     point, plane = shaped_array("points", points, (3,)), _planes("planes", planes)
-    covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
+    covariance = _covariance("plane_covariance", plane_covariance)
     spread = None if point_covariance is None else shaped_array("point_covariance", point_covariance, (3, 3))
     _leading(
         points=point.shape[:-1],
@@ -134,14 +135,18 @@ def point_distance(
 
 
 def angle_between(
-    planes: npt.ArrayLike, plane_covariance: npt.ArrayLike, other_planes: npt.ArrayLike, other_covariance: npt.ArrayLike
+    planes: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike | None,
+    other_planes: npt.ArrayLike,
+    other_covariance: npt.ArrayLike | None,
 ) -> tuple[Floats, Floats]:
     """Angle between the normals of planes fitted to different pixels, and its standard deviation.
 
     Parameters
     ----------
     planes, other_planes : (..., 4) array_like
-    plane_covariance, other_covariance : (..., 4, 4) array_like
+    plane_covariance, other_covariance : (..., 4, 4) array_like, or None
+        None if it is not known: then the standard deviations are NaN.
 
     Returns
     -------
@@ -151,8 +156,8 @@ def angle_between(
         the normals, or along the most uncertain direction where they coincide.
     """
     first, second = _planes("planes", planes)[..., :3], _planes("other_planes", other_planes)[..., :3]
-    first_covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))[..., :3, :3]
-    second_covariance = shaped_array("other_covariance", other_covariance, (4, 4))[..., :3, :3]
+    first_covariance = _covariance("plane_covariance", plane_covariance)[..., :3, :3]
+    second_covariance = _covariance("other_covariance", other_covariance)[..., :3, :3]
     _leading(
         planes=first.shape[:-1],
         plane_covariance=first_covariance.shape[:-2],
@@ -178,7 +183,7 @@ def angle_between(
 
 def transform_planes(
     planes: npt.ArrayLike,
-    plane_covariance: npt.ArrayLike,
+    plane_covariance: npt.ArrayLike | None,
     transform: npt.ArrayLike,
     transform_covariance: npt.ArrayLike | None = None,
 ) -> tuple[Floats, Floats]:
@@ -187,7 +192,8 @@ def transform_planes(
     Parameters
     ----------
     planes : (..., 4) array_like
-    plane_covariance : (..., 4, 4) array_like
+    plane_covariance : (..., 4, 4) array_like, or None
+        None if it is not known: then that in the new frame is NaN.
     transform : (..., 4, 4) array_like
         Rigid motion: X in the new frame is R·X + t. The planes' covariances must not depend on it. Of an R that has
         three digits or more, as in files, the nearest rotation is taken.
@@ -208,7 +214,7 @@ def transform_planes(
         The transform is not a rigid motion.
     """
     plane = _planes("planes", planes)
-    covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
+    covariance = _covariance("plane_covariance", plane_covariance)
     motion = as_motion("transform", shaped_array("transform", transform, (4, 4)))
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
     pose = None if transform_covariance is None else shaped_array("transform_covariance", transform_covariance, (6, 6))
@@ -306,6 +312,11 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         of_fused = slope @ of_sum @ np.swapaxes(slope, -1, -2)
     fused[~some], of_fused[~some] = np.nan, np.nan
     return fused, of_fused
+
+
+def _covariance(name: str, covariance: npt.ArrayLike | None) -> Floats:
+    """(..., 4, 4) covariances: NaN if they are not known."""
+    return np.full((4, 4), np.nan) if covariance is None else shaped_array(name, covariance, (4, 4))
 
 
 def _planes(name: str, values: npt.ArrayLike) -> Floats:

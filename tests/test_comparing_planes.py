@@ -377,3 +377,19 @@ def test_angle_between_planes_that_coincide_has_its_largest_deviation():
     angle, std = rp.uncertainty.angle_between(plane, one, plane, other)
     assert angle == 0.0
     assert std == pytest.approx(np.degrees(4e-3))
+
+
+def test_what_is_not_known_of_planes_is_nan():
+    """Without a noise model planes can still be taken to another frame, and compared."""
+    planes = np.array([[0.0, 0.0, -1.0, 2.0], [0.6, 0.0, -0.8, 1.0]])
+    motion = np.array([[0.0, 0.0, 1.0, 0.3], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.2], [0.0, 0.0, 0.0, 1.0]])
+    zero = np.zeros((4, 4))
+    moved, covariance = rp.uncertainty.transform_planes(planes, None, motion)
+    np.testing.assert_array_equal(moved, rp.uncertainty.transform_planes(planes, zero, motion)[0])
+    assert np.isnan(covariance).all()
+    distance, std = rp.uncertainty.point_distance([0.1, 0.2, 1.0], planes, None)
+    np.testing.assert_array_equal(distance, rp.uncertainty.point_distance([0.1, 0.2, 1.0], planes, zero)[0])
+    assert np.isnan(std).all()
+    angle, std = rp.uncertainty.angle_between(planes, None, planes[::-1], zero)
+    np.testing.assert_allclose(angle, np.degrees(np.arccos(0.8)))
+    assert np.isnan(std).all()

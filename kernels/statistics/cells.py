@@ -14,17 +14,16 @@ REACH = 3.5
 @kernel(reduction=True)
 def add_to_cell(us, vs, start, stop, share, middle_u, middle_v, cells, cell, moments):
     """Add pixels of a row to a cell and to the moments: see `add_runs`."""
-    n = s_u = s_v = s_uu = s_uv = s_vv = 0.0
+    s_u = s_v = s_uu = s_uv = s_vv = 0.0
     for k in range(np.uint64(start), np.uint64(stop)):  # unsigned indices: see `kernels`
-        there = us[k] == us[k]  # a fisheye may have no ray here
-        u, v = us[k] - middle_u if there else 0.0, vs[k] - middle_v if there else 0.0
-        n += 1.0 if there else 0.0
+        u, v = us[k] - middle_u, vs[k] - middle_v
         s_u += u
         s_v += v
         s_uu += u * u
         s_uv += u * v
         s_vv += v * v
-    add_sums((share * n, share * s_u, share * s_v, share * s_uu, share * s_uv, share * s_vv), cells, cell, moments)
+    n = share * (stop - start)
+    add_sums((n, share * s_u, share * s_v, share * s_uu, share * s_uv, share * s_vv), cells, cell, moments)
 
 
 @kernel(inline=True)
