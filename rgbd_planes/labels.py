@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,14 +29,17 @@ from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.plane_fits import PlacedFits, allocate
+from rgbd_planes.saved import Arrays, Savable
+from rgbd_planes.saved_fits import common_content, content_of_fits, labels_in
+from rgbd_planes.saved_pixels import content_of_pixels, pixels_in
 from rgbd_planes.wording import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LabelPlanes(KeepsPixels, PlacedFits):
+class LabelPlanes(Savable, KeepsPixels, PlacedFits):
     """The planes of labels 1 to K of a frame, arrays of shape S = (K,).
 
-    p-values, covariances, `plot` and `to_table` are as in `TilePlanes`.
+    p-values, covariances, `plot`, `to_table`, `save` and `load` are as in `TilePlanes`.
 
     Attributes
     ----------
@@ -51,6 +56,17 @@ class LabelPlanes(KeepsPixels, PlacedFits):
     @property
     def _title(self) -> str:
         return counted(len(self.status), "label")
+
+    def _content(self) -> tuple[dict[str, Any], Arrays]:
+        about, pixels = content_of_pixels(self)
+        return content_of_fits(self, about, {"labels": self.labels, **pixels})
+
+    @classmethod
+    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
+        camera, count = Camera.from_dict(about["camera"]), len(arrays["status"])
+        labels = labels_in(arrays, camera.shape, count)
+        common = common_content(about, arrays, camera, (count,), labels.size)
+        return cls(labels=labels, _pixels=pixels_in(about, arrays, camera, count), **common)
 
 
 def fit_labels(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_labels, label_array
 from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, mean_rays, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
@@ -17,14 +19,17 @@ from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.pixel_runs import joined
 from rgbd_planes.plane_fits import PlaneFits, allocate
+from rgbd_planes.saved import Arrays, Savable
+from rgbd_planes.saved_fits import common_content, content_of_fits, labels_in
+from rgbd_planes.saved_pixels import content_of_pixels, pixels_in
 from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MergedPlanes(KeepsPixels, PlaneFits):
+class MergedPlanes(Savable, KeepsPixels, PlaneFits):
     """The planes of N unions of tiles, arrays of shape S = (N,): row i belongs to label i + 1.
 
-    p-values, covariances and `to_table` are as in `TilePlanes`.
+    p-values, covariances, `to_table`, `save` and `load` are as in `TilePlanes`.
 
     Attributes
     ----------
@@ -39,6 +44,21 @@ class MergedPlanes(KeepsPixels, PlaneFits):
     @property
     def _total(self) -> float:
         return self._of_frame
+
+    def _content(self) -> tuple[dict[str, Any], Arrays]:
+        about, pixels = content_of_pixels(self)
+        return content_of_fits(self, {"total": self._of_frame, **about}, {"labels": self.labels, **pixels})
+
+    @classmethod
+    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
+        camera, count = Camera.from_dict(about["camera"]), len(arrays["status"])
+        most = np.iinfo(np.int32).max  # of overlapping windows pixels count more than once
+        return cls(
+            labels=labels_in(arrays, None, count),
+            _pixels=pixels_in(about, arrays, camera, count),
+            _of_frame=float(about["total"]),
+            **common_content(about, arrays, camera, (count,), most),
+        )
 
 
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_choice
-from rgbd_planes.fitting import ARRAYS, METHODS
+from rgbd_planes.fitting import ARRAYS
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.falloff import growth_of_tiles
-from rgbd_planes.plane_fits import PlacedFits, TileStatus, allocate
-from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
+from rgbd_planes.plane_fits import PlacedFits
+from rgbd_planes.saved import Arrays, Savable
+from rgbd_planes.saved_fits import common_content, content_of_fits
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
 from rgbd_planes.wording import counted
 
@@ -152,22 +152,15 @@ class TilePlanes(Savable, PlacedFits):
         }
 
     def _content(self) -> tuple[dict[str, Any], Arrays]:
-        about = {"camera": self.camera.to_dict(), "tile": self.tile, "method": self.method}
-        return about, {name.lstrip("_"): getattr(self, name) for name in ARRAYS}
+        return content_of_fits(self, {"tile": self.tile}, {})
 
     @classmethod
     def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        method, camera = about["method"], Camera.from_dict(about["camera"])
-        check_choice("method", method, METHODS)
+        camera = Camera.from_dict(about["camera"])
         tile = check_tile(tuple(about["tile"]), camera.shape)
-        own, grid = {name: arrays[name.lstrip("_")] for name in ARRAYS}, grid_shape(camera, tile)
-        if own["status"].shape[-2:] != grid:  # before memory is asked for, of which nonsense takes any amount
+        *frames, rows, columns = arrays["status"].shape
+        # Before memory is asked for, of which nonsense takes any amount.
+        if (rows, columns) != grid_shape(camera, tile):
             raise ValueError("planes of another grid")
-        check_alike(own, allocate(own["status"].shape[:-2], grid))
-        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(grid)
-        count = own["valid_count"]
-        if own["status"].max(initial=0) > max(TileStatus) or ((count < 0) | (count > pixels)).any():
-            raise ValueError("an invalid status or number of pixels")
-        made = cls(camera=camera, method=method, tile=tile, **own)
-        check_planes(made.planes[made.fitted], made.alpha[made.fitted])
-        return made
+        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(rows, columns)
+        return cls(tile=tile, **common_content(about, arrays, camera, (*frames, rows, columns), pixels))

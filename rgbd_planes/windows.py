@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,8 @@ from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
 from rgbd_planes.noise.falloff import growth_of_windows
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import PlacedFits, allocate
+from rgbd_planes.saved import Arrays, Savable
+from rgbd_planes.saved_fits import common_content, content_of_fits
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.tile_grid import footprints
 from rgbd_planes.window_moments import WindowMoments
@@ -30,10 +33,10 @@ _AS_TABLES = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowPlanes(PlacedFits):
+class WindowPlanes(Savable, PlacedFits):
     """The planes of K windows of a frame, arrays of shape S = (K,).
 
-    p-values, covariances, `plot` and `to_table` are as in `TilePlanes`.
+    p-values, covariances, `plot`, `to_table`, `save` and `load` are as in `TilePlanes`.
 
     Attributes
     ----------
@@ -80,6 +83,16 @@ class WindowPlanes(PlacedFits):
     @property
     def _title(self) -> str:
         return counted(len(self.windows), "window")
+
+    def _content(self) -> tuple[dict[str, Any], Arrays]:
+        return content_of_fits(self, {"total": self._of_frame}, {"windows": self.windows})
+
+    @classmethod
+    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
+        camera = Camera.from_dict(about["camera"])
+        windows = _check_windows(arrays["windows"], camera)
+        common = common_content(about, arrays, camera, (len(windows),), windows[:, 2:].prod(axis=1))
+        return cls(windows=windows, _of_frame=float(about["total"]), **common)
 
 
 def fit_windows(

@@ -54,6 +54,105 @@ def test_a_slice_without_frames(tiles, tmp_path, rng):
     assert rp.TilePlanes.load(tmp_path / "none.npz").shape == none.shape
 
 
+WINDOWS = np.array([[0, 0, 20, 30], [10, 5, 30, 12], [40, 50, 8, 14], [3, 3, 1, 1]])
+
+
+def of_windows(depth, camera):
+    return rp.fit_windows(depth, camera, WINDOWS, "standard_pca")
+
+
+def of_labels(depth, camera):
+    return rp.fit_labels(depth, camera, np.arange(depth.size).reshape(depth.shape) // 1000 * (depth > 1.6))
+
+
+def of_unions(depth, camera):
+    return rp.merge(rp.fit_tiles(depth, camera, 8), np.arange(48).reshape(6, 8) % 5)
+
+
+def of_unions_of_windows(depth, camera):
+    return rp.merge(of_windows(depth, camera), [1, 1, 0, 2])
+
+
+@pytest.mark.parametrize("fit", [of_windows, of_labels, of_unions, of_unions_of_windows])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        None,
+        rp.noise.kinect_v1(),
+        rp.noise.NoiseModel((1e-3, 2e-4), correlation=((0.4, 3.0),), floor=0.5, spread=0.2, lateral=0.3, falloff=1.0),
+    ],
+    ids=["without", "independent", "shared"],
+)
+def test_fits_of_all_kinds_are_saved(fit, noise, tmp_path, rng):
+    """What is loaded is as good as new: for uncertainties, to be merged, and with another noise model."""
+    camera = make_camera(noise=noise)
+    depth = make_holes(make_depth(camera, rng), "tiles", rng)
+    made = fit(depth, camera)
+    made.save(tmp_path / "planes.npz")
+    loaded = type(made).load(tmp_path / "planes.npz")
+    assert (loaded.camera, loaded.method, repr(loaded)) == (made.camera, made.method, repr(made))
+    every = ["planes", "alpha", "rmse", "rmse_metric", "valid_count", "status", "_moments", "_reference", "_footprint"]
+    every += ["windows"] if fit is of_windows else ["labels"]
+    every += ["p_value", "plane_covariance", "angle_std"] if noise is not None else []
+    for name in every:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(made, name))
+        assert getattr(loaded, name).dtype == getattr(made, name).dtype
+    assert str(loaded.to_table()) == str(made.to_table())
+    both = np.ones(made.shape, np.int32)
+    np.testing.assert_array_equal(rp.merge(loaded, both).planes, rp.merge(made, both).planes)
+    if noise is not None:
+        np.testing.assert_array_equal(rp.merge(loaded, both).p_value, rp.merge(made, both).p_value)
+    other = rp.noise.time_of_flight(2e-3)
+    changed = [replace(one, camera=camera.with_noise(other)) for one in (loaded, made)]
+    np.testing.assert_array_equal(*(one.alpha_covariance for one in changed))
+    changed[1].save(tmp_path / "other.npz")
+    np.testing.assert_array_equal(type(made).load(tmp_path / "other.npz").p_value, changed[1].p_value)
+
+
+@pytest.mark.parametrize(
+    ("fit", "name", "change"),
+    [
+        (of_windows, "windows", lambda of: of + np.array([0, 0, 100, 0])),
+        (of_windows, "windows", lambda of: of[1:]),
+        (of_windows, "windows", lambda of: of.astype(float)),
+        (of_windows, "valid_count", lambda of: of + np.int32(1000)),
+        (of_labels, "labels", lambda of: of + np.int32(9)),
+        (of_labels, "labels", lambda of: of - np.int32(1)),
+        (of_labels, "labels", lambda of: of[1:]),
+        (of_labels, "footprint", lambda of: of[1:]),
+        (of_labels, "error_sums", lambda of: of[:, 1:]),
+        (of_labels, "shared", lambda of: of.astype(np.float32)),
+        (of_labels, "run_first", lambda of: of + 1),
+        (of_labels, "run_first", lambda of: of[::-1].copy()),
+        (of_labels, "run_first", lambda of: of[1:]),
+        (of_labels, "run_row", lambda of: of + np.int32(48)),
+        (of_labels, "run_start", lambda of: of - np.int32(64)),
+        (of_labels, "run_stop", lambda of: of + np.int32(64)),
+        (of_labels, "run_stop", lambda of: 0 * of),
+        (of_labels, "run_share", lambda of: of[1:]),
+        (of_unions, "labels", lambda of: of.astype(np.int64)),
+        (of_unions, "labels", lambda of: of + np.int32(1)),
+        (of_unions, "status", lambda of: of + np.uint8(4)),
+        (of_unions, "footprint", None),
+        (of_unions, "run_row", None),
+    ],
+)
+def test_load_of_damaged_fits(fit, name, change, tmp_path, rng):
+    noise = rp.noise.NoiseModel(correlation=((0.4, 3.0),), lateral=0.3)
+    camera = make_camera(noise=noise)
+    made = fit(make_depth(camera, rng), camera)
+    made.save(tmp_path / "planes.npz")
+    with np.load(tmp_path / "planes.npz") as file:
+        arrays = dict(file)
+    if change is None:
+        del arrays[name]
+    else:
+        arrays[name] = change(arrays[name])
+    np.savez(tmp_path / "planes.npz", **arrays)
+    with pytest.raises(ValueError, match=rf"planes.npz: not a file that {type(made).__name__}.save wrote, or damaged"):
+        type(made).load(tmp_path / "planes.npz")
+
+
 def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "other.npz", a=np.ones(3))
     np.savez(tmp_path / "about.npz", about=np.array('{"camera": {}}'))
