@@ -1,7 +1,8 @@
 """Segmented planes for other tools: JSON, label images, PLY, Open3D, ROS. `rgbd_planes.recording` is for rerun.
 
-All in the camera's frame (x right, y down, z forward) and in metres. What is no `Segmentation`, or no `PlanePolygon`,
-raises a TypeError, and a path that cannot be written an OSError.
+Segmentations are those of `segment`, or the planes of your own labels, of `fit_labels`. All in the camera's frame (x
+right, y down, z forward) and in metres. What is neither, or no `PlanePolygon`, raises a TypeError, and a path that
+cannot be written an OSError.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.export import Floats, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
+from rgbd_planes.labels import LabelPlanes
 from rgbd_planes.open3d_mesh import triangle_mesh
+from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.plotting.segments import NO_PLANE, label_colours
 from rgbd_planes.polygons import PlanePolygon
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
@@ -29,13 +32,15 @@ from rgbd_planes.wording import counted
 if TYPE_CHECKING:
     import open3d
 
+Segmented = Segmentation | LabelPlanes
 
-def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None = None) -> dict[str, Any]:
+
+def to_dict(segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = None) -> dict[str, Any]:
     """Return the planes in a form that JSON can hold.
 
     Parameters
     ----------
-    segmentation : Segmentation
+    segmentation : Segmentation or LabelPlanes
     polygons : sequence of PlanePolygon, optional
         All that `plane_polygons` gave, in any order; adds each plane's area, outline, hull and rectangle.
 
@@ -43,44 +48,49 @@ def to_dict(segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None 
     -------
     dict
         camera (`Camera.to_dict`), sigma, and planes, by label: for each its label, plane [nx, ny, nz, d], covariance of
-        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres, None for a plane without pixels.
+        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres, None for a plane without pixels. Of
+        `LabelPlanes` those that have a plane, with their status, rmse in the units of the method, which takes the place
+        of sigma, and only if the camera has a noise model p_value and covariance.
 
     Raises
     ------
     TypeError
-        It is no `Segmentation`, or the polygons are no `PlanePolygon`.
+        It is neither, or the polygons are no `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     """
     _check(segmentation)
     outlines = None if polygons is None else _by_label(segmentation, polygons)
-    columns = zip(
-        segmentation.planes.tolist(),
-        segmentation.plane_covariance.tolist(),
-        segmentation.sizes.tolist(),
-        segmentation.rmse.tolist(),
-        (None if math.isnan(rmse) else rmse for rmse in segmentation.rmse_metric.tolist()),
-        strict=True,
-    )
-    planes: list[dict[str, Any]] = [
-        {
-            "label": label,
-            "plane": plane,
-            "covariance": covariance,
-            "size": size,
-            "rmse": rmse,
-            "rmse_metric": rmse_metric,
-        }
-        for label, (plane, covariance, size, rmse, rmse_metric) in enumerate(columns, start=1)
-    ]
+    made: dict[str, Any] = {"camera": segmentation.camera.to_dict()}
+    if isinstance(segmentation, Segmentation):
+        made["sigma"] = segmentation.sigma
+        uncertainty = {"covariance": segmentation.plane_covariance.tolist()}
+        sizes = segmentation.sizes
+    else:
+        made["method"] = segmentation.method
+        uncertainty = {"status": [TileStatus(status).name for status in segmentation.status]}
+        if segmentation.camera.noise is not None:
+            uncertainty |= {"p_value": _or_none(segmentation.p_value)}
+            uncertainty |= {"covariance": segmentation.plane_covariance.tolist()}
+        sizes = segmentation.valid_count
+    columns = {
+        "label": list(range(1, len(segmentation.planes) + 1)),
+        "plane": segmentation.planes.tolist(),
+        **uncertainty,
+        "size": sizes.tolist(),
+        "rmse": _or_none(segmentation.rmse),
+        "rmse_metric": _or_none(segmentation.rmse_metric),
+    }
+    rows = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
+    planes = [row for row, there in zip(rows, _fitted(segmentation), strict=True) if there]
     if outlines is not None:
         for plane, polygon in zip(planes, outlines, strict=True):
             plane.update(polygon.to_dict())
-    return {"camera": segmentation.camera.to_dict(), "sigma": segmentation.sigma, "planes": planes}
+    return made | {"planes": planes}
 
 
 def write_json(
-    path: str | os.PathLike[str], segmentation: Segmentation, polygons: Sequence[PlanePolygon] | None = None
+    path: str | os.PathLike[str], segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = None
 ) -> None:
     """Write the planes as JSON; whole or not at all.
 
@@ -93,7 +103,7 @@ def write_json(
     Raises
     ------
     TypeError
-        It is not a `Segmentation`, or the polygons are not `PlanePolygon`.
+        It is neither, or the polygons are not `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     OSError
@@ -104,32 +114,32 @@ def write_json(
         beside.write_text(text + "\n", encoding="utf-8")
 
 
-def write_labels(path: str | os.PathLike[str], segmentation: Segmentation) -> None:
+def write_labels(path: str | os.PathLike[str], segmentation: Segmented) -> None:
     """Write the labels as a 16-bit PNG, 0 for none; whole or not at all.
 
     Parameters
     ----------
     path : path
         Ends in .png.
-    segmentation : Segmentation
+    segmentation : Segmentation or LabelPlanes
         Of at most 65535 planes.
 
     Raises
     ------
     TypeError
-        It is not a `Segmentation`.
+        It is neither.
     ValueError
         There are more than 65535 planes, or the path has another suffix.
     OSError
         It cannot be written there.
     """
     _check(segmentation)
-    if len(segmentation) > 65535:
-        raise ValueError(f"expected at most 65535 planes, which 16 bits can tell apart, got {len(segmentation)}")
+    if len(segmentation.planes) > 65535:
+        raise ValueError(f"expected at most 65535 planes, which 16 bits can tell apart, got {len(segmentation.planes)}")
     write_png(path, segmentation.labels.astype(np.uint16))
 
 
-def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, depth: ArrayLike) -> None:
+def write_points_ply(path: str | os.PathLike[str], segmentation: Segmented, depth: ArrayLike) -> None:
     """Write the measured points as a PLY file, each in the colour of its plane and with its normal.
 
     Points on no plane are dark grey and their normals zero.
@@ -137,14 +147,14 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
     Parameters
     ----------
     path : path
-    segmentation : Segmentation
+    segmentation : Segmentation or LabelPlanes
     depth : (H, W) array_like
         The frame that was segmented.
 
     Raises
     ------
     TypeError, ValueError
-        It is no `Segmentation`, or the frame is not its camera's.
+        It is neither, or the frame is not its camera's.
     OSError
         It cannot be written there.
     """
@@ -153,7 +163,7 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmentation, d
     labels = segmentation.labels.ravel()
     seen = np.isfinite(measured).all(axis=1)
     normals = np.vstack([np.zeros(3), segmentation.planes[:, :3]])
-    colours = np.vstack([[NO_PLANE], label_colours(len(segmentation))])
+    colours = np.vstack([[NO_PLANE], label_colours(len(segmentation.planes))])
     write_ply(path, measured[seen], normals=normals[labels[seen]], colours=colours[labels[seen]])
 
 
@@ -188,12 +198,12 @@ def to_open3d(polygons: Sequence[PlanePolygon]) -> open3d.geometry.TriangleMesh:
     return triangle_mesh(points, np.arange(len(points)).reshape(-1, 3), normals, colours)
 
 
-def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
+def to_ros_planes(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the planes in the shape of jsk_recognition_msgs/ModelCoefficientsArray.
 
     Parameters
     ----------
-    segmentation : Segmentation
+    segmentation : Segmentation or LabelPlanes
     frame_id : str
         Name of the camera's optical frame.
     stamp : float, or a message's stamp
@@ -203,15 +213,16 @@ def to_ros_planes(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0
     Returns
     -------
     dict
-        header and coefficients: for each plane its header and values [nx, ny, nz, d], by label.
+        header and coefficients: for each plane its header and values [nx, ny, nz, d], by label; labels that have none
+        are left out.
 
     Raises
     ------
     TypeError
-        It is not a `Segmentation`.
+        It is neither.
     """
     _check(segmentation)
-    return ros_planes(segmentation.planes, frame_id, stamp)
+    return ros_planes(segmentation.planes[_fitted(segmentation)], frame_id, stamp)
 
 
 def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
@@ -233,7 +244,7 @@ def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp:
     return ros_polygons([ring for _, ring in parts], [label for label, _ in parts], frame_id, stamp)
 
 
-def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
+def to_ros_labels(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
     """Return the labels in the shape of sensor_msgs/Image, 32SC1; 0 is none.
 
     Parameters
@@ -244,7 +255,7 @@ def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0
     Raises
     ------
     TypeError
-        It is no `Segmentation`.
+        It is neither.
     """
     _check(segmentation)
     labels = segmentation.labels.astype("<i4")
@@ -260,30 +271,43 @@ def to_ros_labels(segmentation: Segmentation, frame_id: str = "", stamp: Any = 0
     }
 
 
-def _check(segmentation: Segmentation) -> None:
+def _check(segmentation: Segmented) -> None:
     if isinstance(segmentation, TilePlanes):
-        raise TypeError("expected a Segmentation, got TilePlanes; rp.export is for tiles")
-    if not isinstance(segmentation, Segmentation):
-        raise no_segmentation(segmentation)
+        raise TypeError("expected a Segmentation or LabelPlanes, got TilePlanes; rp.export is for tiles")
+    if not isinstance(segmentation, Segmentation | LabelPlanes):
+        raise no_segmentation(segmentation, "a Segmentation or LabelPlanes")
+
+
+def _fitted(segmentation: Segmented) -> NDArray[np.bool_]:
+    """(N,) bool: which labels have a plane."""
+    if isinstance(segmentation, LabelPlanes):
+        return segmentation.fitted
+    return np.ones(len(segmentation), bool)
+
+
+def _or_none(values: Floats) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _all_polygons(polygons: Iterable[PlanePolygon]) -> list[PlanePolygon]:
     listed = list(polygons) if isinstance(polygons, Iterable) else [polygons]
     for polygon in listed:
         if not isinstance(polygon, PlanePolygon):
-            made = ": rp.plane_polygons makes them of it" if isinstance(polygon, Segmentation) else ""
+            is_segmented = isinstance(polygon, Segmentation | LabelPlanes)
+            made = ": rp.plane_polygons makes them of it" if is_segmented else ""
             raise TypeError(f"expected a sequence of PlanePolygon, got {polygons!r}{made}")
     return listed
 
 
-def _by_label(segmentation: Segmentation, polygons: Sequence[PlanePolygon]) -> list[PlanePolygon]:
+def _by_label(segmentation: Segmented, polygons: Sequence[PlanePolygon]) -> list[PlanePolygon]:
     """The polygons of a segmentation in the order of its planes."""
     ordered = sorted(_all_polygons(polygons), key=lambda polygon: polygon.label)
     planes = np.array([polygon.plane for polygon in ordered]).reshape(-1, 4)
-    if not np.array_equal(planes, segmentation.planes):
-        others = " of other planes" if len(planes) == len(segmentation) else ""
+    own = segmentation.planes[_fitted(segmentation)]
+    if not np.array_equal(planes, own):
+        others = " of other planes" if len(planes) == len(own) else ""
         raise ValueError(
-            f"expected the polygon of each of the {counted(len(segmentation), 'plane')} of this segmentation, "
+            f"expected the polygon of each of the {counted(len(own), 'plane')} of this segmentation, "
             f"got {counted(len(planes), 'polygon')}{others}"
         )
     return ordered

@@ -16,6 +16,7 @@ from ros_messages import round_trip
 from rgbd_planes import (
     Camera,
     Segmentation,
+    TileStatus,
     cli,
     fit_tiles,
     images,
@@ -25,6 +26,7 @@ from rgbd_planes import (
     segment_sequence,
     segmentation_export,
 )
+from rgbd_planes.noise import kinect_v1
 from rgbd_planes.plotting.segments import label_colours
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
@@ -134,9 +136,49 @@ def test_a_plane_without_pixels(tmp_path, depth):
     assert 2 not in ros["labels"]
 
 
+@pytest.mark.parametrize("noise", [None, kinect_v1()], ids=["without", "with"])
+def test_planes_of_ones_own_labels(tmp_path, depth, noise):
+    """As those of a segmentation; a label without a plane is left out."""
+    pytest.importorskip("shapely")
+    from rgbd_planes import fit_labels, plane_polygons
+
+    camera = CAMERA.with_noise(noise)
+    found = segment(depth, camera)
+    labels = np.where(found.labels == 2, 0, found.labels)
+    labels[:2, :1] = 2  # too few pixels
+    made = fit_labels(depth, camera, labels)
+    there = np.flatnonzero(made.fitted)
+    assert 1 not in there
+    polygons = plane_polygons(made)
+    segmentation_export.write_json(tmp_path / "planes.json", made, polygons)
+    read = json.loads((tmp_path / "planes.json").read_text())
+    assert read["camera"] == json.loads(json.dumps(camera.to_dict()))
+    assert [plane["label"] for plane in read["planes"]] == (there + 1).tolist()
+    for i, plane in zip(there, read["planes"], strict=True):
+        assert plane["plane"] == made.planes[i].tolist()
+        assert (plane["size"], plane["status"]) == (made.valid_count[i], TileStatus(made.status[i]).name)
+        assert plane["rmse_metric"] == made.rmse_metric[i]
+        assert plane["area"] > 0.0
+        assert ("covariance" in plane) == ("p_value" in plane) == (noise is not None)
+        if noise is not None:
+            assert (plane["covariance"], plane["p_value"]) == (made.plane_covariance[i].tolist(), made.p_value[i])
+    planes = segmentation_export.to_ros_planes(made)["coefficients"]
+    assert [plane["values"] for plane in planes] == made.planes[there].tolist()
+    assert segmentation_export.to_ros_labels(made)["data"] == labels.astype("<i4").tobytes()
+    segmentation_export.write_labels(tmp_path / "labels.png", made)
+    np.testing.assert_array_equal(images.read_depth(tmp_path / "labels.png"), labels)
+    write_points_ply(tmp_path / "points.ply", made, depth)
+    vertices, _ = read_ply(tmp_path / "points.ply")
+    seen = labels[depth > 0]
+    normals = np.vstack([np.zeros(3), np.nan_to_num(made.planes[:, :3])])[seen]
+    np.testing.assert_allclose(np.stack([vertices[f"n{axis}"] for axis in "xyz"], axis=1), normals, atol=1e-6)
+    with pytest.raises(ValueError, match=rf"each of the {len(there)} planes of this .* got {len(there) - 1} polygons"):
+        segmentation_export.to_dict(made, polygons[1:])
+
+
 def test_what_is_no_segmentation(tmp_path, depth):
     tiles = fit_tiles(depth, CAMERA)
-    message = "expected a Segmentation, got TilePlanes; rp.export is for tiles"
+    message = "expected a Segmentation or LabelPlanes, got TilePlanes; rp.export is for tiles"
     with pytest.raises(TypeError, match=message):
         segmentation_export.write_json(tmp_path / "planes.json", tiles)
     with pytest.raises(TypeError, match=message):
