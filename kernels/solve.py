@@ -14,7 +14,7 @@ from ._jit import kernel
 from .copying import copy_columns
 from .strips import TILES
 
-# Values of rgbd_planes.TileStatus.
+# Whether a tile has a plane, or why not.
 OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 
 # Points count as collinear where the smaller eigenvalue of their scatter is below this share of the larger.

@@ -113,12 +113,9 @@ class TileFitter(FixedArguments):
         growth = growth_of_tiles(camera, self.tile)
         self._assessment = Assessment(camera, method, significance, windows[:, 2:], footprint, growth)
         if implementation == "direct":
-            implicit, standard = SOLVES[method]
-            self._kernel: Any = grid.fit_range_tiles if standard is None else grid.fit_standard_tiles
             centre, tan_x, tan_y = tile_rays(camera, self.tile)
             self._of_camera = (
-                tan_x, tan_y, *self.tile, centre.reshape(2, -1), self._needed,
-                implicit if standard is None else standard, self._max_error,
+                tan_x, tan_y, *self.tile, centre.reshape(2, -1), self._needed, *SOLVES[method], self._max_error,
             )  # fmt: skip
         else:
             self._windows = windows
@@ -365,7 +362,7 @@ class TileFitter(FixedArguments):
             # Numba compiles for depth images and for disparity images.
             offset = frame.offset if frame.is_disparity else None
             values = frame.raw.reshape(frames, *self.camera.shape), frame.lowest, frame.highest, frame.scale, offset
-            return lambda start, stop: self._kernel(*values, *self._of_camera, start, stop, *results)
+            return lambda start, stop: grid.fit_tiles(*values, *self._of_camera, start, stop, *results)
 
         return fit
 

@@ -84,9 +84,9 @@ def test_cache_loads_whatever_numba_calls_its_own_way():
         "    return load(self, signature, context)\n"
         "caching.Cache.load_overload = load_overload\n"
         "import sys, numpy as np, rgbd_planes as rp\n"
-        "from rgbd_planes.kernels.grid import fit_range_tiles\n"
+        "from rgbd_planes.kernels.grid import fit_tiles\n"
         "rp.fit_tiles(np.full((48, 64), 2.0, np.float32), rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5))\n"
-        "print(sum(fit_range_tiles.stats.cache_hits.values()), sum(fit_range_tiles.stats.cache_misses.values()))\n"
+        "print(sum(fit_tiles.stats.cache_hits.values()), sum(fit_tiles.stats.cache_misses.values()))\n"
     )
     printed_by(code)
     assert printed_by(code).strip() == "1 0"

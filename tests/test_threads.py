@@ -387,12 +387,15 @@ STACKS = {
     "float64": ({}, lambda raw: raw / 1000),
     "strided": ({}, lambda raw: raw.repeat(2, axis=2)[:, :, ::2]),
     "backwards": ({}, lambda raw: raw[::-1]),
-    "disparity": ({"depth_scale": None, "disparity": (1e-3, 0.01)}, lambda raw: raw),
+    "disparity": ({"depth_scale": None, "disparity": (1e-3, 0.01)}, lambda raw: np.maximum(raw, 1)),
     "invalid values": ({"invalid_values": (1500.0, 65535.0)}, lambda raw: raw),
     "a lens": ({"distortion": (0.05, -0.02, 0.0, 0.0, 0.0)}, lambda raw: raw),
     "a fisheye": ({"distortion": (0.9, 0.1, 0.0, 0.0), "distortion_model": "fisheye"}, lambda raw: raw),
     # Of the last one all codes count but one, which is in some frames only: those need a wider type than the others.
-    "codes": ({"depth_scale": None, "disparity": (1e-3, 0.01), "invalid_values": (1500.0,)}, lambda raw: raw),
+    "codes": (
+        {"depth_scale": None, "disparity": (1e-3, 0.01), "invalid_values": (1500.0,)},
+        lambda raw: np.maximum(raw, 1),
+    ),
 }
 
 
@@ -456,7 +459,7 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     from rgbd_planes.kernels import grid
     from rgbd_planes.kernels.statistics.assess import assess
 
-    kernels = grid.fit_range_tiles, assess
+    kernels = grid.fit_tiles, assess
     compiled = [len(kernel.signatures) for kernel in kernels]
     assert compiled[0] >= 3
     assert compiled[1] >= 1

@@ -320,8 +320,7 @@ def test_a_fitter_goes_to_another_process_without_kernels(method, implementation
     fitter = rp.TileFitter(camera, (8, 9), method, implementation=implementation, **options)
     depth = make_holes(make_depth(camera, rng), "tiles", rng)
     wanted = fitter.fit(depth)
-    kernel = grid.fit_range_tiles if method.startswith("range") else grid.fit_standard_tiles
-    compiled = kernel.signatures
+    compiled = grid.fit_tiles.signatures
     pickled = pickle.dumps(fitter)
     assert b"numba" not in pickled
     unpickled = pickle.loads(pickled)
@@ -330,7 +329,7 @@ def test_a_fitter_goes_to_another_process_without_kernels(method, implementation
     np.testing.assert_array_equal(found.status, wanted.status)
     assert len(np.unique(found.status)) > 2
     assert (unpickled.camera, unpickled._num_threads) == (camera, 2)
-    assert kernel.signatures == compiled
+    assert grid.fit_tiles.signatures == compiled
 
 
 def test_inputs_of_any_kind_are_the_same_frame(rng):
