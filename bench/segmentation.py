@@ -389,7 +389,7 @@ def picture(frames: Sequence[Frame], path: Path) -> None:
     """Truth beside result."""
     from matplotlib.figure import Figure
 
-    from rgbd_planes.plotting.segments import NO_PLANE, label_colours
+    from rgbd_planes.colours import NO_PLANE, label_colours
 
     figure = Figure((8.0, 3.1 * len(frames)), layout="constrained")
     panels = figure.subfigures(len(frames), 2, squeeze=False)

@@ -1,4 +1,4 @@
-"""Colours with a meaning: those of normals, and of a tile's status."""
+"""Colours with a meaning: those of normals, of a tile's status, and of labels."""
 
 from typing import Any
 
@@ -19,6 +19,8 @@ STATUS_COLOURS = {
     TileStatus.ROUGH: (0.20, 0.33, 0.85),
 }
 MISSING = (0.86, 0.86, 0.86)
+NO_PLANE = (0.22, 0.22, 0.22)  # darker than any label, so that nobody takes it for one
+_GOLDEN = 0.618033988749895
 
 
 def in_image(vectors: NDArray[Any], camera: Camera) -> Floats:
@@ -41,3 +43,20 @@ def normal_colours(normals: Floats) -> Floats:
     """
     colours = 0.5 + 0.5 * normals * np.array([1.0, -1.0, -1.0])
     return np.where(np.isfinite(colours), colours, MISSING)
+
+
+def status_colours(status: NDArray[np.uint8]) -> Floats:
+    """(..., 3) float64: RGB of each `TileStatus`."""
+    return np.array([STATUS_COLOURS[one] for one in TileStatus])[status]
+
+
+def label_colours(count: int) -> Floats:
+    """(count, 3) float64: RGB of labels 1..count, neighbouring labels far apart in hue."""
+    i = np.arange(count)
+    hue = (0.08 + i * _GOLDEN) % 1.0
+    saturation = 0.45 + 0.3 * ((i // 3) % 3) / 2.0
+    value = 0.95 - 0.25 * ((i // 2) % 3) / 2.0
+    sector = (hue[:, None] * 6.0 + np.array([5.0, 3.0, 1.0])) % 6.0
+    return np.asarray(
+        value[:, None] * (1.0 - saturation[:, None] * np.clip(np.minimum(sector, 4.0 - sector), 0.0, 1.0))
+    )

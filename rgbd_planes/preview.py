@@ -9,9 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours
+from rgbd_planes.colours import (
+    MISSING,
+    NO_PLANE,
+    STATUS_COLOURS,
+    in_image,
+    label_colours,
+    normal_colours,
+    status_colours,
+)
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
-from rgbd_planes.plotting.segments import NO_PLANE, label_colours, label_image
+from rgbd_planes.plotting.segments import label_image
 
 if TYPE_CHECKING:
     from rgbd_planes.quadtree import QuadtreeSegmentation
@@ -39,7 +47,7 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}")
     cells = fits._cells(*_sampled(fits.camera.shape))
     normals = normal_colours(in_image(fits.planes[..., :3], fits.camera))
-    return _beside(_shown(normals, cells), _shown(_status_colours(fits), cells))
+    return _beside(_shown(normals, cells), _shown(status_colours(fits.status), cells))
 
 
 def _sampled(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -53,10 +61,6 @@ def _sampled(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int6
 def _shown(colours: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.float64]:
     """The colour of each pixel's tile or window; where there is none, its index is -1."""
     return np.vstack([colours.reshape(-1, 3), MISSING])[cells]
-
-
-def _status_colours(fits: PlacedFits) -> NDArray[np.float64]:
-    return np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
 
 
 def _beside(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -107,7 +111,7 @@ def quadtree_html(segmentation: "QuadtreeSegmentation") -> str:
     elements = segmentation.elements
     cells = elements._cells(*_sampled(elements.camera.shape))
     clusters = np.vstack([NO_PLANE, label_colours(len(segmentation.planes))])[segmentation.element_labels]
-    picture = _beside(_shown(clusters, cells), _shown(_status_colours(elements), cells))
+    picture = _beside(_shown(clusters, cells), _shown(status_colours(elements.status), cells))
     return (
         f"<div><div>{html.escape(repr(segmentation).strip('<>'))}</div>"
         f'<img alt="clusters and status" src="data:image/png;base64,{_png(picture)}">'

@@ -12,11 +12,10 @@ import numpy as np
 from rgbd_planes.batch.parts import Problem, in_words
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import warn_caller
-from rgbd_planes.colours import in_image, normal_colours
+from rgbd_planes.colours import in_image, label_colours, normal_colours
 from rgbd_planes.export import exported, tile_polygons
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
-from rgbd_planes.plotting.segments import label_colours
 from rgbd_planes.polygons import plane_polygons
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker

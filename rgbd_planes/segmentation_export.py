@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.colours import NO_PLANE, label_colours
 from rgbd_planes.export import Floats, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.labels import LabelPlanes
 from rgbd_planes.open3d_mesh import triangle_mesh
 from rgbd_planes.plane_fits import TileStatus
-from rgbd_planes.plotting.segments import NO_PLANE, label_colours
 from rgbd_planes.polygons import PlanePolygon
 from rgbd_planes.ros_messages import ros_header, ros_planes, ros_polygons
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation

@@ -10,8 +10,8 @@ from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import scenes
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, normal_colours
-from rgbd_planes.plotting.segments import label_colours, label_image
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, label_colours, normal_colours
+from rgbd_planes.plotting.segments import label_image
 from rgbd_planes.preview import fits_picture
 
 

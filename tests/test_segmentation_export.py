@@ -26,8 +26,8 @@ from rgbd_planes import (
     segment_sequence,
     segmentation_export,
 )
+from rgbd_planes.colours import label_colours
 from rgbd_planes.noise import kinect_v1
-from rgbd_planes.plotting.segments import label_colours
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
 from rgbd_planes.sequences import FrameEntry, FrameSequence

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.checks import check_figure
+from rgbd_planes.colours import NO_PLANE, label_colours
 from rgbd_planes.depth import as_depth_frame
 
 if TYPE_CHECKING:
@@ -19,23 +20,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-NO_PLANE = (0.22, 0.22, 0.22)  # darker than any label, so that nobody takes it for one
 _NOT_MEASURED = (1.0, 1.0, 1.0)
-_GOLDEN = 0.618033988749895
 _NUMBERED = 400  # pixels that a plane must have for its number to be written on it, at 640 x 480
 _FONT = 7  # points
-
-
-def label_colours(count: int) -> Floats:
-    """(count, 3) float64: RGB of labels 1..count, neighbouring labels far apart in hue."""
-    i = np.arange(count)
-    hue = (0.08 + i * _GOLDEN) % 1.0
-    saturation = 0.45 + 0.3 * ((i // 3) % 3) / 2.0
-    value = 0.95 - 0.25 * ((i // 2) % 3) / 2.0
-    sector = (hue[:, None] * 6.0 + np.array([5.0, 3.0, 1.0])) % 6.0
-    return np.asarray(
-        value[:, None] * (1.0 - saturation[:, None] * np.clip(np.minimum(sector, 4.0 - sector), 0.0, 1.0))
-    )
 
 
 def label_image(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_figure
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours
+from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours, status_colours
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
@@ -171,12 +171,13 @@ def draw_legend_of_normals(legend: Axes) -> None:
 
 
 def _draw_status(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
-    colours = np.array([STATUS_COLOURS[status] for status in TileStatus])[fits.status]
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
     normals = in_image(fits.planes[..., :3], fits.camera)
     light = np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
     shade = np.where(fits.fitted, 0.6 + 0.55 * light, 1.0)[..., None]
-    panel.imshow(_to_pixels(np.minimum(colours * shade, 1.0), fits, MISSING), interpolation="nearest")
+    panel.imshow(
+        _to_pixels(np.minimum(status_colours(fits.status) * shade, 1.0), fits, MISSING), interpolation="nearest"
+    )
     _draw_outlines(panel, fits)
     panel.set_title(f"{fits._title}, {fits.method}")
 
