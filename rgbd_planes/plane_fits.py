@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.keeping import kept
 from rgbd_planes.kernels.statistics.room import ALPHA_COVARIANCE, ANGLE_STD, OFFSET_STD, P_VALUE, PLANE_COVARIANCE
 from rgbd_planes.noise.falloff import growth_of_parts
@@ -265,8 +264,7 @@ class PlacedFits(PlaneFits):
         """
         from rgbd_planes.plotting.tiles import plot_fits
 
-        metres = None if depth is None else as_depth_frame(depth, self.camera).metres
-        return plot_fits(self, metres, figure)
+        return plot_fits(self, depth, figure)
 
 
 def allocate(leading: tuple[int, ...], cells: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:

@@ -368,8 +368,9 @@ def test_a_notebook_shows_it_without_pyplot():
 def test_what_cannot_be_drawn():
     tiles, depth = fitted()
     batch = rp.TileFitter(tiles.camera, 8).fit_batch(np.stack([depth, depth]))
-    with pytest.raises(ValueError, match=r"plot tiles\[i\]"):
-        batch.plot()
+    for of in (None, depth, np.stack([depth, depth])):
+        with pytest.raises(ValueError, match=r"plot tiles\[i\]"):
+            batch.plot(of)
     batch[1].plot()
     with pytest.raises(ValueError, match="shape"):
         plotting.plot_fits(tiles, np.ones((3, 3)))

@@ -16,11 +16,12 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_figure
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours, status_colours
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
@@ -53,15 +54,15 @@ def panel_height(width: float, camera: Camera) -> float:
     return width * min(max(camera.height / camera.width, 0.06), 1.6)
 
 
-def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figure | None = None) -> Figure:
+def plot_fits(fits: PlacedFits, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
     """Draw a fitted frame: depth, normals as colours, and the tiles or windows by status.
 
     Parameters
     ----------
     fits : TilePlanes, WindowPlanes or LabelPlanes
         Of one frame. Of overlapping windows the smallest is on top.
-    depth_metres : (H, W) float64, optional
-        The measured depth in metres, NaN where missing. Without it, the depth of the fitted planes.
+    depth : (H, W) array_like, optional
+        The frame that was fitted. Without it, the depth of the fitted planes is drawn.
     figure : matplotlib Figure or SubFigure, optional
         Drawn into; a new one by default, which `savefig` writes and a notebook shows.
 
@@ -71,19 +72,17 @@ def plot_fits(fits: PlacedFits, depth_metres: Floats | None = None, figure: Figu
 
     Raises
     ------
-    ValueError
-        The planes are those of a batch, or the depth does not have the shape of the camera's frame.
+    TypeError, ValueError
+        The planes are those of a batch, or the frame is not their camera's.
     """
     if len(fits.shape) > 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}: plot tiles[i]")
-    height, width = fits.camera.shape
-    if depth_metres is not None and depth_metres.shape != (height, width):
-        raise ValueError(f"expected depth of shape {(height, width)}, got {depth_metres.shape}")
+    metres = None if depth is None else as_depth_frame(depth, fits.camera).metres
     figure, panels, legends = panels_with_legends(3, fits.camera, figure)
-    if depth_metres is None:
+    if metres is None:
         draw_fitted_depth(panels[0], legends[0], fitted_depth(fits))
     else:
-        draw_measured_depth(panels[0], legends[0], depth_metres)
+        draw_measured_depth(panels[0], legends[0], metres)
     panels[1].imshow(
         _to_pixels(normal_colours(in_image(fits.planes[..., :3], fits.camera)), fits, MISSING), interpolation="nearest"
     )
