@@ -12,7 +12,7 @@ from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_c
 
 import rgbd_planes as rp
 
-DISPARITY = {"depth_scale": None, "disparity": (-0.002, 3.0)}
+DISPARITY = {"depth_scale": None, "disparity": (-0.002, 3.0), "invalid_values": (0,)}
 
 
 @settings(max_examples=60)
