@@ -22,11 +22,12 @@ Floats = NDArray[np.float64]
 
 
 class View(NamedTuple):
-    """Where the camera is, where it looks, and what there is beside the room."""
+    """Where the camera is, where it looks, and what there is beside the room; whether surfaces count as seen there."""
 
     eye: Floats
     target: Floats
     passing: tuple[scenes.Surface, ...] = ()
+    counts: bool = True
 
 
 def beside(point: Floats, x: float, y: float, z: float) -> Floats:
@@ -59,6 +60,13 @@ def person(i: int) -> tuple[scenes.Surface, ...]:
     return scenes.box("person", (0.06 * i - 1.6, -0.2, 1.3), (0.45, 1.5, 0.3))
 
 
+def elsewhere(i: int) -> View:
+    """From another place in the room, in another direction: at random."""
+    rng = np.random.default_rng(i)
+    eye = beside(EYE, *rng.uniform([-1.0, -0.2, 0.2], [1.0, 0.5, 2.0]))
+    return View(eye, ahead(eye, rng.uniform(0.0, 360.0)), counts=False)
+
+
 def motions() -> dict[str, list[View]]:
     """The sequences."""
     walk, side, orbit = range(50), np.sin(np.arange(50) / 16.0), np.radians(np.arange(-30.0, 31.0, 2.0))
@@ -79,6 +87,7 @@ def motions() -> dict[str, list[View]]:
         "in the hand, 1.5 cm and 1.5° about a pose": shaking(0.015, 1.5),
         "in the hand, 3 cm and 4°": shaking(0.03, 4.0),
         "still, somebody passes": [View(EYE, TARGET, person(i)) for i in walk],
+        "still, every fifth frame of another place": [View(EYE, TARGET) if i % 5 < 4 else elsewhere(i) for i in walk],
         "a turn of 1° a frame, somebody passes": [View(EYE, ahead(EYE, i - 25.0), person(i)) for i in walk],
     }
 
@@ -97,7 +106,9 @@ def changes(views: list[View]) -> dict[str, int]:
     last: dict[str, int] = {}
     count = {"seen": 0, "changed": 0, "large": 0, "large_changed": 0}
     tracked = segment_sequence((depth for depth, _ in frames), CAMERA)
-    for (_, rendering), found in zip(frames, tracked, strict=True):
+    for view, (_, rendering), found in zip(views, frames, tracked, strict=True):
+        if not view.counts:
+            continue
         sizes = np.bincount(rendering.labels.ravel())
         for truth, own in compare_labels(found.labels, rendering.labels).detection(0.5).pairs.tolist():
             name = rendering.names[truth - 1]

@@ -262,7 +262,7 @@ def test_errors_of_a_floor_are_those_of_its_covariance(find, rng):
 def test_sums_are_those_of_numpy(distortion, disparity, rng):
     """Of each label's valid pixels at its plane's depth, or, where it has none, at their own."""
     noise = rp.noise.quantised(rp.noise.time_of_flight(0.003, 0.002), 0.01)
-    scale = {"disparity": disparity, "depth_scale": None} if disparity else {}
+    scale = {"disparity": disparity, "depth_scale": None, "invalid_values": (0,)} if disparity else {}
     camera = make_camera(distortion, noise=noise, **scale)
     depth = make_depth(camera, rng)
     raw = (((1.0 / depth - 3.0) / -0.002) if disparity else 1000.0 * depth).round().astype(np.uint16)
