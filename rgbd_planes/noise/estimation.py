@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,7 @@ from rgbd_planes.noise.samples import (
     mean_depth,
     unevenness,
 )
+from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.wording import counted, two_digits
 
@@ -114,75 +115,92 @@ def estimate_noise(
     """
     check_camera(camera)
     num_threads = check_num_threads(num_threads)
+    opened, rounding = _open(frames, camera.with_noise(None))
+    found = _find_flat(opened, camera.with_noise(None), num_threads)
+    samples = all_samples(found.tiles, found.flat, found.most_missing)
+    for some in samples.values():
+        if np.median(some.rss / (some.count * some.q**2)) < EXACT**2:
+            raise ValueError(_NO_NOISE)
+    # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
+    reaching = samples
+    if 2 * WINDOW in found.tiles:
+        large = flat_windows(found.tiles[2 * WINDOW], found.tiles[8], found.most_missing, found.flat)
+        if np.count_nonzero(large) >= _ENOUGH_LARGE:
+            parts = large.repeat(2, axis=1).repeat(2, axis=2)
+            reaching = all_samples(found.tiles, parts, found.most_missing, 2 * WINDOW)
+    model = _fit_depth(samples[REFERENCE], rounding)
+    model = _fit_falloff(samples[REFERENCE], model)
+    for _ in range(3):
+        model = _fit_reach(reaching, _fit_spread(samples, model))
+        model = _fit_scale(samples[REFERENCE], model)
+    # Biases over hundreds of pixels are nearly planar on any tile, and make little residual.
+    with collected_warnings([]):  # of the frames: they were given when these were opened
+        planes = large_planes(opened, camera.with_noise(model), num_threads)
+    model = _fit_reach(reaching, model, planes)
+    model = _fit_scale(samples[REFERENCE], model)
+    if model.spread >= SPREADS[-1] or unevenness(found.tiles[WINDOW], found.tiles[8], found.flat) > _UNEVEN:
+        warn_caller(
+            "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
+            "are surfaces in the frames flat over 50 pixels or more?"
+        )
+    count = int(np.count_nonzero(found.flat))
+    with collected_warnings([]):
+        evidence = evidence_of(opened, camera, model, samples, count, num_threads)
+    return replace(model, evidence=evidence)
+
+
+def _open(frames: Any, camera: Camera) -> tuple[list[Any], NoiseModel]:
+    """A list of the frames, all of which can be fitted, and a model with their rounding alone."""
     if not hasattr(frames, "__len__") or isinstance(frames, (bytes, bytearray, Mapping)):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
     is_one = getattr(frames, "ndim", None) == 0 or (len(frames) > 0 and np.ndim(depth_of(frames[0])) == 1)
     opened: list[Any] = [frames] if is_one else [depth_of(frame) for frame in frames]
     if not opened:
         raise ValueError("expected at least one frame, got none")
-    bare = camera.with_noise(None)
     if min(camera.shape) < WINDOW:
         raise ValueError(
             f"expected frames of at least {WINDOW} x {WINDOW} pixels, got {camera.width} x {camera.height}"
         )
     steps = []
     for index, depth in enumerate(opened):
-        frame = as_depth_frame(depth, bare) if is_one else as_numbered_frame(index, depth, bare)
-        warn_of_distances(frame, bare)
+        frame = as_depth_frame(depth, camera) if is_one else as_numbered_frame(index, depth, camera)
+        warn_of_distances(frame, camera)
         steps.append(abs(step_of(frame) * frame.scale if frame.is_disparity else step_of(frame) / frame.scale))
+    return opened, _rounding(steps, camera.disparity is not None)
+
+
+class _Flat(NamedTuple):
+    """The tiles of each size, (F, R, C) bool which windows are flat, and the share of pixels that these may miss."""
+
+    tiles: dict[int, TilePlanes]
+    flat: npt.NDArray[np.bool_]
+    most_missing: float
+
+
+def _find_flat(opened: list[Any], camera: Camera, num_threads: int | None) -> _Flat:
+    """Find the windows that are flat, with the least pixels missing of which there are enough."""
     for most_missing in MOST_MISSING:
-        with collected_warnings([]):  # of the frames, which are given above
+        with collected_warnings([]):  # of the frames: they were given when these were opened
             tiles = {
-                size: TileFitter(bare, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
+                size: TileFitter(camera, size, max_missing=most_missing, num_threads=num_threads).fit_batch(opened)
                 for size in SIZES
                 if size <= min(camera.shape)
             }
         flat = flat_windows(tiles[WINDOW], tiles[8], most_missing)
         count = int(np.count_nonzero(flat))
         if count >= FEWEST_WINDOWS:
-            break
-    if count < FEWEST_WINDOWS:
-        windows = tiles[WINDOW]
-        exact = windows.rmse * mean_depth(windows) < EXACT
-        if np.count_nonzero(exact) > 0.5 * np.count_nonzero(windows.fitted):
-            raise ValueError(_NO_NOISE)
-        whole = windows.valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
-        missing = np.mean(whole < (1.0 - most_missing) * WINDOW * WINDOW)
-        most = two_digits(100.0 * most_missing)
-        reason = f": of most windows more than {most} % of the pixels are missing"
-        raise ValueError(
-            f"expected frames with at least {FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
-            f"found {count} in {counted(len(opened), 'frame')}{reason if missing > 0.5 else ''}"
-        )
-    samples = all_samples(tiles, flat, most_missing)
-    for some in samples.values():
-        if np.median(some.rss / (some.count * some.q**2)) < EXACT**2:
-            raise ValueError(_NO_NOISE)
-    # Small windows show all surfaces, large ones, if there are enough of them, how far errors reach.
-    reaching = samples
-    if 2 * WINDOW in tiles:
-        large = flat_windows(tiles[2 * WINDOW], tiles[8], most_missing, flat)
-        if np.count_nonzero(large) >= _ENOUGH_LARGE:
-            parts = large.repeat(2, axis=1).repeat(2, axis=2)
-            reaching = all_samples(tiles, parts, most_missing, 2 * WINDOW)
-    model = _fit_depth(samples[REFERENCE], _rounding(steps, frame.is_disparity))
-    model = _fit_falloff(samples[REFERENCE], model)
-    for _ in range(3):
-        model = _fit_reach(reaching, _fit_spread(samples, model))
-        model = _fit_scale(samples[REFERENCE], model)
-    # Biases over hundreds of pixels are nearly planar on any tile, and make little residual.
-    with collected_warnings([]):
-        planes = large_planes(opened, camera.with_noise(model), num_threads)
-    model = _fit_reach(reaching, model, planes)
-    model = _fit_scale(samples[REFERENCE], model)
-    if model.spread >= SPREADS[-1] or unevenness(tiles[WINDOW], tiles[8], flat) > _UNEVEN:
-        warn_caller(
-            "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
-            "are surfaces in the frames flat over 50 pixels or more?"
-        )
-    with collected_warnings([]):
-        evidence = evidence_of(opened, camera, model, samples, count, num_threads)
-    return replace(model, evidence=evidence)
+            return _Flat(tiles, flat, most_missing)
+    windows = tiles[WINDOW]
+    exact = windows.rmse * mean_depth(windows) < EXACT
+    if np.count_nonzero(exact) > 0.5 * np.count_nonzero(windows.fitted):
+        raise ValueError(_NO_NOISE)
+    whole = windows.valid_count[:, : camera.height // WINDOW, : camera.width // WINDOW]
+    missing = np.mean(whole < (1.0 - most_missing) * WINDOW * WINDOW)
+    reason = f": of most windows more than {two_digits(100.0 * most_missing)} % of the pixels are missing"
+    raise ValueError(
+        f"expected frames with at least {FEWEST_WINDOWS} flat windows of {WINDOW} x {WINDOW} pixels, "
+        f"found {count} in {counted(len(opened), 'frame')}{reason if missing > 0.5 else ''}"
+    )
 
 
 def _rounding(steps: Sequence[float], is_disparity: bool) -> NoiseModel:
