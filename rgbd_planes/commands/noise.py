@@ -63,7 +63,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
             raise CommandError(
                 f"expected frames of one camera, got {1 + len(others)}: give --camera, if one is right for all"
             )
-        found = estimate_noise([frame.depth for frame in frames], camera)
+        found = estimate_noise(frames, camera)
         evidence = found.evidence
         assert evidence is not None
         print(
