@@ -436,6 +436,30 @@ def test_a_board_that_leans_on_a_wall_is_no_wave(count, apart):
     assert noise.floor < 0.05
 
 
+def test_a_board_before_a_wall_is_no_wave_where_errors_are_correlated(rng):
+    """It is less than the random errors of a tile before the wall, and the frame has no other large plane."""
+    model = rp.noise.NoiseModel((2e-3,), correlation=((0.7, 4.0),))
+    noise = rp.estimate_noise([next(frames(model, rng, VIEWS[:1]))], CAMERA)
+    assert noise.floor == 0.0
+
+
+@pytest.mark.parametrize(("apart", "wide"), [(0.01, 0.3), (0.02, 0.7)])
+def test_a_panel_on_a_wall_is_no_wave(apart, wide, rng):
+    """One or two deviations of a pixel before it, in many frames: tiles along its edges link it to the wall."""
+    camera = rp.Camera(320, 240, 280.0, 290.0, 160.3, 118.2)
+    near = 2.5 - apart
+    surfaces = (
+        rp.scenes.polygon("wall", [(-3, -3, 2.5), (3, -3, 2.5), (3, 3, 2.5), (-3, 3, 2.5)]),
+        rp.scenes.polygon("floor", [(-3, 0, -1), (3, 0, -1), (3, 0, 4), (-3, 0, 4)]),
+        rp.scenes.polygon("panel", [(-wide, -2.2, near), (0, -2.2, near), (0, -0.3, near), (-wide, -0.3, near)]),
+    )
+    seen = []
+    for i in range(8):
+        pose = rp.scenes.look_at((0.1 * i - 0.3, -1.2 - 0.02 * i, -0.1 * (i % 3)), (0.05 * i - 0.2, -1.0, 2.5))
+        seen.append(rp.scenes.Scene(surfaces, pose).render(camera).measure(seed=i, quantise=False))
+    assert rp.estimate_noise(seen, camera).floor < 0.05
+
+
 def test_integers_that_were_made_metres_are_as_rounded(rng):
     seen = [np.rint(depth / 10.0) for depth in frames(rp.noise.time_of_flight(5e-4), rng, VIEWS[:2])]
     millimetres = replace(CAMERA, depth_scale=1000.0)

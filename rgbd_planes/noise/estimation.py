@@ -63,7 +63,7 @@ _TAIL = 0.95  # quantile at which the spread is matched: above it there are also
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
 _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
 _UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real sensors
-_BENT = 2.0  # times what random errors make of it: a large plane's bend that shows a floor by itself
+_BENT = 2.0  # times what random errors make of it: a bend of large planes that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
 _PARTS = 5  # of the image along either side: a falloff must show without each of them
 _STARTS = 0.0, 0.25, 0.5, 0.75  # where the first part begins, in parts: where it does must not decide
@@ -363,7 +363,7 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     random_parts = [terms(part) for part in ((0.0, 0.0), *((1.0, length) for length in LENGTHS))]
     error, shares = shared_out(random_parts)
     of_random = np.array([of_part[len(values) - len(bends) :] for of_part in random_parts]).T @ shares
-    if not (bends > _BENT * of_random).any():
+    if planes.sum() < 2 or not (bends > _BENT * of_random).any():  # one may be a wall with a board before it
         error -= _EVIDENT
     shares, floor_length = np.append(shares, 0.0), FLOOR_LENGTHS[0]
     for length in FLOOR_LENGTHS:

@@ -28,7 +28,10 @@ TILE = 16
 _LARGE = 60  # tiles that make a large plane
 _ENOUGH = 8  # planes, of which the median is taken
 _MEDIAN = 0.455  # of χ²(1)
-_APART = 4.0  # how many times what their median says the mean of squares may be; with waves it is up to 3
+_STEP = 1e-3  # p-value, by random errors alone, below which neighbours step aside
+_APART = 2.6  # how many times what their median says the mean of squares may be; with waves it is 0.6 to 2
+_IN_GROUPS = 0.82  # share of variance between two groups; 0.64 of a normal distribution, 0.75 of an even one
+_STEEP = 0.4  # from a tile to the next, as a share of the whole range: of waves over 32 pixels 0.3
 _BIAS, _BIAS_LENGTH = 1.0, 48.0  # expected bias, in standard deviations of a pixel, and its length in pixels
 
 
@@ -74,7 +77,7 @@ def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]
 
 def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     """Find the large planes among a frame's tiles."""
-    labels = _connected(tiles)
+    labels = _connected(tiles, replace(noise, floor=0.0))
     merged = merge(tiles, labels)
     # Links from tile to tile can lead around a bend: tiles that are not on the common plane are left out.
     on_plane = labels > 0
@@ -98,7 +101,9 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     a, b, c = merged.alpha[number].T
     off = (q - (a * u + b * v + c)) / np.sqrt(variance)
     for k in np.flatnonzero(large):
-        large[k] = not _is_in_two(off[number == k])
+        of_tiles = np.full(labels.shape, np.nan)
+        of_tiles[on_plane] = np.where(number == k, off, np.nan)
+        large[k] = not _is_in_two(of_tiles)
     squares = (count * variance, count * tiles.rmse[on_plane] ** 2, noise._rounding(q))
     along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
     lateral = noise.lateral**2 * slope_square(merged.alpha, tiles.camera, merged._footprint)
@@ -116,23 +121,40 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
 def _is_in_two(off: Floats) -> bool:
     """Whether a part of a plane lies apart from the rest, as a board that leans on a wall does.
 
-    ``off`` is how far each of its tiles lies off it, in standard deviations of a pixel. A wave of the sensor moves most
-    of them, a board only those on it: then the mean square is far above what the median says.
+    ``off``, (R, C), is how far each of its tiles lies off it, in standard deviations of a pixel; NaN for others. A wave
+    of the sensor moves most of them, a board only those on it: then the mean square is far above what the median says.
+    Or there are two groups, with little between them: then nearly all of the variance is between the two that leave
+    least within (Otsu 1979). But a bump of the sensor is smooth; from a board to what is behind it is a step.
     """
-    return bool(np.mean(off**2) > _APART / _MEDIAN * np.median(off**2))
+    ordered = np.sort(off[np.isfinite(off)])
+    count, squares = len(ordered), ordered**2
+    below = np.arange(1, count)
+    sums = np.cumsum(ordered)[:-1]
+    apart = sums / below - (ordered.sum() - sums) / (count - below)
+    between = float(np.max(below * (count - below) * (apart / count) ** 2, initial=0.0))
+    has_few = np.mean(squares) > _APART / _MEDIAN * np.median(squares)
+    in_groups = between > _IN_GROUPS * float(np.var(ordered))
+    steps = max(np.nanmax(np.abs(np.diff(off, axis=axis)), initial=0.0) for axis in (0, 1))
+    return bool((has_few or in_groups) and steps > _STEEP * (ordered[-1] - ordered[0]))
 
 
-def _connected(tiles: TilePlanes) -> Indices:
-    """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere."""
+def _connected(tiles: TilePlanes, random: NoiseModel) -> Indices:
+    """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere.
+
+    Neighbours may differ as biased ones do, but hardly more than by their ``random`` errors: a wave of the sensor is
+    smooth, where a board begins its tiles step aside.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     flat = tiles.status == TileStatus.OK
     alpha, covariance = tiles.alpha, tiles.alpha_covariance
+    alone = replace(tiles, camera=tiles.camera.with_noise(random)).alpha_covariance
     index = np.arange(flat.size).reshape(flat.shape)
     links = []
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         same = same_plane(alpha[a], covariance[a], alpha[b], covariance[b]) > 0.05
+        same &= same_plane(alpha[a], alone[a], alpha[b], alone[b]) > _STEP
         same &= flat[a] & flat[b]
         links.append((index[a][same], index[b][same]))
     first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
