@@ -269,7 +269,7 @@ def test_what_may_be_edges_is_doubted():
         rp.estimate_noise(seen, camera)
 
 
-@pytest.mark.parametrize("share", [0.01, 0.02])
+@pytest.mark.parametrize("share", [0.01, 0.02, 0.07, 0.2])
 def test_what_may_be_outliers_is_doubted(rng, share):
     """Hardly a window of 24 pixels is without one: the noise comes out a hundred times too large."""
     depth = rendering(*VIEWS[0]).measure(quantise=False)

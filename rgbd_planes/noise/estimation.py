@@ -38,6 +38,7 @@ from rgbd_planes.noise.samples import (
     bins_of,
     flat_windows,
     mean_depth,
+    outlying,
     unevenness,
 )
 from rgbd_planes.tile_planes import TilePlanes
@@ -63,6 +64,7 @@ _TAIL = 0.95  # quantile at which the spread is matched: above it there are also
 _INEXACT = 0.01  # what a model of a few correlation lengths is off by in any case
 _EVIDENT = 6.6  # by how much a floor must lower the sum of squared deviations: χ²(1), once in a hundred cases
 _UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real sensors
+_STRAYS = 1.5  # most `outlying` of windows that are flat: 0.9 to 1.02 with real sensors, 8 with outliers
 _BENT = 2.0  # times what random errors make of it: a bend of large planes that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
 _PARTS = 5  # of the image along either side: a falloff must show without each of them
@@ -138,7 +140,10 @@ def estimate_noise(
         planes = large_planes(opened, camera.with_noise(model), num_threads)
     model = _fit_reach(reaching, model, planes)
     model = _fit_scale(samples[REFERENCE], model)
-    if model.spread >= SPREADS[-1] or unevenness(found.tiles[WINDOW], found.tiles[8], found.flat) > _UNEVEN:
+    with collected_warnings([]):
+        strays = outlying(opened, found.tiles[WINDOW], found.flat)
+    uneven = unevenness(found.tiles[WINDOW], found.tiles[8], found.flat)
+    if model.spread >= SPREADS[-1] or uneven > _UNEVEN or strays > _STRAYS:
         warn_caller(
             "what is taken for flat differs more than the noise of a sensor does, and may be edges, or outliers: "
             "are surfaces in the frames flat over 50 pixels or more?"

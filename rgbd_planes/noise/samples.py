@@ -1,10 +1,13 @@
 """The flat tiles of frames, by size: what a sensor's noise is estimated from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import ratio_at
@@ -26,6 +29,8 @@ EXACT = 1e-9
 _BENT = 1.02, 1.6
 _DEVIATIONS = 5.0  # and, in between, how many times as far above the usual as the smaller ones are below
 _CLUTTERED = 4.0  # and the ratio to other windows' residuals
+_LOOKED_AT = 100  # windows whose pixels are looked at one by one
+_OF_HALF = 1.4826  # standard deviations of a normal distribution in the median of its absolute values
 _STRETCH = 0.25  # length of a stretch of logarithms of residuals, in which the usual one is looked for
 
 
@@ -225,6 +230,26 @@ def unevenness(planes: TilePlanes, small: TilePlanes, flat: npt.NDArray[np.bool_
     inside = np.sort(_of_parts(planes, small)[flat], axis=1)
     inside = inside[inside[:, 0] > 0.0]  # without those whose residual rounding leaves at zero
     return float(np.median(inside[:, inside.shape[1] // 2] / inside[:, 0])) if len(inside) else 1.0
+
+
+def outlying(frames: Sequence[Any], planes: TilePlanes, flat: npt.NDArray[np.bool_]) -> float:
+    """Median over some flat windows of the root mean square residual over that of half of their pixels.
+
+    Both as of a normal distribution: for the second the median of the absolute residuals counts.
+    """
+    side, camera = planes.tile[0], planes.camera
+    ratios = []
+    places = np.argwhere(flat)
+    for number, row, column in places[:: -(-len(places) // _LOOKED_AT)]:
+        frame = as_depth_frame(frames[number], camera)
+        there = np.s_[side * row : side * (row + 1), side * column : side * (column + 1)]
+        window = frame._replace(raw=frame.raw[there])
+        a, b, c = planes.alpha[number, row, column]
+        off = (window.inverse_depth - (a * camera.tan_x[there] + b * camera.tan_y[there] + c))[window.valid]
+        half = _OF_HALF * float(np.median(np.abs(off)))
+        if half > 0.0:  # otherwise all are rounded alike
+            ratios.append(float(np.sqrt(np.mean(off**2))) / half)
+    return float(np.median(ratios)) if ratios else 1.0
 
 
 def _of_parts(planes: TilePlanes, small: TilePlanes) -> Floats:
