@@ -1,8 +1,8 @@
 """Where uncertainties are wrong, and by how much: ``python -m bench.limits``.
 
 Covariances are compared with those that follow from the noise model without approximations, A⁻¹MᵀCMA⁻¹ with the
-covariance C of the pixels' errors: the least and the largest ratio of variances in any direction. p-values are those of
-simulated planes.
+covariance C of the pixels' errors: the least and the largest ratio of variances in any direction. p-values, and the
+squares of errors over those that are expected, δᵀΣ⁻¹δ / 3, are those of simulated planes.
 """
 
 import argparse
@@ -116,6 +116,53 @@ def p_values(noise: Noise, mask: Mask, runs: int) -> Floats:
     return np.concatenate(found)
 
 
+def tiles_of(camera: rp.Camera, alpha: Floats, size: int, method: str = "range_explicit") -> rp.TilePlanes:
+    """Fits of many tiles of a plane."""
+    q = _inverse_depth(camera, alpha)
+    assert camera.noise is not None
+    lateral = camera.noise.lateral * np.hypot(*alpha[:2]) / camera.fx
+    rng = np.random.default_rng(1)
+    deviation = np.hypot(camera.noise.sigma(q), lateral)
+    frames = [1.0 / np.maximum(q + deviation * rng.standard_normal(q.shape), 1e-3) for _ in range(4)]
+    return rp.TileFitter(camera, size, method, significance=0.0).fit_batch(frames)
+
+
+def squared_errors(tiles: rp.TilePlanes, alpha: Floats, some: Mask | None = None) -> float:
+    """Mean square of errors over the expected one, of some of the tiles that have a plane."""
+    chosen = tiles.fitted if some is None else tiles.fitted & some
+    error, covariance = tiles.alpha[chosen] - alpha, tiles.alpha_covariance[chosen]
+    return float(np.mean(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)) / 3.0)
+
+
+def of_cut_tiles(size: int) -> float:
+    """Squared errors of tiles that a ``depth_range`` cuts."""
+    camera, alpha = replace(_frame(rp.noise.kinect_v1()), depth_range=(0.5, 2.0)), np.array([0.02, -0.5, 0.5])
+    tiles = tiles_of(camera, alpha, size)
+    return squared_errors(tiles, alpha, tiles.valid_count < size * size)
+
+
+def of_neighbours(size: int) -> tuple[float, float]:
+    """Shares of neighbours on one plane at 2 m that are told apart at the 1 % level, by α and by (n, d)."""
+    tiles = tiles_of(_frame(rp.noise.kinect_v1()), np.array([0.05, -0.1, 0.5]), size)
+    left, right = np.s_[:, :, :-1:2], np.s_[:, :, 1::2]
+    shares = []
+    for plane, covariance in ((tiles.alpha, tiles.alpha_covariance), (tiles.planes, tiles.plane_covariance)):
+        p = rp.uncertainty.same_plane(plane[left], covariance[left], plane[right], covariance[right])
+        shares.append(float(np.mean(p < 0.01)))
+    return shares[0], shares[1]
+
+
+def of_lateral_errors(size: int) -> tuple[float, float]:
+    """Squared errors of the tiles of a floor by a large lateral error, and the share of p-values below 0.01."""
+    alpha = np.array([0.05, -0.5, 0.6])
+    tiles = tiles_of(_frame(Noise(lateral=0.9)), alpha, size)
+    return squared_errors(tiles, alpha), float(np.mean(tiles.p_value < 0.01))
+
+
+def _frame(noise: Noise) -> rp.Camera:
+    return rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, noise=noise)
+
+
 def _camera(noise: Noise) -> rp.Camera:
     return rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5, noise=noise)
 
@@ -157,6 +204,20 @@ def report(runs: int) -> Iterator[str]:
         )
     for depths in ((1.5, 2.4), (1.0, 9.0)):
         yield line("the standard methods from {:g} to {:g} m".format(*depths), of_standard_methods(*depths))
+    yield "Squares of errors, over the expected ones:"
+    for metres in (1.0, 2.0):
+        alpha = np.array([0.1, 0.05, 1.0]) / metres
+        for method in ("range_explicit", *STANDARD):
+            tiles = tiles_of(_frame(rp.noise.kinect_v1()), alpha, 16, method)
+            yield f"  {method}, tiles of 16 pixels at {metres:g} m: {squared_errors(tiles, alpha):.2g}"
+    for side in (8, 16, 32):
+        yield f"  tiles of {side} pixels, cut by a depth_range: {of_cut_tiles(side):.2g}"
+    for side in (2, 4, 8, 16):
+        squares, share = of_lateral_errors(side)
+        yield f"  tiles of {side} pixels, lateral error of 0.9: {squares:.2g}; {share:.1%} of p-values below 0.01"
+    yield "Neighbours on one plane that are told apart at the 1 % level, by alpha and by (n, d):"
+    for side in (4, 6, 8, 16):
+        yield "  tiles of {} pixels: {:.1%} and {:.1%}".format(side, *of_neighbours(side))
     yield "Shares of p-values below 0.01, and below 0.001:"
     for side in (8, 16, 24):
         p = p_values(TAILS, np.ones((side, side), bool), runs)

@@ -119,7 +119,7 @@ class PlaneFits:
         their pixels count as if they filled a parallelogram. Errors that neighbours share count by where the pixels of
         labels and unions lie, and as if those of tiles and windows filled rectangles. For the other methods it is, to
         first order in the spread of depths, that of ``range_explicit`` on the same pixels: where σq is constant, the
-        bound that they reach at best.
+        bound that they reach at best. It leaves out that ``standard_explicit`` and ``standard_pca`` are biased.
         """
         return self._statistics.matrix(ALPHA_COVARIANCE, 3)
 

@@ -32,7 +32,9 @@ def same_plane(
     Parameters
     ----------
     alpha, other_alpha : (..., 3) or (..., 4) array_like
-        As ``alpha`` of a fit, -n / d; or planes (n, d), as from `transform_planes`, both in the same frame.
+        As ``alpha`` of a fit, -n / d; or planes (n, d), as from `transform_planes`, both in the same frame. Of planes
+        that one camera saw, α is better: errors of (n, d) are known to first order only, which is not enough where
+        normals are uncertain by ten degrees or more, as those of tiles of a few pixels.
     covariance, other_covariance : (..., 3, 3) or (..., 4, 4) array_like
         As ``alpha_covariance``, or as ``plane_covariance``.
 

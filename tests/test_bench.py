@@ -225,6 +225,15 @@ def test_limits_of_uncertainties_are_those_that_the_page_states():
     assert limits.of_fisheyes(70.0)[0] == pytest.approx(1.0 / 3.0, rel=0.1)
     assert limits.of_standard_methods(1.5, 2.4) == pytest.approx((0.75, 1.3), rel=0.1)
     assert limits.of_standard_methods(1.0, 9.0) == pytest.approx((1.0 / 16.0, 5.0), rel=0.1)
+    for metres, explicit, pca in ((1.0, 1.4, 1.5), (2.0, 2.7, 3.3)):
+        alpha = np.array([0.1, 0.05, 1.0]) / metres
+        for method, expected in (("range_explicit", 1.0), ("standard_explicit", explicit), ("standard_pca", pca)):
+            tiles = limits.tiles_of(limits._frame(rp.noise.kinect_v1()), alpha, 16, method)
+            assert limits.squared_errors(tiles, alpha) == pytest.approx(expected, rel=0.1)
+    assert [limits.of_cut_tiles(side) for side in (8, 32)] == pytest.approx([2.4, 4.6], rel=0.1)
+    assert limits.of_lateral_errors(2)[0] == pytest.approx(0.45, rel=0.15)
+    assert limits.of_lateral_errors(8)[1] == pytest.approx(0.013, abs=0.003)
+    assert limits.of_neighbours(4) == pytest.approx((0.01, 0.08), rel=0.2)
     *_, tiles, _, _, _, _, last = limits.report(400)
     assert tiles.startswith("  tiles of 24 pixels, 60 % correlated over 2: ")
     assert last.startswith("  two tiles of 16 x 16, 320 pixels apart: ")
