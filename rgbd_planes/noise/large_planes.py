@@ -29,9 +29,10 @@ _LARGE = 60  # tiles that make a large plane
 _ENOUGH = 8  # planes, of which the median is taken
 _MEDIAN = 0.455  # of χ²(1)
 _STEP = 1e-3  # p-value, by random errors alone, below which neighbours step aside
-_APART = 2.6  # how many times what their median says the mean of squares may be; with waves it is 0.6 to 2
+# How many times what their median says the mean of squares may be, at least and at most: with waves it is 0.6 to 2.
+_APART = 2.6, 4.0
 _IN_GROUPS = 0.82  # share of variance between two groups; 0.64 of a normal distribution, 0.75 of an even one
-_STEEP = 0.4  # from a tile to the next, as a share of the whole range: of waves over 32 pixels 0.3
+_STEEP = 0.3  # from a tile to the next, as a share of the whole range: of bumps 0.2
 _BIAS, _BIAS_LENGTH = 1.0, 48.0  # expected bias, in standard deviations of a pixel, and its length in pixels
 
 
@@ -132,10 +133,11 @@ def _is_in_two(off: Floats) -> bool:
     sums = np.cumsum(ordered)[:-1]
     apart = sums / below - (ordered.sum() - sums) / (count - below)
     between = float(np.max(below * (count - below) * (apart / count) ** 2, initial=0.0))
-    has_few = np.mean(squares) > _APART / _MEDIAN * np.median(squares)
+    ratio = np.mean(squares) * _MEDIAN / max(np.median(squares), 1e-300)
     in_groups = between > _IN_GROUPS * float(np.var(ordered))
     steps = max(np.nanmax(np.abs(np.diff(off, axis=axis)), initial=0.0) for axis in (0, 1))
-    return bool((has_few or in_groups) and steps > _STEEP * (ordered[-1] - ordered[0]))
+    is_steep = steps > _STEEP * (ordered[-1] - ordered[0])
+    return bool(ratio > _APART[1] or (is_steep and (ratio > _APART[0] or in_groups)))
 
 
 def _connected(tiles: TilePlanes, random: NoiseModel) -> Indices:
