@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 # Rays at a time, so that what is made of them stays in the cache; of more, matrix products would also share the work
 # among threads, for ten times as long.
 _CHUNK = 3000
+_ROUNDED = 1e-12  # as a share: what is no farther apart differs by rounding
 
 KINECT_BASELINE = 0.075
 """Metres from a Kinect v1's infrared camera to its projector (Khoshelham and Oude Elberink 2012)."""
@@ -111,7 +112,8 @@ class Scene:
         Returns
         -------
         Rendering
-            Its labels count the surfaces that at least one pixel sees, in the order of the scene.
+            Its labels count the surfaces that at least one pixel sees, in the order of the scene. Of surfaces in one
+            plane, where they overlap, the first is seen.
 
         Raises
         ------
@@ -147,10 +149,10 @@ class Scene:
     def _meet(self, rays: Floats, planes: Floats, nearest: Floats, seen: NDArray[np.int64]) -> None:
         """Write the inverse depth and the index of the nearest surface on each ray; ``nearest`` is 0 before."""
         for index, (surface, (*normal, offset)) in enumerate(zip(self.surfaces, planes, strict=True)):
-            if offset == 0.0:  # seen edge-on: no pixel shows it
-                continue
+            if abs(offset) <= _ROUNDED * (abs(surface.plane[3]) + np.linalg.norm(self.camera_to_scene[:3, 3])):
+                continue  # seen edge-on: no pixel shows it
             inverse_depth = rays @ (np.array(normal) / -offset)
-            hit = np.flatnonzero(inverse_depth > nearest)
+            hit = np.flatnonzero(inverse_depth > nearest * (1.0 + _ROUNDED))
             # sides·(X, 1) >= 0 with X = m / q, multiplied by q > 0: no division
             for side in surface.sides @ self.camera_to_scene:
                 if not len(hit):
@@ -211,8 +213,9 @@ class Rendering:
             Share of the pixels that are missing in connected patches, as on dark or shining surfaces.
         baseline : float
             Distance in metres of the sensor's projector, to the right of its camera (negative: to the
-            left). What the projector cannot see lies in shadow and is missing. 0 for no shadows. The
-            shadow runs along image rows, so it is exact only without lens distortion.
+            left). What the projector cannot see lies in shadow and is missing. 0 for no shadows. Only what the camera
+            sees, in the same row, casts them, so narrow ones are left out, and they are right only without lens
+            distortion.
         quantise : bool
             Round to the camera's integer units (`depth_scale`, or `disparity`).
         seed : int or numpy.random.Generator

@@ -17,6 +17,8 @@ from rgbd_planes.kernels import dense, window_choice
 from rgbd_planes.kernels.sliding import BAND
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
+_EDGES = 0.2  # most of the windows of a frame that are across edges
+
 
 def normals(
     depth: npt.ArrayLike,
@@ -184,13 +186,14 @@ def _surfaces(
 
 
 def _typical(frame: DepthFrame, rounding: float, variance: npt.NDArray[np.float32]) -> float:
-    """Median residual variance of the frame's windows, without those that are flat but for rounding; 0 if all are."""
+    """Median residual variance of a frame's windows, without those that are flat but for rounding; 0 if most are."""
     some = some_of(variance)
     with np.errstate(all="ignore"):  # of pixels nearer than anything
         q = frame._replace(raw=some_of(frame.raw)).inverse_depth
         flat = rounding if frame.is_disparity else rounding * (q / frame.scale) ** 4
         uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
-    return float(np.median(uneven)) if uneven.size else 0.0
+    # In frames without noise the others are those across edges; of a sensor with coarse steps, those across steps.
+    return float(np.median(uneven)) if uneven.size > _EDGES * np.count_nonzero(np.isfinite(some)) else 0.0
 
 
 def _check_window(window: int) -> int:

@@ -20,6 +20,7 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.lenses import brown_conrady
 from rgbd_planes.lenses import distortion as lens_models
 from rgbd_planes.lenses.brown_conrady import TOLERANCE, distort
+from rgbd_planes.rays import rays_through
 
 REAL = [root / "camera.json" for root in real_data.sets()]
 real_cameras = pytest.mark.parametrize(
@@ -891,3 +892,15 @@ def test_a_region_that_binning_does_not_divide():
 def test_a_depth_range_without_an_extent_is_refused():
     with pytest.raises(ValueError, match="0 <= nearest < farthest"):
         small(depth_range=(2.0, 2.0))
+
+
+@pytest.mark.parametrize("tangential", [(0.03, 0.03), (0.02, 0.01)])
+def test_rays_beyond_where_the_tangential_part_folds_have_no_image(tangential, rng):
+    camera = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, (0.0, 0.0, *tangential, 0.0))
+    points = rng.normal(size=(50_000, 3)) * [2.0, 2.0, 1.0]
+    points[:, 2] = np.abs(points[:, 2]) + 0.05
+    pixels = camera.project(points)
+    inside = (pixels >= 0.0).all(axis=1) & (pixels <= [639.0, 479.0]).all(axis=1)
+    assert inside.sum() > 1000
+    rays = rays_through(camera, pixels[inside])
+    np.testing.assert_allclose(rays[:, :2], points[inside, :2] / points[inside, 2:], atol=1e-6)

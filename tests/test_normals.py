@@ -539,3 +539,22 @@ def test_avoiding_edges_gives_no_normal_away_from_the_camera(rng):
     assert 0.95 < there.mean() < 1.0
     rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
     assert ((normals * rays).sum(axis=-1)[there] < 0).all()
+
+
+@pytest.mark.parametrize("convert", [np.uint16, lambda raw: raw / 1000.0], ids=["integers", "metres"])
+def test_edges_are_avoided_in_frames_without_noise(convert):
+    """There no window but those across edges has a residual: that is not what is usual."""
+    camera = rp.Camera(160, 120, 150.0, 150.0, 79.5, 59.5, depth_scale=1000.0)
+    raw = np.full(camera.shape, 2000.0)
+    raw[40:80, 50:110], raw[10:30, 10:45] = 1500.0, 1900.0
+    found = rp.normals(convert(raw), camera, avoid_edges=True)
+    np.testing.assert_allclose(found, np.broadcast_to([0.0, 0.0, -1.0], found.shape), atol=1e-5)
+    rendering = scenes.room().render(rp.presets.primesense())
+    angles = [
+        oracle.angle(
+            rp.normals(rendering.depth, rendering.camera, avoid_edges=avoid), rendering.planes[rendering.labels - 1, :3]
+        )
+        for avoid in (False, True)
+    ]
+    wrong = [np.mean(angle[rendering.labels > 0] > np.radians(10.0)) for angle in angles]
+    assert wrong[1] < 0.1 * wrong[0]

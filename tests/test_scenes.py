@@ -333,3 +333,32 @@ def test_a_scene_of_a_list_and_a_pose_of_lists():
 def test_what_is_no_scene_is_refused_when_it_is_made(surfaces, pose, kind, message):
     with pytest.raises(kind, match=message):
         scenes.Scene(surfaces, pose)
+
+
+@pytest.mark.parametrize("degrees", range(0, 90, 7))
+def test_a_surface_that_contains_the_camera_is_seen_by_no_pixel(degrees):
+    """Whatever rounding leaves of its distance."""
+    turn, eye = np.radians(degrees), np.array([0.3, -1.0, 0.2])
+    along, down = np.array([np.cos(turn), 0.0, -np.sin(turn)]), np.array([0.0, 1.0, 0.0])
+    sheet = scenes.polygon("sheet", [eye - along - down, eye + along - down, eye + along + down, eye - along + down])
+    back = scenes.polygon("back", [(-9, -9, 5), (9, -9, 5), (9, 9, 5), (-9, 9, 5)])
+    camera = rp.presets.primesense().resized(64, 48)
+    rendering = scenes.Scene((sheet, back), scenes.look_at(eye, (0.1, -0.9, 3.0))).render(camera)
+    assert rendering.names == ("back",)
+    assert np.nanmin(rendering.depth) > 1.0
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.1, 0.2, 0.3, 0.5])
+def test_of_surfaces_in_one_plane_the_first_is_seen(turn):
+    across = np.array([np.cos(turn), 0.0, -np.sin(turn)])
+
+    def square(name, side):
+        corners = [(-side, -side), (side, -side), (side, side), (-side, side)]
+        return scenes.polygon(name, [x * across + np.array([0.0, y, 2.0]) for x, y in corners])
+
+    board, poster = square("board", 1.0), square("poster", 0.5)
+    camera = rp.presets.primesense().resized(160, 120)
+    alone = scenes.Scene((poster,), np.eye(4)).render(camera)
+    assert scenes.Scene((board, poster), np.eye(4)).render(camera).names == ("board",)
+    both = scenes.Scene((poster, board), np.eye(4)).render(camera)
+    np.testing.assert_array_equal(both.labels == 1, alone.labels == 1)
