@@ -427,3 +427,18 @@ def test_squares_with_a_constant_quarter_show_no_noise():
             expected[quarters.any(axis=(1, 3)).ravel()] = -1.0
             flat = quarters.all(axis=(1, 3))
         np.testing.assert_array_equal(found[here], expected)
+
+
+@pytest.mark.parametrize("side", [8, 12, 14])
+@pytest.mark.parametrize("noise", [None, 1e-3], ids=["estimated", "given"])
+def test_steps_of_a_regular_grid_are_no_waves(side, noise, rng):
+    """Squares of 16 pixels in which steps lie between squares of 8 passed for noise that grows, by six times."""
+    camera = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5)
+    row, column = np.indices(camera.shape) // side
+    q = 1.0 / (1.5 + 0.03 * rng.integers(0, 8, (30, 40))[row, column])
+    q += 1e-3 * rng.standard_normal(q.shape)
+    found = segment(1.0 / q, camera, noise=noise)
+    there = found.labels > 0
+    off = np.abs(q - found.fitted_inverse_depth())[there]
+    assert np.mean(there) > 0.9
+    assert np.mean(off > 6e-3) < 0.01

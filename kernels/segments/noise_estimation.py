@@ -28,6 +28,9 @@ STEEP = 4.0  # where a squared slope is this many variances, its part of the res
 # Standard deviation, in pixels, of where within its pixel a measurement lies.
 LEAST_LATERAL, MOST_LATERAL = 0.05, 0.5
 MOST_GROWTH = 8.0
+# However long a wave is, squares of 16 pixels show no more than about four times as much of it as those of 8: its bend
+# grows with the square of the side. Sensors: up to 2.2. More is of steps from one square of 8 pixels to the next.
+MOST_OF_WAVES = 5.0
 # Where things are small, or the frame is, hardly any large square holds one surface, and edges would pass for noise
 # that grows. Fewer squares of 16 pixels than this say nothing about growth.
 FEWEST_GROWN = 40
@@ -288,6 +291,9 @@ def estimate_noise(pyramid, sigma, growth, reach):
                 count = clean
                 copy(mean_square, values[:count])
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
+            if level == 2 and grown > MOST_OF_WAVES:
+                growth[level - 1 :] = growth[level - 2]
+                break
             if level == 3:
                 most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
                 grown = min(grown, math.sqrt(1.0 + most * (growth[1] ** 2 - 1.0)))
