@@ -105,7 +105,7 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
         at = (row, column)
         polygon = corners[at]
         uncertainty = (
-            {"p_value": _number(tiles.p_value[at]), "covariance": tiles.plane_covariance[at].tolist()}
+            {"p_value": finite_or_none(tiles.p_value[at]), "covariance": tiles.plane_covariance[at].tolist()}
             if has_noise
             else {}
         )
@@ -115,8 +115,8 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
                 "column": column,
                 "status": TileStatus(tiles.status[at]).name,
                 "plane": tiles.planes[at].tolist(),
-                "rmse": _number(tiles.rmse[at]),
-                "rmse_metric": _number(tiles.rmse_metric[at]),
+                "rmse": finite_or_none(tiles.rmse[at]),
+                "rmse_metric": finite_or_none(tiles.rmse_metric[at]),
                 "valid_count": int(tiles.valid_count[at]),
                 **uncertainty,
                 "polygon": polygon.tolist() if np.isfinite(polygon).all() else None,
@@ -379,5 +379,6 @@ def _check_one_frame(tiles: TilePlanes) -> None:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {tiles.shape}: take tiles[i]")
 
 
-def _number(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
+    """A number as JSON has it, which has no infinity and no NaN."""
     return float(value) if math.isfinite(value) else None

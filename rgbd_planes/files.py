@@ -46,11 +46,8 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     OSError
         The folder does not exist, `path` is a folder, or it cannot be written there.
     """
-    target = Path(path)
-    replaceable = target.is_file() or not target.exists()  # unlike a device or a pipe
-    if replaceable:
-        target = Path(os.path.realpath(path))  # a link stays a link
-    check_writable(target)
+    check_writable(path)
+    target, replaceable = _target(path)
     # Not the whole name, which may already be as long as names can be.
     name = f"{target.stem[:40]}-{zlib.crc32(os.fsencode(target.name)):x}"
     suffix = target.suffix if len(target.suffix) <= _LONGEST_SUFFIX else ""
@@ -191,12 +188,18 @@ def identity(path: Path) -> tuple[tuple[int, ...], ...]:
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now the OSError that writing `path` would raise after the work is done."""
-    target = Path(path)
+    target, replaceable = _target(path)
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    if not target.exists() or target.is_file():  # not a device or a pipe: beside it, then in its place
-        target = Path(os.path.realpath(path)).parent
-        if not target.is_dir():
-            raise FileNotFoundError(f"cannot write {path}: there is no folder {target}")
-    if not os.access(target, os.W_OK):
+    if replaceable and not target.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
+    if not os.access(target.parent if replaceable else target, os.W_OK):
         raise PermissionError(f"cannot write {path}: permission denied")
+
+
+def _target(path: str | os.PathLike[str]) -> tuple[Path, bool]:
+    """The file that is written, and whether another may take its place, as of no device and no pipe."""
+    target = Path(path)
+    if target.exists() and not target.is_file():
+        return target, False
+    return Path(os.path.realpath(path)), True  # a link stays a link

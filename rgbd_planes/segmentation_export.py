@@ -8,7 +8,6 @@ cannot be written an OSError.
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.colours import NO_PLANE, label_colours
-from rgbd_planes.export import Floats, write_ply
+from rgbd_planes.export import Floats, finite_or_none, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.labels import LabelPlanes
@@ -55,7 +54,7 @@ def to_dict(segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = N
     Raises
     ------
     TypeError
-        It is neither, or the polygons are no `PlanePolygon`.
+        It is no `Segmentation` and no `LabelPlanes`, or the polygons are no `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     """
@@ -64,22 +63,22 @@ def to_dict(segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = N
     made: dict[str, Any] = {"camera": segmentation.camera.to_dict()}
     if isinstance(segmentation, Segmentation):
         made["sigma"] = segmentation.sigma
-        uncertainty = {"covariance": segmentation.plane_covariance.tolist()}
+        of_kind = {"covariance": segmentation.plane_covariance.tolist()}
         sizes = segmentation.sizes
     else:
         made["method"] = segmentation.method
-        uncertainty = {"status": [TileStatus(status).name for status in segmentation.status]}
+        of_kind = {"status": [TileStatus(status).name for status in segmentation.status]}
         if segmentation.camera.noise is not None:
-            uncertainty |= {"p_value": _or_none(segmentation.p_value)}
-            uncertainty |= {"covariance": segmentation.plane_covariance.tolist()}
+            of_kind |= {"p_value": list(map(finite_or_none, segmentation.p_value))}
+            of_kind |= {"covariance": segmentation.plane_covariance.tolist()}
         sizes = segmentation.valid_count
     columns = {
         "label": list(range(1, len(segmentation.planes) + 1)),
         "plane": segmentation.planes.tolist(),
-        **uncertainty,
+        **of_kind,
         "size": sizes.tolist(),
-        "rmse": _or_none(segmentation.rmse),
-        "rmse_metric": _or_none(segmentation.rmse_metric),
+        "rmse": list(map(finite_or_none, segmentation.rmse)),
+        "rmse_metric": list(map(finite_or_none, segmentation.rmse_metric)),
     }
     rows = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
     planes = [row for row, there in zip(rows, _fitted(segmentation), strict=True) if there]
@@ -103,7 +102,7 @@ def write_json(
     Raises
     ------
     TypeError
-        It is neither, or the polygons are not `PlanePolygon`.
+        It is no `Segmentation` and no `LabelPlanes`, or the polygons are not `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     OSError
@@ -127,7 +126,7 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmented) -> None:
     Raises
     ------
     TypeError
-        It is neither.
+        It is no `Segmentation` and no `LabelPlanes`.
     ValueError
         There are more than 65535 planes, or the path has another suffix.
     OSError
@@ -154,7 +153,7 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmented, dept
     Raises
     ------
     TypeError, ValueError
-        It is neither, or the frame is not its camera's.
+        It is no `Segmentation` and no `LabelPlanes`, or the frame is not its camera's.
     OSError
         It cannot be written there.
     """
@@ -219,7 +218,7 @@ def to_ros_planes(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
     Raises
     ------
     TypeError
-        It is neither.
+        It is no `Segmentation` and no `LabelPlanes`.
     """
     _check(segmentation)
     return ros_planes(segmentation.planes[_fitted(segmentation)], frame_id, stamp)
@@ -255,7 +254,7 @@ def to_ros_labels(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
     Raises
     ------
     TypeError
-        It is neither.
+        It is no `Segmentation` and no `LabelPlanes`.
     """
     _check(segmentation)
     labels = segmentation.labels.astype("<i4")
@@ -283,10 +282,6 @@ def _fitted(segmentation: Segmented) -> NDArray[np.bool_]:
     if isinstance(segmentation, LabelPlanes):
         return segmentation.fitted
     return np.ones(len(segmentation), bool)
-
-
-def _or_none(values: Floats) -> list[float | None]:
-    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _all_polygons(polygons: Iterable[PlanePolygon]) -> list[PlanePolygon]:

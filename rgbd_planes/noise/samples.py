@@ -240,15 +240,17 @@ def outlying(frames: Sequence[Any], planes: TilePlanes, flat: npt.NDArray[np.boo
     side, camera = planes.tile[0], planes.camera
     ratios = []
     places = np.argwhere(flat)
-    for number, row, column in places[:: -(-len(places) // _LOOKED_AT)]:
+    places = places[:: -(-len(places) // _LOOKED_AT)]
+    for number in np.unique(places[:, 0]):
         frame = as_depth_frame(frames[number], camera)
-        there = np.s_[side * row : side * (row + 1), side * column : side * (column + 1)]
-        window = frame._replace(raw=frame.raw[there])
-        a, b, c = planes.alpha[number, row, column]
-        off = (window.inverse_depth - (a * camera.tan_x[there] + b * camera.tan_y[there] + c))[window.valid]
-        half = _OF_HALF * float(np.median(np.abs(off)))
-        if half > 0.0:  # otherwise all are rounded alike
-            ratios.append(float(np.sqrt(np.mean(off**2))) / half)
+        for row, column in places[places[:, 0] == number, 1:]:
+            there = np.s_[side * row : side * (row + 1), side * column : side * (column + 1)]
+            window = frame._replace(raw=frame.raw[there])
+            a, b, c = planes.alpha[number, row, column]
+            off = (window.inverse_depth - (a * camera.tan_x[there] + b * camera.tan_y[there] + c))[window.valid]
+            half = _OF_HALF * float(np.median(np.abs(off)))
+            if half > 0.0:  # otherwise all are rounded alike
+                ratios.append(float(np.sqrt(np.mean(off**2))) / half)
     return float(np.median(ratios)) if ratios else 1.0
 
 
