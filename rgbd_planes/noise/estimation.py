@@ -158,8 +158,11 @@ def _open(frames: Any, camera: Camera) -> tuple[list[Any], NoiseModel]:
     """A list of the frames, all of which can be fitted, and a model with their rounding alone."""
     if not hasattr(frames, "__len__") or isinstance(frames, (bytes, bytearray, Mapping)):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
-    is_one = getattr(frames, "ndim", None) == 0 or (len(frames) > 0 and np.ndim(depth_of(frames[0])) == 1)
-    opened: list[Any] = [frames] if is_one else [depth_of(frame) for frame in frames]
+    is_one = getattr(frames, "ndim", None) == 0
+    opened: list[Any] = [] if is_one else [depth_of(frame) for frame in frames]  # each is read once
+    is_one = is_one or (len(opened) > 0 and np.ndim(opened[0]) == 1)  # those were rows
+    if is_one:
+        opened = [frames]
     if not opened:
         raise ValueError("expected at least one frame, got none")
     if min(camera.shape) < WINDOW:
