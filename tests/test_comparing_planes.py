@@ -120,6 +120,18 @@ def test_propagation_against_draws(two_planes, rng):
             rp.uncertainty.transform_planes(plane, covariance, no_motion)
 
 
+def test_a_turn_about_a_point_of_the_plane_leaves_its_distance_certain():
+    """A pose's rotation and translation may err together."""
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix(), [0.5, -1.0, 2.0]
+    x, y, z = lever = motion[:3, :3] @ [0.3, 0.4, 2.8]
+    errors = np.vstack([np.eye(3), [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])  # ω, and τ = -ω × lever
+    moved = rp.uncertainty.transform_planes(UNIT, np.zeros((4, 4)), motion, 1e-4 * errors @ errors.T)
+    distance, std = rp.uncertainty.point_distance(lever + motion[:3, 3], *moved)
+    assert distance == pytest.approx(0.0, abs=1e-12)
+    assert std == pytest.approx(0.0, abs=1e-8)
+
+
 def test_a_pose_of_a_few_digits_is_its_nearest_rotation():
     """As poses of data sets are: with R as it stands the normals would lose their length."""
     rotation = Rotation.from_rotvec([0.3, -0.2, 0.1])
@@ -221,6 +233,16 @@ def test_fused_tiles_are_the_plane_of_all_their_pixels(rng):
         scale = np.sqrt(np.diag(of_wanted))
         assert (np.abs(plane - wanted) < 0.3 * scale).all()
         np.testing.assert_allclose(of_plane / np.outer(scale, scale), of_wanted / np.outer(scale, scale), atol=0.03)
+
+
+def test_strips_of_pixels_are_fused():
+    """Of a strip 2 pixels wide the normal's variance is a hundred thousand times larger across it than along it."""
+    camera = rp.Camera(640, 4, 525.0, 525.0, 319.5, 1.5, noise=rp.noise.kinect_v1())
+    depth = rp.scenes.plane((0.3, 0.2, -1.0), 1.5).render(camera).measure(quantise=False, seed=1)
+    strips = rp.fit_tiles(depth, camera, (2, 640))
+    plane, covariance = rp.uncertainty.fuse_planes(strips.planes[:, 0], strips.plane_covariance[:, 0])
+    assert np.isfinite(plane).all()
+    assert (np.diag(covariance) < np.diagonal(strips.plane_covariance[:, 0], axis1=1, axis2=2)).all()
 
 
 def test_fused_planes_err_as_they_say(rng):

@@ -55,6 +55,19 @@ def test_correlated_noise_of_proportions_between():
         np.testing.assert_allclose([made.tilt_x, made.tilt_y, made.offset], factors, rtol=0.06)
 
 
+def test_pixels_here_and_there_tilt_more_than_a_small_square(rng):
+    """Where errors reach far, slopes over the whole tile share more of them: the larger error counts."""
+    model = rp.noise.NoiseModel(floor=1.0, floor_length=16.0)
+    seen = rng.random(256) < 0.6
+    y, x = rows_and_columns(16, 16)
+    covariance = pixel_covariance(model, 16, 16)[seen][:, seen]
+    rays = np.stack([x, y, np.ones(256)], axis=1)[seen]
+    solve = np.linalg.pinv(rays)
+    factors = np.diag(solve @ covariance @ solve.T) / np.diag(np.linalg.inv(rays.T @ rays))
+    made = model.statistics(np.count_nonzero(seen), (16, 16))
+    np.testing.assert_allclose([made.tilt_x, made.tilt_y], factors[:2], rtol=0.1)
+
+
 def test_independent_errors_beside_correlated_ones():
     """Expected sum and degrees of freedom of both together, against the covariance matrix of all pixels."""
     side = 9

@@ -63,6 +63,12 @@ def test_limits_have_the_digits_of_the_frame(dtype):
     assert frame.valid.tolist() == [[False, True, False, True, False]]
 
 
+def test_the_ends_of_the_range_may_stand_for_missing():
+    """As where a driver writes its largest depth for what is farther."""
+    cam = camera((1, 3), depth_range=(0.5, 8.0), invalid_values=(0.5, 8.0))
+    assert as_depth_frame(np.array([[0.5, 1.0, 8.0]]), cam).valid.tolist() == [[False, True, False]]
+
+
 @pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.uint32, np.int64, np.float32, np.float64])
 def test_the_largest_number_of_16_bits_is_doubted(dtype):
     scale = 1000.0 if np.dtype(dtype).kind == "f" else 1.0

@@ -81,6 +81,19 @@ def test_labels_of_tiles_are_their_merged_planes(rng):
     np.testing.assert_allclose(again.planes, halves.planes, rtol=1e-9)
 
 
+def test_three_pixels_of_tiles_without_a_plane_make_a_union():
+    camera = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
+    depth = np.zeros((4, 4))
+    depth[[0, 0, 3], [0, 3, 0]] = 1.0, 1.1, 1.2
+    tiles = rp.fit_tiles(depth, camera, 2)
+    union = rp.merge(tiles, [[1, 1], [1, 0]])
+    assert not tiles.fitted.any()
+    assert (union.status[0], union.valid_count[0]) == (rp.TileStatus.OK, 3)
+    points = camera.points(depth)[depth > 0.0]
+    np.testing.assert_allclose(points @ union.planes[0, :3], -union.planes[0, 3])
+    assert rp.merge(tiles, [[1, 1], [0, 0]]).status[0] == rp.TileStatus.TOO_FEW
+
+
 def test_true_labels_give_true_planes():
     camera = replace(rp.presets.kinect_v1(), noise=rp.noise.kinect_v1())
     rendering = rp.scenes.room().render(camera)

@@ -117,6 +117,17 @@ def test_the_variance_of_a_slanted_tile_is_the_mean_over_its_pixels(noise, slope
         assert taken == pytest.approx(statistic, rel=2e-3)  # uneven ones have fewer degrees of freedom
 
 
+def test_a_slanted_tile_farther_than_the_first_entry_of_the_table():
+    """Beyond 410 m noise that hardly changes with the depth is as one number, too."""
+    deviations = []
+    for coefficients in ((1e-5, 1e-9), (1e-5,)):
+        noise = rp.noise.NoiseModel(coefficients)
+        camera = rp.Camera(16, 16, 525.0, 525.0, 7.5, 7.5, depth_range=(0.1, 1e4), noise=noise)
+        q = 2e-3 * (1.0 + 0.8 * camera.tan_x / np.ptp(camera.tan_x))
+        deviations.append(rp.fit_tiles(1.0 / q, camera).angle_std)
+    np.testing.assert_allclose(*deviations, rtol=1e-3)
+
+
 def test_a_function_without_a_hash_is_a_noise(rng):
     """As polynomials of NumPy are; models of different ones stay apart where something is kept for a model."""
     camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5)

@@ -52,6 +52,23 @@ def test_a_rectangle_is_found_where_it_is() -> None:
     assert wall.hull.area == pytest.approx(view, rel=0.01)
 
 
+def test_a_plane_ends_before_its_horizon() -> None:
+    """Of a label that goes on beyond it, where nothing is measured, too: no corner is behind the camera."""
+    q = 0.5 * CAMERA.tan_y - 0.02
+    made = fit_labels(np.where(q > 0.02, 1.0 / q, 0.0), CAMERA, np.ones(CAMERA.shape, int), max_missing=1.0)
+    (polygon,) = plane_polygons(made)
+    q = 1.0 / np.concatenate([ring[:, 2] for part in polygon.rings() for ring in part])
+    assert q.min() > 0.999e-3 * np.linalg.norm(made.alpha[0])
+
+
+def test_only_right_angles_are_made_whole() -> None:
+    """All other corners of a triangle of pixels are the middles of their sides."""
+    made = fit_labels(np.full(CAMERA.shape, 2.0), CAMERA, np.tri(*CAMERA.shape, dtype=int))
+    (outline,) = plane_polygons(made, tolerance=0.0)[0].image.geoms
+    corners = np.array(outline.exterior.coords)[:-1]
+    assert corners[(corners % 1.0 == 0.5).all(axis=1)].tolist() == [[-0.5, CAMERA.height - 0.5]]
+
+
 def test_coordinates_are_in_the_plane() -> None:
     found = segment(board(CAMERA)[0].depth, CAMERA)
     assert len(found) == 2

@@ -18,6 +18,7 @@ from rgbd_planes import (
     Segmentation,
     TileStatus,
     cli,
+    fit_labels,
     fit_tiles,
     images,
     recording,
@@ -140,7 +141,7 @@ def test_a_plane_without_pixels(tmp_path, depth):
 def test_planes_of_ones_own_labels(tmp_path, depth, noise):
     """As those of a segmentation; a label without a plane is left out."""
     pytest.importorskip("shapely")
-    from rgbd_planes import fit_labels, plane_polygons
+    from rgbd_planes import plane_polygons
 
     camera = CAMERA.with_noise(noise)
     found = segment(depth, camera)
@@ -174,6 +175,12 @@ def test_planes_of_ones_own_labels(tmp_path, depth, noise):
     np.testing.assert_allclose(np.stack([vertices[f"n{axis}"] for axis in "xyz"], axis=1), normals, atol=1e-6)
     with pytest.raises(ValueError, match=rf"each of the {len(there)} planes of this .* got {len(there) - 1} polygons"):
         segmentation_export.to_dict(made, polygons[1:])
+
+
+def test_the_size_of_ones_own_label_counts_what_is_measured(depth):
+    made = fit_labels(depth, CAMERA, np.ones(CAMERA.shape, int))
+    (plane,) = segmentation_export.to_dict(made)["planes"]
+    assert plane["size"] == np.count_nonzero(depth) < depth.size
 
 
 def test_what_is_no_segmentation(tmp_path, depth):

@@ -346,9 +346,10 @@ def test_arkitscenes_has_a_camera_for_each_frame(tmp_path, frames):
     # Frames are 16 ms apart: up to half of that it is of the same one.
     write_arkitscenes(tmp_path / "near", frames, shift=0.008)
     assert rp.open_sequence(tmp_path / "near").cameras == sequence.cameras
-    write_arkitscenes(tmp_path / "b", frames, shift=0.009)
-    with pytest.raises(ValueError, match="expected a calibration of its moment"):
-        rp.open_sequence(tmp_path / "b")
+    for name, shift in (("before", -0.009), ("b", 0.009)):
+        write_arkitscenes(tmp_path / name, frames, shift=shift)
+        with pytest.raises(ValueError, match="expected a calibration of its moment"):
+            rp.open_sequence(tmp_path / name)
     same(rp.open_sequence(tmp_path / "b", CAMERA, "arkitscenes"), frames, CAMERA, times=[99.95, 100.05, 100.15])
 
 
