@@ -133,7 +133,7 @@ def table(result: dict[str, Any]) -> str:
         "",
         f"Frames of 640 x 480, tiles of 16 x 16, {result['threads']} threads. The table has {result['tiles']} rows and",
         f"{kilobytes:.0f} kB a frame: to write so many bytes to a file, and nothing else, takes",
-        f"{result['bare_share']:.0%} of the time of fitting.",
+        f"{result['bare_share']:.0%} of the processor time of fitting.",
     ]
     return "\n".join(lines)
 

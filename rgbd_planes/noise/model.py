@@ -66,7 +66,8 @@ class NoiseModel:
         How fast noise grows away from the optical axis, as where a sensor's own light falls off: at a pixel whose ray
         is (tanθx, tanθy, 1), at an angle θ from the axis, σq before rounding is (1 + tan²θx + tan²θy)^(falloff / 2),
         which is 1 / cos^falloff(θ), times that on the axis. The lateral error and rounding do not grow.
-        `rgbd_planes.segment` does not use it: each frame tells it how much noise there is.
+        `rgbd_planes.segment` uses it in covariances only, and there if neighbours share errors: each frame tells it how
+        much noise there is.
     evidence : NoiseEvidence, optional
         What `rgbd_planes.estimate_noise` saw; it is not kept in files.
 
