@@ -1,6 +1,7 @@
 """The command line: ``rgbd-planes demo``, ``fit``, ``segment``, ``normals``, ``noise``, ``batch``."""
 
 import argparse
+import contextlib
 import difflib
 import inspect
 import io
@@ -11,7 +12,7 @@ import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from itertools import takewhile
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn, cast
 
 from rgbd_planes import __version__
 from rgbd_planes.commands import COMMANDS
@@ -34,6 +35,13 @@ def main(argv: list[str] | None = None) -> int:
         # If the encoding lacks a name's character, the rest is still printed. A pipe gets all at the end, even with
         # PYTHONUNBUFFERED: by then the work is done, even if its reader has left.
         sys.stdout.reconfigure(errors="backslashreplace", line_buffering=sys.stdout.isatty(), write_through=False)
+    out, err = _Forgiving(sys.stdout, BrokenPipeError), _Forgiving(sys.stderr, OSError)
+    with contextlib.redirect_stdout(cast(IO[str], out)), contextlib.redirect_stderr(cast(IO[str], err)):
+        return _run(argv)
+
+
+def _run(argv: list[str] | None) -> int:
+    """`main`, once its output can go somewhere, or nowhere."""
     parser = _Parser(
         prog="rgbd-planes", description="Fit planes to depth images.", epilog="rgbd-planes COMMAND --help tells more"
     )
@@ -65,8 +73,6 @@ def main(argv: list[str] | None = None) -> int:
             warnings.showwarning = _show_each_once()
             status = arguments.run(arguments)
             print(end="", flush=True)
-    except BrokenPipeError:  # the reader of a pipe has left: nothing more to say, and no noise at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (CommandError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError, UserWarning) as error:
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # no more threads: of no own kind
             raise
@@ -75,6 +81,33 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     return status or 0
+
+
+class _Forgiving:
+    """A stream of text whose failures do not stop the work, as where a pipe's reader has left: it is nobody's then."""
+
+    def __init__(self, stream: IO[str], forgiven: type[OSError]) -> None:
+        self._stream, self._forgiven = stream, forgiven
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except self._forgiven:
+            self._lose()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except self._forgiven:
+            self._lose()
+
+    def _lose(self) -> None:
+        with contextlib.suppress(OSError):  # a stream of no file; else Python would try again at exit, and complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -3,8 +3,15 @@
 import sqlite3
 from contextlib import closing
 from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
+
+
+class Cut(NamedTuple):
+    """A message of which only the beginning is written."""
+
+    message: Any
 
 
 def messages(store, frames, encoding="16UC1", padding=0, big_endian=False):
@@ -59,10 +66,13 @@ def write_bag(path, topics):
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
     with writer:
         for topic, timed in topics.items():
-            kind = timed[0][1].__msgtype__
+            first = timed[0][1]
+            kind = (first.message if isinstance(first, Cut) else first).__msgtype__
             connection = writer.add_connection(topic, kind, typestore=store)
             for time, message in timed:
-                writer.write(connection, time, serialize(message, kind))
+                whole = not isinstance(message, Cut)
+                content = serialize(message if whole else message.message, kind)
+                writer.write(connection, time, content if whole else content[:40])
     if "humble" in path.name:
         with closing(sqlite3.connect(next(path.glob("*.db3")))) as database:
             database.execute("DROP TABLE message_definitions")

@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -592,6 +593,33 @@ def test_a_reader_that_leaves_early_is_no_error(folder, unbuffered, measured):
     assert rp.TilePlanes.load("p.npz").fitted.any() == measured
     noise = [line for line in ran.stderr.splitlines() if not line.startswith("compiling kernels")]
     assert (ran.returncode, len(noise)) == ((0, 0) if measured else (1, 1))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="without pipes of POSIX")
+@pytest.mark.parametrize("where", ["pipe", "/dev/full"])
+def test_work_is_done_whoever_reads_its_warnings(folder, where):
+    if where != "pipe" and not os.path.exists(where):
+        pytest.skip("this system has no disk that is always full")
+    frame = images.read_depth("depth.png")
+    frame[:30] = 65535
+    images.write_png("depth.png", frame)
+    read, write = os.pipe() if where == "pipe" else (os.open(where, os.O_RDONLY), os.open(where, os.O_WRONLY))
+    os.close(read)
+    arguments = ["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz"]
+    ran = subprocess.run([sys.executable, "-m", "rgbd_planes", *arguments], stdout=subprocess.PIPE, stderr=write)
+    os.close(write)
+    assert (ran.returncode, ran.stdout.splitlines()[-1]) == (0, b"Wrote p.npz")
+    assert rp.TilePlanes.load("p.npz").fitted.any()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="without pipes of POSIX")
+def test_a_reader_of_the_result_that_leaves_early_is_an_error(folder, capsys):
+    os.mkfifo("p.json")
+    reader = threading.Thread(target=lambda: os.close(os.open("p.json", os.O_RDONLY)))
+    reader.start()
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--out", "p.json"]) == 2
+    assert capsys.readouterr().err == "rgbd-planes fit: p.json: Broken pipe\n"
+    reader.join()
 
 
 def test_fit_on_real_frames(tmp_path, monkeypatch, capsys, real_frame):

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import real_data
-from bags import messages, type_store, write_bag
+from bags import Cut, messages, type_store, write_bag
 from matroska import write_recording
 from PIL import Image
 
@@ -542,7 +542,7 @@ def test_rosbag_frames_come_with_camera_info_and_stamps(tmp_path, frames, name):
     ids=["ROS 1", "little-endian", "big-endian"],
 )
 def test_the_stamp_of_a_message_is_in_its_own_byte_order(is2, content):
-    bag = SimpleNamespace(path=Path("a.bag"), _reader=SimpleNamespace(is2=is2))
+    bag = SimpleNamespace(path=Path("a.bag"), is_ros1=not is2)
     assert _OpenBag._stamp(bag, content) == 100.5
 
 
@@ -698,9 +698,38 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
         with pytest.raises(ValueError, match="two: not a ROS bag, or damaged"):
             rp.open_sequence(tmp_path / "two")
         (tmp_path / "two" / file).write_bytes(whole)
-    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(__import__("sys").modules, "rosbags", None)
     with pytest.raises(ModuleNotFoundError, match=r'this needs rosbags: pip install "rgbd-planes\[ros\]"'):
         rp.open_sequence(path, CAMERA)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "ros2", "mcap"])
+def test_what_a_rosbag_has_besides_may_be_damaged(tmp_path, frames, name, monkeypatch):
+    """Definitions of other messages, colour images, and the first of the depth images."""
+    pytest.importorskip("rosbags")
+    path = tmp_path / name
+    store, _ = type_store(path)
+    depth, info = messages(store, frames)
+    odd = store.types["std_msgs/msg/Float32"](1.0)
+    define, kind = type(store).generate_msgdef, odd.__msgtype__
+
+    def otherwise(self, typename, *arguments, **options):
+        text, digest = define(self, typename, *arguments, **options)
+        return (text.replace("float32 data", "my_msgs/Odd data"), "0" * 32) if typename == kind else (text, digest)
+
+    monkeypatch.setattr(type(store), "generate_msgdef", otherwise)
+    write_bag(path, {
+        "/camera/depth/image_raw": [(i + 1, message) for i, message in enumerate([Cut(depth[0]), *depth[1:]])],
+        "/camera/depth/camera_info": [(1, info)],
+        "/camera/color/image_raw": [(1, Cut(depth[0]))],
+        "/odd": [(1, odd)],
+    })  # fmt: skip
+    monkeypatch.undo()
+    sequence = rp.open_sequence(path)
+    assert sequence.camera == RAW
+    assert np.array_equal(sequence[1].depth, frames[1])
+    with pytest.raises(ValueError, match="not a ROS bag, or damaged"):
+        sequence[0]
 
 
 @pytest.mark.parametrize(

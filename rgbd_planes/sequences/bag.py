@@ -8,6 +8,7 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ _INFOS = "sensor_msgs/msg/CameraInfo"
 _GREY = "mono16"  # infrared images have it, too
 _ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
+_TRIED = 10  # messages of a topic, until one is whole
 
 # What saves a recording that was cut off, as by a power cut, by the suffix of its files.
 _SAVED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3's .recover"}
@@ -72,6 +74,7 @@ def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: st
             asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
             where = f"depth is in {', '.join(named)}" if named else f"depth is in none; there is {bag.contents()}"
             raise ValueError(f"{path}: {asked}; {where}")
+        bag.check_type(topic)
         camera = camera or bag.camera(topic)
         entries = [
             FrameEntry(f"{i:06d}", seconds, camera, _Location(source, topic, recorded, nth))
@@ -106,15 +109,18 @@ class _OpenBag:
         if not path.is_dir():
             existing_file(path)
         with needs("rosbags", "ros"):
-            from rosbags.highlevel import AnyReader
+            from rosbags import rosbag1, rosbag2
             from rosbags.typesys import Stores, get_typestore
         self.identity = identity(path)
-        # Bags of older ROS 2 do not define their messages; these three have been the same ever since.
+        self.is_ros1 = path.suffix == ".bag"
+        # Not the definitions of the bag, which those of older ROS 2 lack, and one of which may be damaged: what is read
+        # here is the same in all releases.
+        self._types = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         suffixes = {file.suffix for file in (path.iterdir() if path.is_dir() else [path])}
         tool = next((tool for suffix, tool in _SAVED_BY.items() if suffix in suffixes), None)
         remedy = f"; if the recording was cut off, {tool} saves what is there" if tool else ""
         with readable(self.path, _BAG, remedy):
-            self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self._reader: Any = rosbag1.Reader(path) if self.is_ros1 else rosbag2.Reader(path)
             self._reader.open()
 
     def close(self) -> None:
@@ -132,15 +138,26 @@ class _OpenBag:
                 for connection, time, content in self._reader.messages(connections, **times):
                     yield time, content, connection.msgtype
 
+    def check_type(self, topic: str) -> None:
+        """Refuse a topic whose type is not what ROS has under that name."""
+        for connection in self._reader.connections:
+            kind = connection.msgtype
+            if connection.topic == topic and connection.digest:
+                known = self._types.generate_msgdef(kind)[1] if self.is_ros1 else self._types.hash_rihs01(kind)
+                if connection.digest != known:
+                    raise ValueError(f"{self.path}: {topic}: expected {kind} as ROS defines it, got another")
+
     def first(self, topic: str) -> Any:
-        """The first message of a topic; None if there is none."""
-        for _, content, kind in self.messages(topic):
-            return self.message(content, kind)
+        """The first message of a topic that is whole; None if there is none."""
+        for _, content, kind in islice(self.messages(topic), _TRIED):
+            with suppress(ValueError):
+                return self.message(content, kind)
         return None
 
     def message(self, content: bytes, kind: str) -> Any:
         with readable(self.path, _BAG):
-            return self._reader.deserialize(content, kind)
+            read = self._types.deserialize_ros1 if self.is_ros1 else self._types.deserialize_cdr
+            return read(content, kind)
 
     def depth_topics(self) -> dict[str, str]:
         """Encodings of the topics whose first message may be a depth image."""
@@ -165,7 +182,9 @@ class _OpenBag:
         infos = {name for name, about in self._reader.topics.items() if about.msgtype == _INFOS}
         parents = [topic.rsplit("/", i)[0] for i in range(1, topic.count("/") + 1)]
         nearest = [f"{p}{info}" for p in parents for info in ("/camera_info", "/info/camera_info")]
-        info = next((self.first(name) for name in nearest if name in infos), None)
+        name = next((name for name in nearest if name in infos), "")
+        self.check_type(name)
+        info = self.first(name)
         if info is None:
             raise ValueError(
                 f"{self.path}: expected a CameraInfo beside {topic}, or a camera; "
@@ -196,7 +215,7 @@ class _OpenBag:
         """Seconds of the header that both kinds of message begin with; 0 where it is not set."""
         # ROS 1: the header's number, then its time. CDR: the encoding, then the header's time.
         with readable(self.path, _BAG):
-            order = "<" if not self._reader.is2 or content[1] & 1 else ">"
+            order = "<" if self.is_ros1 or content[1] & 1 else ">"
             seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
         return float(seconds + nanoseconds * 1e-9)
 
