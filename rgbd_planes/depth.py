@@ -120,19 +120,35 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     return _read(array, camera)
 
 
-def depth_of(frame: ArrayLike | Frame) -> ArrayLike:
-    """The depth of a frame of a sequence; anything else is a depth itself."""
+def depth_of(frame: ArrayLike | Frame, camera: Camera) -> ArrayLike:
+    """The depth of a frame of a sequence, taken by this camera; anything else is a depth itself.
+
+    Raises
+    ------
+    ValueError
+        The frame's own camera has other rays or another unit: its depth would be taken for what it is not.
+    """
     if isinstance(frame, np.ndarray):
         return frame
     from rgbd_planes.sequences.frames import Frame
 
-    return frame.depth if isinstance(frame, Frame) else frame
+    if not isinstance(frame, Frame):
+        return frame
+    own = frame.camera
+    if own is not camera:
+        units = (own.depth_scale, own.disparity)
+        if own._lens != camera._lens or units not in ((None, None), (camera.depth_scale, camera.disparity)):
+            raise ValueError(
+                f"expected frames of the camera that is given, got {frame.name}, whose own camera has other intrinsics "
+                "or another unit; if it is the given one's all the same, give frame.depth"
+            )
+    return frame.depth
 
 
 def as_numbered_frame(number: int, frame: ArrayLike | Frame, camera: Camera) -> DepthFrame:
     """`as_depth_frame` of one of many: an error begins with its number, from 0."""
     with naming(f"frame {number}"):
-        return as_depth_frame(depth_of(frame), camera)
+        return as_depth_frame(depth_of(frame, camera), camera)
 
 
 def as_depth_frames(frames: NDArray[Any], camera: Camera) -> DepthFrame:

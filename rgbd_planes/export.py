@@ -347,7 +347,7 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: A
         As `rgbd_planes.fit_tiles`, for a frame that is not this camera's, and for what is no name or no stamp.
     """
     check_camera(camera)
-    points = camera.points(depth).astype("<f4")
+    points = _single(camera.points(depth)).astype("<f4")
     height, width, _ = points.shape
     return {
         "header": ros_header(frame_id, stamp),

@@ -161,6 +161,10 @@ def _is_free(size: int) -> bool:
     return True
 
 
+class MissingFolderError(FileNotFoundError):
+    """Not only a file is missing, but the folder that it was in, as where a disk has been taken away."""
+
+
 def existing_file(path: str | os.PathLike[str]) -> Path:
     """The path, if it is a file: opening a pipe would wait for what may never come."""
     file = no_folder(path)
@@ -174,7 +178,8 @@ def no_folder(path: str | os.PathLike[str]) -> Path:
     """The path, if it exists and is not a folder."""
     file = Path(path)
     if not file.exists():
-        raise FileNotFoundError(f"{path}: there is no such file")
+        kind = FileNotFoundError if file.parent.exists() else MissingFolderError
+        raise kind(f"{path}: there is no such file")
     if file.is_dir():
         raise ValueError(f"{path}: expected a file, got a folder")
     return file

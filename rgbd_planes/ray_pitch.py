@@ -101,9 +101,15 @@ def lens_by_angle(camera: Camera) -> Floats:
 @functools.lru_cache(maxsize=2)
 def _of_pixels(camera: Camera) -> Floats:
     """(3, H, W) float64: JJᵀ at each pixel of a camera with distortion."""
-    u_x, v_x = _change(camera.tan_x, 1, 1.0 / camera.fx), _change(camera.tan_y, 1, 0.0)
-    u_y, v_y = _change(camera.tan_x, 0, 0.0), _change(camera.tan_y, 0, 1.0 / camera.fy)
+    (u_x, u_y), (v_x, v_y) = ray_changes(camera)
     return np.stack([u_x * u_x + u_y * u_y, u_x * v_x + u_y * v_y, v_x * v_x + v_y * v_y])
+
+
+def ray_changes(camera: Camera) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """(H, W) each: the changes of tanθx from pixel to pixel along a row and down a column, and those of tanθy."""
+    u, v = camera.tan_x, camera.tan_y
+    of_u = _change(u, 1, 1.0 / camera.fx), _change(u, 0, 0.0)
+    return of_u, (_change(v, 1, 0.0), _change(v, 0, 1.0 / camera.fy))
 
 
 def _change(table: Floats, axis: int, alone: float) -> Floats:

@@ -5,9 +5,9 @@ bits for any number of threads, and no threading layer of Numba's to choose, to 
 """
 
 import os
-import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from concurrent.futures import Future
+from contextlib import ExitStack, suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -53,21 +53,24 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
     """Have ``work(*arguments)`` done by one of ``num_threads`` threads; call the returned function for the result.
 
     If the result is asked for before a thread has started, the caller does the work: nested work could otherwise wait
-    for ever. The same once the main thread has ended: Python then gives no more threads. Warnings of the work are
-    issued when the result is asked for.
+    for ever. The same where there are no more threads, by a limit or since the main thread has ended. Warnings of the
+    work are issued when the result is asked for.
     """
     messages: list[str] = []
+    # Not the pool's own: it keeps work for which it could not start a thread, and would do it later.
+    future: Future[Result] = Future()
 
-    def work_elsewhere() -> Result:
-        with collected_warnings(messages):
-            return work(*arguments)
+    def work_elsewhere() -> None:
+        if not future.set_running_or_notify_cancel():
+            return
+        try:
+            with collected_warnings(messages):
+                future.set_result(work(*arguments))
+        except BaseException as error:
+            future.set_exception(error)
 
-    try:
-        future = _pool(num_threads).submit(work_elsewhere)
-    except RuntimeError:
-        if threading.main_thread().is_alive():
-            raise
-        return lambda: work(*arguments)
+    with suppress(RuntimeError):
+        _pool(num_threads).submit(work_elsewhere)
 
     def result() -> Result:
         if future.cancel():

@@ -117,6 +117,31 @@ def test_a_name_that_is_no_unicode_is_in_the_table(tmp_path):
     assert report.problems == []
     assert set(rows_of(tmp_path / "out")["name"]) == {"1.png", r"2 T\udcfcr.png"}
     assert rp.fit_sequence(rp.open_sequence(root, CAMERA), tmp_path / "out").resumed == 2
+    out = tmp_path / os.fsdecode(b"T\xfcr")
+    assert cli.main(["batch", str(root), "--camera", str(_saved_camera(tmp_path)), "--out", str(out)]) == 0
+    with open(out / "part-000000.parquet", "rb") as file:
+        assert parquet.read_table(file).num_rows > 0
+
+
+def _saved_camera(folder):
+    CAMERA.save(folder / "camera.json")
+    return folder / "camera.json"
+
+
+def test_a_disk_that_is_taken_away_is_no_fault_of_its_frames(recording, tmp_path):
+    """Otherwise they would be left out for good."""
+    sequence, away = rp.open_sequence(recording), recording.with_name("away")
+
+    def take_away(done):
+        if recording.exists():
+            recording.rename(away)
+
+    with pytest.raises(FileNotFoundError, match=r"\d+\.png: there is no such file"):
+        rp.fit_sequence(sequence, tmp_path / "out", num_threads=1, progress=take_away)
+    assert not recording.exists()
+    away.rename(recording)
+    assert rp.fit_sequence(sequence, tmp_path / "out").problems == []
+    check_rows(tmp_path / "out", sequence)
 
 
 def test_a_time_that_is_not_known_is_null(recording, tmp_path):
@@ -990,7 +1015,8 @@ def test_command_passes_its_options_on(recording, tmp_path):
 @pytest.mark.parametrize(
     "error",
     [MemoryError(), ImportError("no libpng")]
-    + [OSError(number, os.strerror(number)) for number in (errno.ENFILE, errno.EIO, errno.ESTALE, errno.ETIMEDOUT)],
+    + [OSError(number, os.strerror(number)) for number in (errno.ENFILE, errno.EIO, errno.ETIMEDOUT, errno.ENOTCONN)]
+    + [TimeoutError("no answer")],
 )
 def test_what_the_machine_lacks_is_no_fault_of_a_frame(recording, tmp_path, error):
     """Otherwise the frame would be left out for good; where the system names no file, the frame is named."""

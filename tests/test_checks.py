@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import printed_by
 
 import rgbd_planes as rp
 from rgbd_planes import export, images, metrics, noise, scenes, segmentation_export, sequences, uncertainty
@@ -369,6 +370,42 @@ def test_points_and_what_they_have_are_as_many(tmp_path):
 def test_frames_need_a_camera():
     with pytest.raises(TypeError, match="expected a Camera, got str"):
         sequences.FrameSequence([sequences.FrameEntry("a", 0.0, "camera", 0)], np.zeros)
+    with pytest.raises(TypeError, match="expected the name of a FrameEntry as a string, got 7"):
+        sequences.FrameSequence([sequences.FrameEntry(7, 0.0, CAMERA, 0)], np.zeros)
+    with pytest.raises(TypeError, match="expected progress as a function of a Progress, got 3"):
+        rp.fit_sequence(FRAMES, "out", progress=3)
+
+
+@pytest.mark.parametrize("change", [{"fx": 61.0}, {"distortion": (0.1, 0.0, 0.0, 0.0, 0.0)}, {"depth_scale": 5000.0}])
+def test_frames_of_another_camera_are_refused(change):
+    """Where the caller gives one camera for all."""
+    camera = replace(CAMERA, depth_scale=1000.0)
+    depth = np.full(camera.shape, 1000, np.uint16)
+    frame = sequences.Frame(depth, replace(camera, **change), 0.0, "7.png")
+    message = "expected frames of the camera that is given, got 7.png, whose own camera"
+    for use in (
+        lambda frames: rp.TileFitter(camera).fit_batch(frames),
+        lambda frames: list(rp.TileFitter(camera).fit_stream(frames)),
+        lambda frames: rp.estimate_noise(frames, camera),
+    ):
+        with pytest.raises(ValueError, match=message):
+            use([frame])
+    same = replace(frame, camera=replace(camera, noise=noise.kinect_v1(), depth_range=(0.2, 9.0)))
+    assert rp.TileFitter(camera).fit_batch([same]).fitted.all()
+
+
+def test_underflow_is_no_error_where_others_are():
+    """As after np.seterr(all="raise"), in a process of its own: tables are made once."""
+    code = """
+import numpy as np, rgbd_planes as rp
+camera = rp.Camera(320, 240, 280.0, 280.0, 159.5, 119.5, depth_scale=1000.0)
+depth = rp.scenes.room().render(camera).measure(seed=1)
+np.seterr(all="raise")
+noise = rp.noise.NoiseModel((2e-3,), correlation=((0.3, 2.0),))
+rp.fit_tiles(depth, camera.with_noise(noise)).p_value
+print(len(rp.segment(depth, camera)) > 0, rp.estimate_noise([depth], camera).sigma(0.5) > 0.0)
+"""
+    assert printed_by(code, PYTHONWARNINGS="ignore").split() == ["True", "True"]
 
 
 def test_scores_of_a_segmentation_are_told_apart():

@@ -236,6 +236,13 @@ def test_numbers_of_planes_do_not_cover_each_other(shape):
     assert len(texts) >= min(len(found), 5)
 
 
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1)])
+def test_a_segmented_frame_of_one_row_or_column_behind_a_lens(shape):
+    camera = rp.Camera(shape[1], shape[0], 52.5, 52.5, 0.3, 0.2, distortion=(0.1, 0.0, 0.0, 0.0))
+    depth = np.full(shape, 2.0)
+    rp.segment(depth, camera, noise=0.01).plot(depth).draw_without_rendering()
+
+
 @pytest.mark.parametrize("fy", [52.5, -52.5])
 @pytest.mark.parametrize("lens", [(), (0.1, -0.05, 0.0, 0.0)])
 def test_a_plane_has_one_brightness(fy, lens, rng):

@@ -519,6 +519,24 @@ def test_threads_that_call_first_all_at_once():
     assert all(np.array_equal(result, results[0]) for result in results)
 
 
+def test_work_for_which_no_thread_could_be_started_is_not_done_later(monkeypatch):
+    """When the arrays that it writes to are the caller's again."""
+    threads._pool.cache_clear()
+    done = []
+
+    def fail(thread):
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", fail)
+        threads.run_in_ranges(lambda start, stop: done.append((start, stop)), 6, 3)
+    assert sorted(done) == [(0, 2), (2, 4), (4, 6)]
+    threads.run_in_ranges(lambda start, stop: time.sleep(1e-3), 6, 3)
+    threads._pool(2).shutdown()  # waits for what is left
+    threads._pool.cache_clear()
+    assert len(done) == 3
+
+
 def test_threads_of_numbers_that_were_tried_once_end():
     threads._pool.cache_clear()
     gc.collect()

@@ -1,7 +1,6 @@
 """The work of a worker: some frames of a sequence, fitted and written as a Parquet file."""
 
 import json
-import os
 import re
 import time
 from collections.abc import Callable, Iterable
@@ -231,9 +230,9 @@ def fit_part(
         rows.write(stream, first, sequence.names, sequence.timestamps, about)
         content = stream.getvalue().to_pybytes()
     else:
-        with write_beside(where) as beside:
-            file = pyarrow.OSFile(os.fspath(beside), "wb")
-            rows.write(file, first, sequence.names, sequence.timestamps, about)
+        # Not a file of Arrow's, whose name would have to be Unicode.
+        with write_beside(where) as beside, open(beside, "wb") as file:
+            rows.write(pyarrow.PythonFile(file), first, sequence.names, sequence.timestamps, about)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), digest, seconds, warnings)
 

@@ -182,6 +182,8 @@ def fit_sequence(
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
     check_sequence(sequence)
     num_threads, retry = check_num_threads(num_threads), check_bool("retry", retry)
+    if progress is not None and not callable(progress):
+        raise TypeError(f"expected progress as a function of a Progress, got {progress!r}")
     settings = FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):
         raise TypeError(f"expected settings as FitSettings(...), got {settings!r}")

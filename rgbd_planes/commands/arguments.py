@@ -50,7 +50,7 @@ def add_noise(parser: argparse.ArgumentParser, what_for: str, *, number_is_model
         type=noise_model if number_is_model else model_or_number,
         metavar="NAME or SIGMA",
         help="noise of the sensor, instead of the camera's own: kinect_v1, kinect_v1_nguyen, or the standard deviation "
-        f"of 1/Z in 1/m; {what_for}. The models and the number take pixels for independent, which those of real sensors "
+        f"of 1/Z in 1/m; {what_for}. The models and the number take pixels for independent, which those of sensors "
         "are not: rgbd-planes noise finds a sensor's own",
     )
 

@@ -159,7 +159,7 @@ def _open(frames: Any, camera: Camera) -> tuple[list[Any], NoiseModel]:
     if not hasattr(frames, "__len__") or isinstance(frames, (bytes, bytearray, Mapping)):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
     is_one = getattr(frames, "ndim", None) == 0
-    opened: list[Any] = [] if is_one else [depth_of(frame) for frame in frames]  # each is read once
+    opened: list[Any] = [] if is_one else [depth_of(frame, camera) for frame in frames]  # each is read once
     is_one = is_one or (len(opened) > 0 and np.ndim(opened[0]) == 1)  # those were rows
     if is_one:
         opened = [frames]

@@ -186,6 +186,7 @@ def _along(components: Components, n: int) -> _Side:
 
 
 @functools.lru_cache(maxsize=128)
+@np.errstate(under="ignore")  # of errors far apart
 def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats, Floats]:
     """Statistics of rectangles whose sides are as 1 to 2^(step / `_PER_DOUBLING`), by the root of their area.
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes.checks import check_figure
 from rgbd_planes.colours import NO_PLANE, label_colours
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.ray_pitch import ray_changes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,9 +54,8 @@ def _relief(inverse_depth: Floats, camera: Camera, sigma: float) -> Floats:
     # In inverse depth, where noise is the same near and far, from pixel to pixel.
     x, y = (_smooth_difference(inverse_depth, axis) for axis in (1, 0))
     if camera.is_distorted:
-        u, v = camera.tan_x, camera.tan_y
+        (ux, uy), (vx, vy) = ray_changes(camera)
         with np.errstate(invalid="ignore", divide="ignore"):
-            (uy, ux), (vy, vx) = np.gradient(u), np.gradient(v)
             determinant = (ux * vy - uy * vx) * np.array([[camera.fx], [camera.fy]])[:, :, None]
             x, y = np.stack([x * vy - y * vx, y * ux - x * uy]) / determinant
     return np.asarray(np.clip(1.0 + 0.12 * np.nan_to_num(x + y) / sigma, 0.7, 1.12))

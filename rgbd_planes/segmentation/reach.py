@@ -27,6 +27,7 @@ def reach_table() -> Floats:
     return made
 
 
+@np.errstate(under="ignore")  # of errors far apart
 def _scatter(side: int) -> tuple[Floats, Floats]:
     """(K,) each: scatter of the means of a square's 4 x 4 parts about its plane, and its residual.
 

@@ -15,12 +15,20 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera
+from rgbd_planes.files import MissingFolderError
 from rgbd_planes.images import read_depth
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.wording import counted, reason_of
 
-# What the system says where nothing is wrong with a file: files or memory are short, or a disk does not answer.
-_OF_THE_MACHINE = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.ETIMEDOUT}
+# What the system says where nothing is wrong with a file: files or memory are short, or a disk, near or far, does not
+# answer. Not every system knows all of them.
+_OF_THE_MACHINE = {
+    getattr(errno, name, errno.EIO)
+    for name in (
+        *("EMFILE", "ENFILE", "ENOMEM", "EIO", "ESTALE", "ETIMEDOUT", "ENODEV", "ENXIO", "EREMOTEIO", "ENOTCONN"),
+        *("ECONNREFUSED", "ECONNRESET", "ECONNABORTED", "EHOSTDOWN", "EHOSTUNREACH", "ENETDOWN", "ENETUNREACH"),
+    )
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,7 +81,7 @@ class FrameSequence(Sequence[Frame]):
     Raises
     ------
     TypeError
-        An entry is not a `FrameEntry`, its camera not a `Camera`, or `read` not a function.
+        An entry is not a `FrameEntry`, its name not a string, its camera not a `Camera`, or `read` not a function.
     """
 
     def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
@@ -82,6 +90,8 @@ class FrameSequence(Sequence[Frame]):
         for entry in self.entries:
             if not isinstance(entry, FrameEntry):
                 raise TypeError(f"expected entries as FrameEntry(...), got {type(entry).__name__}")
+            if not isinstance(entry.name, str):
+                raise TypeError(f"expected the name of a FrameEntry as a string, got {entry.name!r}")
         if not callable(read):
             raise TypeError(f"expected read as a function of a location, got {type(read).__name__}")
         for camera in {id(entry.camera): entry.camera for entry in self.entries}.values():
@@ -180,14 +190,16 @@ def check_sequence(sequence: Any) -> None:
 def reason_to_skip(error: Exception, name: str) -> str:
     """What is wrong with the frame of a name, in one line, if that is why it could not be read or fitted.
 
-    Where something else is, as where a library is missing, memory is short or a disk does not answer, that error is
-    raised: the frame would be left out for good.
+    Where something else is, as where a library is missing, memory is short, or a disk does not answer or is gone, that
+    error is raised: the frame would be left out for good.
     """
     if isinstance(error, (ImportError, MemoryError)):
         raise error
     cause: BaseException | None = error
     while cause is not None:  # readers take it for damage to the file
-        if isinstance(cause, OSError) and cause.errno in _OF_THE_MACHINE:
+        if isinstance(cause, MissingFolderError):
+            raise cause
+        if isinstance(cause, TimeoutError) or (isinstance(cause, OSError) and cause.errno in _OF_THE_MACHINE):
             cause.filename = cause.filename or name
             raise cause
         cause = cause.__cause__ or cause.__context__
