@@ -360,8 +360,9 @@ def plane_errors(predicted: ArrayLike, truth: ArrayLike) -> PlaneErrors:
 
 def _with_unit_normals(name: str, planes: NDArray[np.float64]) -> NDArray[np.float64]:
     """(..., 4) planes with normals of length 1."""
-    length = np.linalg.norm(planes[..., :3], axis=-1, keepdims=True)
-    without = planes[length[..., 0] == 0.0]
+    largest = np.abs(planes[..., :3]).max(axis=-1, keepdims=True)  # whose square may be too large, or too small
+    without = planes[largest[..., 0] == 0.0]
     if len(without):
         raise ValueError(f"expected planes with a normal in {name}, got {without[0].tolist()}")
-    return np.asarray(planes / length)
+    scaled = planes / largest
+    return np.asarray(scaled / np.linalg.norm(scaled[..., :3], axis=-1, keepdims=True))

@@ -239,9 +239,10 @@ def _polygon(
     whole = mask | (missing[box] & _without_gaps(mask, min_part))
     image = _outline(whole, box[1].start, box[0].start, tolerance, min_part)
     # Half a pixel beyond the farthest pixel of a plane seen along its surface, rays hardly meet it, or not at all. If
-    # that pixel is one or more from the horizon, they do at no more than twice its depth.
+    # that pixel is one or more from the horizon, they do at no more than twice its depth. A label may go on beyond the
+    # horizon, where nothing is measured: it ends at a thousand times the depth of its nearest pixel.
     q = (alpha[0] * camera.tan_x[box] + alpha[1] * camera.tan_y[box] + alpha[2])[mask]
-    farthest = max(0.5 * float(q.min(initial=np.inf)), 1e-3 * float(np.linalg.norm(alpha)))
+    farthest = max(0.5 * float(q.min(initial=np.inf)), 1e-3 * float(q.max(initial=0.0)))
     metric = _in_plane(_bent_by_lens(image, camera, tolerance), camera, alpha, farthest, origin, axes)
     return PlanePolygon(label, plane, origin, axes, image, metric)
 
@@ -346,14 +347,17 @@ def _with_bends(ring: Floats, camera: Camera, tolerance: float) -> Floats:
     """A ring with edges halved until each is straight, seen along its rays, to within ``tolerance`` pixels."""
     while True:
         start, edge = ring[:-1], np.diff(ring, axis=0)
+        pixels = np.linalg.norm(edge, axis=-1, keepdims=True)
         places = start + _ON_EDGE[:, None, None] * edge
-        rays = rays_through(camera, places)[..., :2]
-        first, *between, last = rays
+        beside = places[1:-1] + np.stack([-edge[:, 1], edge[:, 0]], axis=-1) / np.maximum(pixels, 1.0)
+        first, *between, last = rays_through(camera, places)[..., :2]
         along = last - first
-        length, pixels = np.linalg.norm(along, axis=-1), np.linalg.norm(edge, axis=-1)
-        off = np.max([np.abs(along[:, 0] * w[:, 1] - along[:, 1] * w[:, 0]) for w in between - first], axis=0)
-        # Off, over the length, is the distance; one pixel is length / pixels there.
-        bent = np.flatnonzero((pixels > 1.0) & (off * pixels > tolerance * length**2))
+        off, pitch = (
+            np.abs(along[:, 0] * w[..., 1] - along[:, 1] * w[..., 0])
+            for w in (between - first, rays_through(camera, beside)[..., :2] - between)
+        )
+        # Both times the length: how far off the straight line an edge is, and one pixel across it.
+        bent = np.flatnonzero((pixels[:, 0] > 1.0) & (off > tolerance * pitch).any(axis=0))
         if not len(bent):
             return ring
         ring = np.insert(ring, bent + 1, start[bent] + 0.5 * edge[bent], axis=0)

@@ -20,9 +20,14 @@ def rays_through(camera: Camera, pixels: npt.ArrayLike) -> Floats:
     row = np.clip(np.floor(y).astype(int), 0, max(camera.height - 2, 0))
     s, t = x - column, y - row
     next_column, next_row = np.minimum(column + 1, camera.width - 1), np.minimum(row + 1, camera.height - 1)
-    tables = [
+    tan_x, tan_y = (
         (1 - t) * ((1 - s) * table[row, column] + s * table[row, next_column])
         + t * ((1 - s) * table[next_row, column] + s * table[next_row, next_column])
         for table in (camera.tan_x, camera.tan_y)
-    ]
-    return np.stack([*tables, np.ones_like(x)], axis=-1)
+    )
+    # There is no change from one column, or row, to the next where there is only one: that of the pinhole is taken.
+    if camera.width == 1:
+        tan_x = tan_x + s / camera.fx
+    if camera.height == 1:
+        tan_y = tan_y + t / camera.fy
+    return np.stack([tan_x, tan_y, np.ones_like(x)], axis=-1)

@@ -904,3 +904,12 @@ def test_rays_beyond_where_the_tangential_part_folds_have_no_image(tangential, r
     assert inside.sum() > 1000
     rays = rays_through(camera, pixels[inside])
     np.testing.assert_allclose(rays[:, :2], points[inside, :2] / points[inside, 2:], atol=1e-6)
+
+
+def test_rays_of_pixels_have_an_image_where_the_radial_part_alone_would_fold():
+    """Of a lens whose tangential part keeps it one-to-one all over the image."""
+    lens = (0.03834365, -0.09891097, 0.00353125, 0.00314493, 0.06961385, 0.44853761, 0.16415756, 0.02644086)
+    camera = Camera(74, 49, 95.47, 99.30, 24.04, 10.35, distortion=lens)
+    rays = np.dstack([camera.tan_x, camera.tan_y, np.ones(camera.shape)])
+    rows, columns = np.indices(camera.shape)
+    np.testing.assert_allclose(camera.project(rays), np.dstack([columns, rows]), atol=1e-6)

@@ -210,6 +210,9 @@ def test_plane_errors() -> None:
     errors = plane_errors(predicted, truth)
     assert errors.angle_deg == pytest.approx([90.0, 1e-6, 0.0], rel=1e-6)
     assert errors.offset == pytest.approx([0.5, 0.0, 0.0])
+    for scale in (1e-200, 1e200):  # of which the squares are 0, or infinite
+        scaled = plane_errors(scale * np.array([1.0, 0.0, 0.0, 1.0]), scale * np.array([0.0, 1.0, 0.0, 1.5]))
+        np.testing.assert_allclose([scaled.angle_deg, scaled.offset], (90.0, -0.5))
     single = plane_errors(predicted[0], truth[0])
     assert (single.angle_deg, single.offset) == (errors.angle_deg[0], errors.offset[0])
     with pytest.raises(ValueError, match=r"expected predicted of shape \(\.\.\., 4\), got \(1, 3\)"):

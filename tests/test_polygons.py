@@ -57,8 +57,29 @@ def test_a_plane_ends_before_its_horizon() -> None:
     q = 0.5 * CAMERA.tan_y - 0.02
     made = fit_labels(np.where(q > 0.02, 1.0 / q, 0.0), CAMERA, np.ones(CAMERA.shape, int), max_missing=1.0)
     (polygon,) = plane_polygons(made)
-    q = 1.0 / np.concatenate([ring[:, 2] for part in polygon.rings() for ring in part])
-    assert q.min() > 0.999e-3 * np.linalg.norm(made.alpha[0])
+    of_corners = 1.0 / np.concatenate([ring[:, 2] for part in polygon.rings() for ring in part])
+    assert of_corners.min() > 0.999e-3 * q.max()
+
+
+@pytest.mark.parametrize("shape", [(6, 1), (1, 6)])
+def test_a_frame_of_one_row_or_column_behind_a_lens_has_an_area(shape) -> None:
+    """A pixel is as wide there as that of a pinhole, and half of it belongs to either side."""
+    camera = Camera(shape[1], shape[0], 30.0, 30.0, 0.3, 0.3, distortion=(-0.06, -0.11, 0.0003, -0.004, -0.001))
+    made = fit_labels(1.0 / (0.4 * camera.tan_x - 0.2 * camera.tan_y + 1.0), camera, np.ones(shape, int))
+    (polygon,) = plane_polygons(made)
+    assert polygon.area == pytest.approx(6.0 / 30.0**2, rel=0.1)
+    assert len(polygon.triangles()) >= 2
+
+
+@pytest.mark.parametrize("distance", [0.002, 0.005, 0.02])
+def test_the_outline_of_a_plane_seen_along_its_surface_contains_its_pixels(distance) -> None:
+    """However near to the camera's centre it passes."""
+    camera = Camera(64, 48, 600.0, 600.0, 31.5, 23.5)
+    q = (camera.tan_x - 0.01) / (distance * np.hypot(1.0, 0.01))
+    depth = np.where((q > 0.4) & (q < 4.0), 1.0 / q, 0.0)
+    (polygon,) = plane_polygons(fit_labels(depth, camera, (depth > 0.0).astype(int)), tolerance=0.0)
+    points = polygon.to_plane(camera.points(depth)[depth > 0.0])
+    assert shapely.contains_xy(polygon.metric, *points.T).all()
 
 
 def test_only_right_angles_are_made_whole() -> None:
@@ -340,15 +361,13 @@ def test_a_plane_without_pixels_has_an_empty_outline() -> None:
     assert left.area == pytest.approx(0.48, rel=0.04)
 
 
-def test_an_outline_without_area_has_an_empty_hull() -> None:
-    """Of a camera that is one pixel wide no rays lie side by side."""
+def test_a_camera_of_one_column_sees_one_column_of_the_plane() -> None:
     found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
     camera = replace(CAMERA, width=1, cx=0.0)
     narrow = replace(found, camera=camera, labels=found.labels[:, :1], reason=found.reason[:, :1])
     (own,) = plane_polygons(narrow)
-    assert own.area == 0.0
-    assert own.hull.is_empty
-    assert own.to_dict()["rectangle"] == []
+    assert own.area == pytest.approx(CAMERA.height * (2.0 / CAMERA.fx) ** 2, rel=0.01)
+    assert own.hull.area == pytest.approx(own.area)
 
 
 @pytest.mark.parametrize("holes", [0.0, 0.25])

@@ -12,6 +12,7 @@ then several rays share one pixel. Inverting it means the ray on the unfolded sh
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ _MAX_ITERATIONS = 50
 _CHUNK = 32768  # points at a time, so that the temporaries stay in the cache
 _WAY = np.linspace(0.0, 1.0, 17)[1:]  # steps from the optical axis to a place that is not found at once
 _SEGMENT = np.linspace(0.0, 1.0, 65)[1:]  # where a line from the optical axis is checked for folds
+_RADII = np.linspace(0.0, 8.0, 513)[1:]
 
 
 def coefficients8(coefficients: Sequence[float]) -> Floats:
@@ -203,10 +205,29 @@ def _residual(
 
 
 def unfolded(x: Floats, y: Floats, coefficients: Sequence[float]) -> NDArray[np.bool_]:
-    """Whether `distort` is one-to-one all the way from the optical axis to each (x, y)."""
+    """Whether `distort` is one-to-one all the way from the optical axis to each (x, y); not at NaN."""
+    is_one_to_one = np.hypot(x, y) < _clear_radius(tuple(coefficients))
+    far_x, far_y = x[~is_one_to_one], y[~is_one_to_one]
+    far = [
+        _keeps_sides(part_x[:, None] * _SEGMENT, part_y[:, None] * _SEGMENT, coefficients).all(axis=-1)
+        for part_x, part_y in ((far_x[i : i + _CHUNK], far_y[i : i + _CHUNK]) for i in range(0, len(far_x), _CHUNK))
+    ]
+    is_one_to_one[~is_one_to_one] = np.concatenate([np.empty(0, np.bool_), *far])
+    return is_one_to_one
+
+
+@lru_cache(maxsize=16)
+def _clear_radius(coefficients: tuple[float, ...]) -> float:
+    """A radius within which `distort` folds in no direction."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 65)[:-1, None]
+    is_clear = _keeps_sides(_RADII * np.cos(angle), _RADII * np.sin(angle), coefficients).all(axis=0)
+    return float(0.9 * _RADII[np.argmin(is_clear)]) if not is_clear.all() else float(_RADII[-1])
+
+
+def _keeps_sides(x: Floats, y: Floats, coefficients: Sequence[float]) -> NDArray[np.bool_]:
+    """Whether `distort` does not turn the neighbourhood of each (x, y) inside out, nor has a pole before it."""
     k4, k5, k6 = coefficients8(coefficients)[5:]
-    along_x, along_y = x[..., None] * _SEGMENT, y[..., None] * _SEGMENT
-    r2 = along_x**2 + along_y**2
-    a, b, c, d = distortion_jacobian(along_x, along_y, coefficients)
-    positive = (a * d - b * c > 0) & (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)) > 0)
-    return np.asarray(positive.all(axis=-1))
+    r2 = x**2 + y**2
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # far out
+        a, b, c, d = distortion_jacobian(x, y, coefficients)
+        return np.asarray((a * d - b * c > 0) & (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)) > 0))

@@ -122,8 +122,8 @@ def image_of_rays(x: Floats, y: Floats, coefficients: Sequence[float], model: st
         seen = np.isfinite(x) & np.isfinite(y)
         x, y, _ = brown_conrady.undistort(np.where(seen, x, 0.0), np.where(seen, y, 0.0), coefficients)
         return np.where(seen, x, np.nan), np.where(seen, y, np.nan)
-    beyond = np.hypot(x, y) >= brown_conrady.fold_radius(coefficients)
     if any(coefficients[2:4]):  # the tangential part folds elsewhere
-        a, b, c, d = brown_conrady.distortion_jacobian(x, y, coefficients)
-        beyond |= a * d - b * c <= 0.0
+        beyond = ~brown_conrady.unfolded(x, y, coefficients)
+    else:
+        beyond = np.hypot(x, y) >= brown_conrady.fold_radius(coefficients)
     return brown_conrady.distort(np.where(beyond, np.nan, x), np.where(beyond, np.nan, y), coefficients)

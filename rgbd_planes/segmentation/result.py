@@ -54,8 +54,8 @@ class Segmentation(Savable):
     alpha : (N, 3) float64
         -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label whose measured
         neighbours, of eight, have it too: at an edge a pixel may see both sides, or be the other's. Where those are
-        less than half, it is the fit to all pixels of the label. Strays that took their neighbours' label are in no
-        fit.
+        less than half, it is the fit to all pixels of the label. Strays that took their neighbours' label in the end
+        are in no fit, and nor are the pixels beside them.
     alpha_covariance : (N, 3, 3) float64
         Of α, in 1/m². With a noise model it is that of `fit_labels` for the pixels of the fit, or as much more as their
         residual is larger than by the model, if the model says what errors neighbours share, or the frame shows none:
