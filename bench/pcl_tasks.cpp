@@ -49,10 +49,12 @@ std::vector<float> tiles(const Cloud::Ptr& cloud)
   return planes;
 }
 
-Normals::Ptr normals(const Cloud::Ptr& cloud, float size)
+using Estimation = pcl::IntegralImageNormalEstimation<pcl::PointXYZ, pcl::Normal>;
+
+Normals::Ptr normals(const Cloud::Ptr& cloud, Estimation::NormalEstimationMethod method, float size)
 {
-  pcl::IntegralImageNormalEstimation<pcl::PointXYZ, pcl::Normal> estimation;
-  estimation.setNormalEstimationMethod(estimation.COVARIANCE_MATRIX);
+  Estimation estimation;
+  estimation.setNormalEstimationMethod(method);
   estimation.setMaxDepthChangeFactor(0.02f);
   estimation.setNormalSmoothingSize(size);
   estimation.setInputCloud(cloud);
@@ -67,7 +69,7 @@ std::vector<int32_t> segments(const Cloud::Ptr& cloud)
   segmentation.setMinInliers(1000);
   segmentation.setAngularThreshold(pcl::deg2rad(3.0));
   segmentation.setDistanceThreshold(0.02);
-  segmentation.setInputNormals(normals(cloud, 10.f));
+  segmentation.setInputNormals(normals(cloud, Estimation::COVARIANCE_MATRIX, 10.f));
   segmentation.setInputCloud(cloud);
   std::vector<pcl::PlanarRegion<pcl::PointXYZ>, Eigen::aligned_allocator<pcl::PlanarRegion<pcl::PointXYZ>>> regions;
   std::vector<pcl::ModelCoefficients> coefficients;
@@ -98,7 +100,7 @@ int main(int, char** argv)
     Normals::Ptr found;
     if (task == "tiles") floats = tiles(cloud);
     else if (task == "segments") labels = segments(cloud);
-    else found = normals(cloud, 7.f);
+    else found = normals(cloud, Estimation::AVERAGE_3D_GRADIENT, 7.f);
     const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
     if (found)
       for (const auto& one : *found) floats.insert(floats.end(), {one.normal_x, one.normal_y, one.normal_z});

@@ -316,7 +316,7 @@ def _cells_of_normals(row: dict[str, Any] | None) -> tuple[str, str]:
     if row is None:
         return "", ""
     share = row["share_of_valid"]
-    only = f", on {share:.0%} of the pixels".replace("%", " %") if share < 0.5 else ""
+    only = f", on {share:.0%} of the pixels".replace("%", " %") if share < 0.95 else ""
     time = "1" if row["system"] == "normals 7" else spread(row["of_ours"])
     return time, f"{row['median_deg']:.2f}°{only}"
 

@@ -17,11 +17,14 @@ README = Path(__file__).resolve().parents[1] / "README.md"
 def with_table(text: str, table: str, name: str = "paper") -> str:
     """The text with the table between its markers, ``<!-- bench:NAME -->`` and ``<!-- /bench -->``.
 
+    Per cent signs stand apart from their numbers.
+
     Raises
     ------
     ValueError
         The markers are not there exactly once.
     """
+    table = re.sub(r"(\d)%", r"\1 %", table)  # as everywhere else
     block = re.compile(rf"(<!-- bench:{name} -->\n).*?(<!-- /bench -->)", re.DOTALL)
     found = len(block.findall(text))
     if found != 1:

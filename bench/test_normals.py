@@ -3,9 +3,9 @@
     pytest bench/test_normals.py            times by pytest-benchmark, accuracy in extra_info
     python -m bench.peers                   one table: speed ratios of interleaved runs, and accuracy
 
-OpenCV 5 is used when it is installed (opencv-python-headless). Its methods get what they take: FALS, SRI and
-CROSS_PRODUCT the point cloud, ready made, and LINEMOD the raw frame; their results are turned towards the camera
-before they are compared with the truth, and written to arrays that are there already.
+OpenCV 5 is used when it is installed (opencv-python-headless). Its methods get the point cloud, ready made; their
+results are turned towards the camera before they are compared with the truth, and written to arrays that are there
+already.
 """
 
 from collections.abc import Callable
@@ -64,7 +64,7 @@ def prepare(method: str, frame: Case) -> Callable[[], Any]:
     kind = getattr(cv2, f"RgbdNormals_RGBD_NORMALS_METHOD_{option}")
     computer = cv2.RgbdNormals.create(camera.height, camera.width, cv2.CV_32F, matrix, 7, 50.0, kind)
     computer.cache()
-    source = frame.depth if option == "LINEMOD" else cv2.depthTo3d(frame.depth, matrix)
+    source = cv2.depthTo3d(frame.depth, matrix)
     result = computer.apply(source)
     return lambda: computer.apply(source, result)
 

@@ -78,17 +78,18 @@ def segments_ours(depth: Depth, camera: rp.Camera) -> Labels:
 
 
 def segments_opencv(depth: Depth, camera: rp.Camera) -> Labels:
-    points = cv2.depthTo3d(depth, matrix(camera))
-    method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
-    normals = cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 5, 50.0, method).apply(points)
-    labels, _ = cv2.findPlanes(points, normals, block_size=10, sensor_error_a=0.0075)
+    points, normals = cv2.depthTo3d(depth, matrix(camera)), None
+    if depth.all():  # beside missing pixels they are wrong, and fewer planes are found with them
+        method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
+        normals = cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 5, 50.0, method).apply(points)
+    labels, _ = cv2.findPlanes(points, normals, block_size=20, threshold=0.03)
     return np.where(labels == 255, 0, labels + 1)
 
 
 def segments_open3d(depth: Depth, camera: rp.Camera) -> Labels:
     intrinsic = open3d.camera.PinholeCameraIntrinsic(640, 480, camera.fx, camera.fy, camera.cx, camera.cy)
     cloud = open3d.geometry.PointCloud.create_from_depth_image(open3d.geometry.Image(depth), intrinsic)
-    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(30))
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(100))
     patches = cloud.detect_planar_patches()
     points, labels = np.asarray(cloud.points), np.zeros((480, 640), int)
     pixel = np.rint(points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]).astype(int)
@@ -103,9 +104,19 @@ def normals_ours(depth: Depth, camera: rp.Camera) -> Floats:
     return rp.normals(depth, camera, window=7)
 
 
+def normals_ours_wider(depth: Depth, camera: rp.Camera) -> Floats:
+    return rp.normals(depth, camera, window=9)
+
+
 def normals_opencv(depth: Depth, camera: rp.Camera) -> Any:
     points = cv2.depthTo3d(depth, matrix(camera))
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS
+    return cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 7, 50.0, method).apply(points)[..., :3]
+
+
+def normals_opencv_linemod(depth: Depth, camera: rp.Camera) -> Any:
+    points = cv2.depthTo3d(depth, matrix(camera))
+    method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_LINEMOD
     return cv2.RgbdNormals_create(480, 640, cv2.CV_32F, matrix(camera), 7, 50.0, method).apply(points)[..., :3]
 
 
@@ -211,10 +222,13 @@ def lines(function: Callable[..., Any]) -> int:
     return len(own) + (lines(tiles_opencv) if "tiles_opencv(" in "".join(own) else 0)
 
 
-def angles(planes: Floats, labels: Labels, rendering: rp.scenes.Rendering) -> str:
+def angles(planes: Floats, labels: Labels, rendering: rp.scenes.Rendering, what: str) -> str:
+    """Median error of the planes, or normals, that there are, and of how many, if there are far fewer than labels."""
     seen = (labels > 0) & np.isfinite(planes[..., 0])
     cosine = np.abs((planes[seen][..., :3] * rendering.planes[labels[seen] - 1][..., :3]).sum(axis=-1))
-    return f"{np.median(np.degrees(np.arccos(np.clip(cosine, 0, 1)))):.1f}°"
+    share = np.count_nonzero(seen) / np.count_nonzero(labels)
+    of = f" of {share:.0%} of the {what}" if share < 0.95 else ""
+    return f"{np.median(np.degrees(np.arccos(np.clip(cosine, 0, 1)))):.1f}°{of}"
 
 
 def found(labels: Labels, rendering: rp.scenes.Rendering) -> str:
@@ -231,8 +245,14 @@ def found(labels: Labels, rendering: rp.scenes.Rendering) -> str:
     return f"{good} of {len(wanted)} planes"
 
 
+def library(which: str) -> str:
+    """Of a function of a task: "opencv" of "opencv_linemod"."""
+    return which.partition("_")[0]
+
+
 def available(which: str) -> bool:
-    return which == "ours" or globals().get({"opencv": "cv2"}.get(which, which)) is not None
+    name = library(which)
+    return name == "ours" or globals().get({"opencv": "cv2"}.get(name, name)) is not None
 
 
 def versions(program: Path | None) -> dict[str, str]:
@@ -266,16 +286,19 @@ def measure() -> dict[str, Any]:
             write_png(folder / "depth" / f"{i}.png", rendering.measure(holes=0.05, seed=i))
         (folder / "depth.txt").write_text("".join(f"{i}.5 depth/{i}.png\n" for i in range(10)))
         program = build_pcl(Path(name))
-        tasks: dict[str, tuple[Depth | Path, Callable[[Any], str]]] = {
-            "tiles": (depth, lambda made: angles(made[0], tile_labels, rendering)),
-            "segments": (depth, lambda made: found(made, rendering)),
-            "normals": (depth, lambda made: angles(made, rendering.labels, rendering)),
-            "deviations": (depth, honest),
-            "table": (folder, lambda made: ""),
+        tasks: dict[str, tuple[Depth | Path, Callable[[Any, Depth], str]]] = {
+            "tiles": (depth, lambda made, of: angles(made[0], tile_labels, rendering, "tiles")),
+            "segments": (depth, lambda made, of: found(made, rendering)),
+            "normals": (
+                depth,
+                lambda made, of: angles(made, np.where(of > 0, rendering.labels, 0), rendering, "pixels"),
+            ),
+            "deviations": (depth, lambda made, of: honest(made)),
+            "table": (folder, lambda made, of: ""),
         }
         for task, (argument, judge) in tasks.items():
-            functions = {w: globals().get(f"{task}_{w}") for w in ("ours", "opencv", "open3d")}
-            runs = {w: f for w, f in functions.items() if f is not None and available(w)}
+            functions = {w: globals().get(f"{task}_{w}") for w in WRITTEN}
+            runs: dict[str, Any] = {w: f for w, f in functions.items() if f is not None and available(w)}
             if program is not None and task in ("tiles", "segments", "normals"):
                 runs["pcl"] = PclTask(program, task)
             results = {w: f(argument, camera) for w, f in runs.items()}
@@ -298,8 +321,8 @@ def measure() -> dict[str, Any]:
                         "lines": f.lines if isinstance(f, PclTask) else lines(f),
                         "milliseconds": 1e3 * statistics.median(times[w]),
                         "ratio": ratio,
-                        "result": judge(results[w]),
-                        "without_holes": judge(f(whole, camera)) if pictured else "",
+                        "result": judge(results[w], depth),
+                        "without_holes": judge(f(whole, camera), whole) if pictured else "",
                     }
                 )
     return {"versions": versions(program), "rows": rows}
@@ -312,7 +335,9 @@ NAMES = {
     "deviations": "how good a plane is",
     "table": "10 frames of a TUM sequence to a table",
 }
+WRITTEN = ("ours", "ours_wider", "opencv", "opencv_linemod", "open3d")
 WITH = {
+    ("normals", "ours_wider"): "**ours**, window 9",
     ("tiles", "opencv"): "OpenCV, a loop of `PCACompute2`",
     ("tiles", "open3d"): "Open3D, a loop of covariances",
     ("tiles", "pcl"): "PCL, a loop of `computePointNormal`",
@@ -320,8 +345,9 @@ WITH = {
     ("segments", "open3d"): "Open3D, `detect_planar_patches`",
     ("segments", "pcl"): "PCL, `OrganizedMultiPlaneSegmentation`",
     ("normals", "opencv"): "OpenCV, FALS",
+    ("normals", "opencv_linemod"): "OpenCV, LINEMOD",
     ("normals", "open3d"): "Open3D, 49 neighbours",
-    ("normals", "pcl"): "PCL, integral images",
+    ("normals", "pcl"): "PCL, integral images, gradients",
     ("table", "opencv"): "OpenCV and pandas",
 }
 
@@ -351,24 +377,31 @@ def short_table(result: dict[str, Any]) -> str:
     }
     shown = [f"| | {' | '.join(versions.values())} |", f"|---|{'---|' * len(versions)}"]
     for task in ("tiles", "segments", "normals"):
-        rows = {row["with"]: row for row in result["rows"] if row["task"] == task}
-        cells = [
-            re.sub(r" of \d+ planes", "", f"{_times(row['ratio'])} x, {row['result']} ({row['without_holes']})")
-            for row in (rows[name] for name in versions)
-        ]
+        rows = [row for row in result["rows"] if row["task"] == task and row["with"] != "ours_wider"]
+        cells = [_short_cell([row for row in rows if library(row["with"]) == name]) for name in versions]
         shown.append(f"| {NAMES[task]} | {' | '.join(cells)} |")
     return "\n".join(shown)
+
+
+def _short_cell(rows: list[dict[str, Any]]) -> str:
+    """Of a library's rows of a task; each with its name, if there are several."""
+    cells = []
+    for row in rows:
+        name = f"{WITH[row['task'], row['with']].partition(', ')[2]} " if len(rows) > 1 else ""
+        text = f"{name}{_times(row['ratio'])} x, {row['result']} ({row['without_holes']})"
+        cells.append(re.sub(r" of \d+ planes| of the (tiles|pixels)", "", text))
+    return "; ".join(cells)
 
 
 def main() -> None:
     """Print the table, the times, and what is missing."""
     result = measure()
     print(table(result))
-    left_out = {"opencv", "open3d", "pcl"} - {row["with"] for row in result["rows"]}
+    left_out = {"opencv", "open3d", "pcl"} - {library(row["with"]) for row in result["rows"]}
     if left_out:
         print(f"Not installed, so left out: {', '.join(sorted(left_out))}; docs/measured.md says what they need.")
     for row in result["rows"]:
-        print(f"{row['task']:10} {row['with']:7} {row['milliseconds']:8.1f} ms")
+        print(f"{row['task']:10} {row['with']:14} {row['milliseconds']:8.1f} ms")
 
 
 try:

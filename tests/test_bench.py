@@ -202,7 +202,7 @@ def test_few_angles_are_no_measurement(monkeypatch):
     monkeypatch.setattr(uncertainty_real, "real_sets", lambda: [one])
     monkeypatch.setattr(rp, "estimate_noise", lambda frames, camera: rp.noise.kinect_v1())
     for angles, expected in ((49, None), (50, 2.0)):
-        result = uncertainty_real.RealResult(1000, angles, 0.01, 0.001, 0.3, predicted=1.0, observed=0.5)
+        result = uncertainty_real.RealResult(1000, angles, 0.01, 0.001, 0.3, angle=2.0, angle_of_all=1.5)
         monkeypatch.setattr(uncertainty_real, "real_result", lambda *given, made=result: made)
         for row in uncertainty_real.measure():
             assert (row["rejected"], row["angle"], row["own_angle"]) == (0.01, expected, expected)
