@@ -12,7 +12,8 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
 from rgbd_planes.kernels.segments.inside import inside_moments
 from rgbd_planes.kernels.segments.joining import join_blocks
-from rgbd_planes.kernels.segments.records import Planes, Rays, Rules
+from rgbd_planes.kernels.segments.pixels import take_over
+from rgbd_planes.kernels.segments.records import Owners, Planes, Rays, Rules, Shares
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.settled import ALONE, DONE, OPEN, SAME, keep_unchanged
 from rgbd_planes.segmentation.noise import noise_of
@@ -160,3 +161,16 @@ def test_blocks_are_left_alone_where_nothing_around_them_has_changed(rng):
     expected = np.where(ndimage.binary_dilation(changed, np.ones((3, 3))), task, np.where(owner == MIXED, SAME, DONE))
     keep_unchanged(region, before, number, planes, last_alpha, sigma, rays_of(CAMERA), moments, owner, task)
     np.testing.assert_array_equal(task, expected)
+
+
+def test_shares_of_regions_that_have_become_one_are_one():
+    """Of three regions in the first block two are one now; of two in the second one is dropped."""
+    number = np.array([4, 4, 7, -1])
+    owners = Owners(*np.array([[[MIXED, MIXED]], [[0, 3]], [[3, 2]], [[0, 0]]], np.int32))
+    moments = np.arange(50.0).reshape(5, 10)
+    shares = Shares(np.array([0, 2, 1, 3, 0], np.int32), np.array([1, 2, 4, 8, 16], np.int32), moments)
+    new = Shares(np.empty(5, np.int32), np.empty(5, np.int32), np.empty((5, 10)))
+    assert take_over(np.arange(2, dtype=np.int32), number, owners, shares, new) == 3
+    assert (owners.first.tolist(), owners.count.tolist()) == ([[0, 2]], [[2, 1]])
+    assert (new.region[:3].tolist(), new.pixels[:3].tolist()) == ([4, 7, 4], [1 + 4, 2, 16])
+    np.testing.assert_array_equal(new.moments[:3], [moments[0] + moments[2], moments[1], moments[4]])

@@ -6,7 +6,7 @@ from scipy.ndimage import convolve, gaussian_filter
 from segment_frames import CAMERA, smooth_noise, two_planes
 
 from rgbd_planes import Camera, segment
-from rgbd_planes.kernels.segments.facets import AWAY, STRAIGHT, TOWARDS, bend_of
+from rgbd_planes.kernels.segments.facets import AWAY, STRAIGHT, TOWARDS, bend_of, turn_of_groups
 from rgbd_planes.kernels.segments.records import Planes
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels
@@ -178,6 +178,21 @@ def test_two_planes_are_bent_away_from_the_camera_or_towards_it(degrees):
     assert bent(0.4) == STRAIGHT  # an edge of a box
 
 
+def test_the_normals_of_a_group_turn_between_its_regions_and_within_them(rng):
+    """Two groups; one of the regions has no plane."""
+    parent, alpha = np.array([0, 0, 2, 2, 2, 0]), rng.normal(size=(6, 3))
+    weight, turned = rng.uniform(1.0, 5.0, (2, 6))
+    turn_square, total, members = np.empty(6), np.empty(6), np.empty(6, np.int64)
+    alpha[4] = np.inf
+    turn_of_groups(parent, weight, alpha, turned, turn_square, total, members)
+    for root, group in ((0, [0, 1, 5]), (2, [2, 3])):
+        normals = alpha[group] / np.linalg.norm(alpha[group], axis=1, keepdims=True)
+        mean = np.average(normals, axis=0, weights=weight[group])
+        between, within = 1.0 - mean @ mean, np.average(turned[group], weights=weight[group])
+        assert (total[root], members[root]) == (pytest.approx(weight[group].sum()), len(group))
+        assert turn_square[root] == pytest.approx(between + within)
+
+
 def test_a_wall_that_ends_in_narrow_panels_is_no_lampshade():
     """As a bay window: four planes that bend the same way, of which one has most of the pixels."""
     u, q, z = CAMERA.tan_x, np.empty(CAMERA.shape), 2.0
@@ -204,6 +219,21 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
     found = continues(region, means, 0, 1, moments, planes, sigma, box)
     assert found == (-1.0, 0.0, 0.0)
+
+
+def test_two_neighbours_are_compared_by_the_smaller_of_their_variances(rng):
+    """Whichever of the two has the steeper plane, and so the larger one."""
+    v, u = 0.02 * np.indices((16, 16))
+    region, box = (u >= 0.16).astype(np.int32), np.array([[0, 16, 0, 8], [0, 16, 8, 16]])
+    means = np.stack([np.full_like(u, 16.0), u, v, 1.0 + 0.1 * rng.random(u.shape)]).astype(np.float32)
+    moments = 2048.0 * np.array([[1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]] * 2)
+    sigma = np.array([10.0, *[1e-3] * 3])
+    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
+    found = [
+        continues(region, means, 0, 1, moments, planes._replace(slope_variance=np.array(of_slope)), sigma, box)[:2]
+        for of_slope in ((0.0, 0.0), (1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6))
+    ]
+    assert found[0] == found[1] == found[2] == pytest.approx([2.0 * of_both for of_both in found[3]])
 
 
 @pytest.mark.parametrize("turned", [(-27.0, 0.0, 27.0), (27.0, 0.0, -27.0), (-13.0, 13.0, -13.0, 13.0)])

@@ -103,6 +103,24 @@ def test_planes_and_a_quadric_are_compared_as_least_squares_does(rng):
     assert bend == pytest.approx(left(both, PLANE_TERMS) - planes)
 
 
+@pytest.mark.parametrize(("columns", "several"), [(2, False), (20, True)])
+def test_small_parts_do_not_make_several_faces_of_one(columns, several, noise):
+    """Of a region with a large part and four more, turned by 20 degrees: of small ones noise makes as much."""
+    part_of = np.repeat(np.arange(5), [60, *[columns] * 4])
+    u, v = np.meshgrid(0.002 * np.arange(len(part_of)), 0.002 * np.arange(60))
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1)
+    q = 0.5 + 0.5 * np.tan(np.radians(20.0)) * np.select([part_of == 0, part_of % 2 == 0], [0.0, u], -u)
+    terms = np.stack([np.ones_like(u), u, v, q])
+    parts = np.array([[(terms[i] * terms[j])[:, part_of == k].sum() for i, j in ORDER] for k in range(5)])
+    joined = np.zeros((5, 10))
+    joined[0] = parts.sum(axis=0)
+    left = np.linalg.lstsq(rays.reshape(-1, 3), q.ravel())[1][0]
+    noise = noise._replace(sigma=np.append(10.0, np.full(3, 0.5 * np.sqrt(left / q.size))))
+    found = np.empty((3, 5), np.bool_)
+    assert folds.find_doubtful(joined, parts, np.zeros(5, np.int64), noise, Rules(), *found) == several
+    assert found[:2].tolist() == [[False] * 5, [several, *[False] * 4]]
+
+
 @pytest.mark.parametrize("share", [0.9, 1.1])
 def test_a_part_is_ajar_only_if_noise_leaves_it_less(share, noise):
     """It is turned by eight degrees; its residuals about the rest's plane are ``share`` of those that count."""

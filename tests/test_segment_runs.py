@@ -6,12 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 
-from rgbd_planes.kernels.segments.blocks import BLOCK
+from rgbd_planes.kernels.disjoint_sets import root_of
+from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
+from rgbd_planes.kernels.segments.records import Owners, Runs, Shares
 from rgbd_planes.kernels.segments.runs import (
     ALL,
     GAP,
     PIECES,
     beside,
+    find_runs,
     how_many,
     in_squares,
     is_one_piece,
@@ -191,3 +194,17 @@ def test_no_gap_is_wider_than_so_many_pixels(gap):
         column = (np.int32(1) << np.int32(BLOCK * (BLOCK - 1 - left)), np.int32(1) << np.int32(BLOCK * (gap - left)))
         for (one, other), side in ((row, True), (column, False)):
             assert meet_over_gap(one, ALL & ~one, other, ALL & ~other, side) == (gap <= GAP)
+
+
+@pytest.mark.parametrize(("number", "parts"), [((0, 0), 1), ((0, 1), 2)])
+def test_shares_of_one_block_are_connected_if_their_regions_have_become_one(number, parts):
+    """Of three blocks in a row each outer one's region has half of the middle one, and nothing else connects them."""
+    left, right = np.int32(0x3333), np.int32(0xCCCC)
+    owners = Owners(*np.array([[[0, MIXED, 1]], [[0, 0, 0]], [[0, 2, 0]], [[0, ALL, 0]]], np.int32))
+    shares = Shares(np.array([0, 1], np.int32), np.array([left, right]), np.empty((2, 10)))
+    runs = Runs(np.empty(2, np.int32), *(np.empty(3 + 2 * PIECES, np.int32) for _ in Runs._fields[1:]))
+    count, loose = find_runs(owners, shares, np.array(number), BLOCK, 3 * BLOCK, runs, np.empty(48, np.int32))
+    assert (count, loose) == (4, 0)
+    assert len({root_of(runs.parent, i) for i in range(count)}) == parts
+    assert runs.across[:count].sum() == parts * BLOCK
+    assert runs.down[:count].sum() == 3 * BLOCK

@@ -10,7 +10,15 @@ from rgbd_planes import Camera, images, segment
 from rgbd_planes.kernels.segments.blocks import BLOCK, EMPTY, MIXED, UNSEEN
 from rgbd_planes.kernels.segments.moments import angle_between
 from rgbd_planes.kernels.segments.planes import fit_regions
-from rgbd_planes.kernels.segments.quadrics import boxes, inner_pixels, turn
+from rgbd_planes.kernels.segments.quadrics import (
+    PLANE_TERMS,
+    TERMS,
+    boxes,
+    eliminate,
+    inner_pixels,
+    second_derivatives,
+    turn,
+)
 from rgbd_planes.kernels.segments.records import Noise, Owned, Owners, Planes, Rules, Shares
 from rgbd_planes.kernels.segments.shape import BENT_SHARE, find_curled, find_turns
 from rgbd_planes.segmentation.result import Reason
@@ -166,6 +174,19 @@ def test_the_normals_of_a_bent_region_turn_as_its_tangent_planes_do(rng):
         terms = np.column_stack([np.ones(500), middle + away, np.zeros(500)])
         moments = (terms.T @ terms)[np.triu_indices(4)]
         assert turn(moments, alpha, tuple(h)) == pytest.approx(expected, rel=0.1)
+
+
+def test_second_derivatives_are_those_of_the_quadric_that_fits_best(rng):
+    """Against NumPy's fit to points along a diagonal, of which the squares go with the product."""
+    u, v = rng.normal(size=(2, 2)) @ rng.normal(size=(2, 80))
+    q, scale, deviation = rng.normal(size=80), 0.5, 3.0
+    *_, uu, uv, vv = np.linalg.lstsq(np.stack([np.ones(80), u, v, u * u, u * v, v * v], axis=1), q)[0]
+    x, y = u / scale, v / scale
+    every = np.stack([np.ones(80), x, y, x * x, x * y, y * y, q / deviation])
+    products = every @ every.T
+    eliminate(products, 0, PLANE_TERMS)
+    eliminate(products, PLANE_TERMS, TERMS)
+    assert second_derivatives(products, scale, deviation) == pytest.approx((2.0 * uu, uv, 2.0 * vv))
 
 
 def on_column(radius, side):

@@ -427,11 +427,13 @@ def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):
     assert np.array_equal(found.planes, wanted.planes)
 
 
-def test_a_plane_of_just_the_least_size_is_kept():
+@pytest.mark.parametrize(("rows", "columns"), [(40, 50), (6, 6)])
+def test_a_plane_of_just_the_least_size_is_kept(rows, columns):
     depth = np.full(CAMERA.shape, 2.0)
-    depth[60:100, 80:130] = 1.5
-    for least, sizes in ((2000, [320 * 240 - 2000, 2000]), (2001, [320 * 240 - 2000])):
-        assert segment(depth, CAMERA, min_size=least).sizes.tolist() == sizes
+    depth[60 : 60 + rows, 80 : 80 + columns] = 1.5
+    pixels = rows * columns
+    for least, sizes in ((pixels, [pixels]), (pixels + 1, [])):
+        assert segment(depth, CAMERA, min_size=least).sizes[1:].tolist() == sizes
 
 
 def test_no_plane_loses_pixels_below_the_least_size():

@@ -92,10 +92,11 @@ def test_parts_of_many_pixels_are_nearly_exact(kind, noise, rng):
     assert most < 1.05
 
 
-def test_pixels_here_and_there(rng):
+@pytest.mark.parametrize("shape", [(80, 100), (160, 200)], ids=["cells of two pixels", "cells of four"])
+def test_pixels_here_and_there(shape, rng):
     """They have most of their errors alone, if these reach over few pixels, also where a cell has room for more."""
     noise = rp.noise.NoiseModel((1e-3,), correlation=((0.9, 1.0),))
-    camera, alpha = camera_of((160, 200), noise), np.array([0.3, -0.2, 0.6])
+    camera, alpha = camera_of(shape, noise), np.array([0.3, -0.2, 0.6])
     mask = rng.random(camera.shape) < 0.05
     depth = depth_of(camera, alpha)
     fits = rp.fit_labels(depth, camera, mask)
