@@ -12,8 +12,9 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
 from rgbd_planes.kernels.segments.inside import inside_moments
 from rgbd_planes.kernels.segments.joining import join_blocks
+from rgbd_planes.kernels.segments.labels import settle_strays
 from rgbd_planes.kernels.segments.pixels import take_over
-from rgbd_planes.kernels.segments.records import Owners, Planes, Rays, Rules, Shares
+from rgbd_planes.kernels.segments.records import Owners, Planes, Rays, Rules, Runs, Shares
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.settled import ALONE, DONE, OPEN, SAME, keep_unchanged
 from rgbd_planes.segmentation.noise import noise_of
@@ -145,13 +146,15 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
 def test_blocks_are_left_alone_where_nothing_around_them_has_changed(rng):
     """No region and no plane: other blocks keep what is to be done with them."""
     region = np.kron(np.arange(-1, 5).reshape(2, 3), np.ones((30, 27), int))[:, :80].astype(np.int32)
-    number = np.array([4, 0, 1, 2, 3])  # of the regions before: they are in another order
-    before = np.where(region < 0, -1, np.argsort(number)[region]).astype(np.int32)
+    number = np.array([4, 0, 1, 2, 3, -1])  # of the regions before: they are in another order, and one is dropped
+    before = np.where(region < 0, -1, np.argsort(number[:5])[region]).astype(np.int32)
     changed = rng.random(before.shape) < 0.01
     before[changed] = np.where(before[changed] < 0, 2, -1)
+    before[:9, :9] = 5
+    changed[:9, :9] = True
     alpha = rng.normal(1.0, 0.1, (5, 3))
     last_alpha = alpha[number]
-    last_alpha[:, 2] += [1e-4, 1e-4, 5e-4, -1e-4, -1e-4]  # in quarters of a deviation: one moves by two
+    last_alpha[:5, 2] += [1e-4, 1e-4, 5e-4, -1e-4, -1e-4]  # in quarters of a deviation: one moves by two
     changed |= before == 2
     planes = Planes(alpha, np.zeros(5), np.ones(5), np.ones(5), np.ones(1))
     moments = np.ones((5, 10))
@@ -174,3 +177,15 @@ def test_shares_of_regions_that_have_become_one_are_one():
     assert (owners.first.tolist(), owners.count.tolist()) == ([[0, 2]], [[2, 1]])
     assert (new.region[:3].tolist(), new.pixels[:3].tolist()) == ([4, 7, 4], [1 + 4, 2, 16])
     np.testing.assert_array_equal(new.moments[:3], [moments[0] + moments[2], moments[1], moments[4]])
+
+
+def test_pixels_at_the_rim_of_the_image_get_no_label_from_its_other_side():
+    """Of five without a label the one that has eight neighbours gets theirs."""
+    label, reason, sizes = np.ones((8, 12), np.int32), np.zeros((8, 12), np.uint8), np.array([0, 91], np.int32)
+    loose = np.ravel_multi_index(([0, 7, 3, 3, 3], [5, 5, 0, 11, 5]), label.shape).astype(np.int32)
+    label.flat[loose], reason.flat[loose] = 0, 2
+    runs = Runs(np.zeros(3, np.int32), *[np.empty(0, np.int32)] * 11)
+    settle_strays(runs, np.ones((8, 12), np.float32), np.uint8(2), 3, loose, 5, label, reason, sizes)
+    assert label.flat[loose].tolist() == [0, 0, 0, 0, 1]
+    assert reason.flat[loose].tolist() == [2, 2, 2, 2, 0]
+    assert sizes[1] == 92

@@ -221,6 +221,22 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     assert found == (-1.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("lying", [False, True])
+def test_a_neighbour_is_looked_at_as_far_away_as_a_region_is_wide(lying):
+    """One of 4 x 10 blocks, upright or lying, with the other all around it."""
+    region = np.ones((32, 32), np.int32)
+    region[8:18, 12:16] = 0  # with as much again on each side the window has 28 x 12 blocks
+    v, u = 0.02 * np.indices(region.shape)
+    means = np.stack([np.full_like(u, 16.0), u, v, np.ones_like(u)]).astype(np.float32)
+    box = np.array([[8, 18, 12, 16], [0, 32, 0, 32]])
+    if lying:
+        region, means, box = region.T.copy(), means.transpose(0, 2, 1).copy(), box[:, [2, 3, 0, 1]]
+    moments = 16.0 * np.array([[40.0], [1024.0 - 40.0]]) * [1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]
+    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
+    _, _, covered = continues(region, means, 0, 1, moments, planes, np.array([10.0, *[1e-3] * 3]), box)
+    assert covered == pytest.approx((28 * 12 - 40) / (1024 - 40))
+
+
 def test_two_neighbours_are_compared_by_the_smaller_of_their_variances(rng):
     """Whichever of the two has the steeper plane, and so the larger one."""
     v, u = 0.02 * np.indices((16, 16))

@@ -34,6 +34,8 @@ def test_holes_and_thin_gaps_do_not_cut_a_plane():
         (0.0, 0.5, 1),  # nothing was measured there
         (0.3, 0.5, 2),  # one sees through: two walls beside each other
         (0.9, 0.53, 2),  # the wall on the right is nearer
+        (0.9, 0.5016, 2),  # by a deviation and a half
+        (0.9, 0.5003, 1),  # by a third of one
     ],
 )
 def test_what_a_thin_thing_separates_is_one_plane(between, right, wall_parts):

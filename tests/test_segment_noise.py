@@ -18,6 +18,7 @@ from rgbd_planes import Camera, estimate_noise, scenes, segment
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.quantiles import quantile
 from rgbd_planes.kernels.segments.frame_noise import tolerance
+from rgbd_planes.kernels.segments.noise import sensor_variance, sensor_variances, waviness
 from rgbd_planes.kernels.segments.noise_estimation import estimate_noise as estimate_frame_noise
 from rgbd_planes.kernels.segments.noise_estimation import is_of_depth, varied_squares
 from rgbd_planes.kernels.segments.records import Rules
@@ -308,6 +309,20 @@ def test_a_quantile_is_numpys(values, share):
 def test_a_quantile_of_what_is_no_number_ends():
     assert np.isnan(quantile(np.full(5, np.nan), 0.3))
     quantile(np.array([1.0, np.nan, 0.0, np.nan, 2.0]), 0.3)
+
+
+def test_noise_is_linear_between_the_entries_of_its_tables(rng):
+    """That of squares as that of a pixel, and constant beyond the last; waves by the logarithm of a region's side."""
+    table, growth = rng.uniform(1.0, 2.0, 9), np.array([1.0, 1.4, 2.3])
+    sigma, q, variances = np.append(0.1, table), rng.uniform(0.0, 1.2, 50), np.empty(50)
+    expected = np.interp(q, 0.1 * np.arange(9), table) ** 2
+    assert [sensor_variance(of, sigma) for of in q] == pytest.approx(expected)
+    sensor_variances(np.full(50, 16.0), 16.0 * q, sigma, variances)
+    assert variances == pytest.approx(expected)
+    side = 2.0 ** np.append([3.0, 4.0, 5.0], rng.uniform(1.0, 7.0, 20))
+    assert [waviness(pixels, growth) for pixels in side**2] == pytest.approx(
+        np.interp(np.log2(side), [3.0, 4.0, 5.0], growth)
+    )
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from segment_frames import CAMERA
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.reach import OF_ONE, SIZES, as_planes_show, may_be_chance, mixture
+from rgbd_planes.kernels.segments.reach import OF_ONE, SIZES, as_planes_show, is_in_one, may_be_chance, mixture
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.unevenness import weigh_rays
 from rgbd_planes.metrics import compare_labels
@@ -251,6 +251,18 @@ def test_a_little_that_squares_show_may_be_chance():
     assert may_be_chance(np.array([1.2, 1.2, 1.2]), counts // 10)
     assert not may_be_chance(np.array([0.0, 1.3, 0.0]), np.array([0, 120, 0]))
     assert may_be_chance(np.zeros(3), np.zeros(3, int))  # no squares, no doubt
+
+
+@pytest.mark.parametrize("place", [(4, 8), (19, 23), (12, 16)])
+@pytest.mark.parametrize("other", [0, 2])
+def test_a_square_is_in_one_plane_if_all_that_is_measured_of_it_is(place, other):
+    label, inverse_depth = np.ones((24, 32), np.int32), np.ones((24, 32), np.float32)
+    assert is_in_one(label, inverse_depth, 4, 8, 16)
+    label[place] = other
+    assert not is_in_one(label, inverse_depth, 4, 8, 16)
+    inverse_depth[place] = 0.0
+    assert is_in_one(label, inverse_depth, 4, 8, 16)
+    assert not is_in_one(label, np.zeros_like(inverse_depth), 4, 8, 16)
 
 
 def test_squares_that_are_not_in_one_plane_show_no_shared_errors():
