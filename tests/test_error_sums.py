@@ -321,6 +321,16 @@ def test_tiles_without_a_pixel_add_nothing(rng):
     assert union.p_value[0] == pytest.approx(mask.p_value[0], abs=0.1)
 
 
+@pytest.mark.filterwarnings("ignore:about 67% of this frame")
+def test_tiles_without_a_ray_add_nothing():
+    """Behind a fisheye whose image does not fill the frame."""
+    lens = {"distortion": (0.0, 0.0, 0.0, 0.0), "distortion_model": "fisheye"}
+    camera = rp.Camera(64, 48, 12.0, 12.0, 31.5, 23.5, noise=NOISES["time of flight"], **lens)
+    union = rp.merge(rp.fit_tiles(np.ones(camera.shape), camera, 4, max_missing=0.9), np.ones((12, 16), int))
+    assert np.isfinite(union._pixels.error_sums).all()
+    assert np.isfinite(union.alpha_covariance).all()
+
+
 def test_tiles_of_a_column_of_pixels_have_no_width(rng):
     """What rounding leaves of it was divided by."""
     camera = replace(CAMERA, noise=NOISES["time of flight"])

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
+from rgbd_planes.segmentation.known_planes import LARGEST, KnownPlanes, Points, View, _is_hidden, same_planes
 from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation, segment_sequence
 from rgbd_planes.sequences.frames import Frame
 
@@ -149,6 +150,64 @@ def test_what_is_forgotten_takes_no_room() -> None:
         tracked = tracker.follow(segment(frame, CAMERA))
         assert tracked.ids.tolist() == [i + 1]
         assert len(tracker._known.ids) == min(i + 1, 3)
+
+
+def test_what_is_covered_of_a_plane_in_sight_is_remembered_for_as_many_frames() -> None:
+    tracker, depth = PlaneTracker(memory=2), np.full(CAMERA.shape, 2.0)
+    for frames in (0, 1, 2, 0, 0):  # since the last of its points was seen
+        tracker.follow(segment(depth, CAMERA))
+        assert tracker._known.points.unseen.max() == frames
+        depth[:, 80:] = 1.5
+
+
+def test_a_point_is_hidden_behind_something_or_beyond_the_image() -> None:
+    """Of the wall: behind the board, in sight, beyond the image; of the board: where it has left the wall free."""
+    view = View.of(segment(wall_and_board(True), CAMERA))
+    pixels, depth = np.array([(60, 50), (20, 20), (-50, 50), (120, 50)]), np.array([2.0, 2.0, 2.0, 1.5])
+    rays = (pixels - [CAMERA.cx, CAMERA.cy]) / CAMERA.fx
+    points = Points(np.column_stack([rays, np.ones(4)]) * depth[:, None])
+    assert _is_hidden(points, np.array([1, 1, 1, 2]), view).tolist() == [True, False, True, False]
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_a_square_has_the_label_of_whichever_of_its_pixels_has_one(row: int, column: int) -> None:
+    found = segment(wall_and_board(True), CAMERA)
+    labels = np.zeros_like(found.labels)
+    labels[row::2, column::2] = found.labels[row::2, column::2]
+    np.testing.assert_array_equal(View.of(replace(found, labels=labels)).labels, labels[row::2, column::2])
+
+
+def test_in_how_many_frames_planes_were_seen_and_since_is_counted() -> None:
+    tracker = PlaneTracker()
+    counts = []
+    for shown in (True, True, False, False, True):
+        tracker.follow(segment(wall_and_board(shown), CAMERA))
+        counts.append((tracker._known.seen.tolist(), tracker._known.missed.tolist()))
+    assert counts == [([1, 1], [0, 0]), ([2, 2], [0, 0]), ([3, 2], [0, 1]), ([4, 2], [0, 2]), ([5, 3], [0, 0])]
+
+
+@pytest.mark.parametrize(("seen", "close", "expected"), [((1, 1), np.inf, 1), ((1, 1), 0.03, 2), ((1, 4), np.inf, 2)])
+def test_of_two_planes_one_is_the_larger_or_the_nearer_or_the_longer_known(
+    seen: tuple[int, int], close: float, expected: int
+) -> None:
+    """The left one has more of it, and is 5 % off."""
+    tracker, depth = PlaneTracker(), np.full(CAMERA.shape, 2.1)
+    depth[:, :90] = 2.0
+    tracker.follow(segment(depth, CAMERA))
+    known = tracker._known._replace(seen=np.array(seen))
+    view = View.of(segment(np.full(CAMERA.shape, 2.1), CAMERA))
+    assert known.ids[same_planes(known, view, close=close).before].tolist() == [expected]
+
+
+def test_the_largest_planes_are_of_those_seen_lately() -> None:
+    """All are of one size, but one that is three times as large, not seen for three frames: a quarter counts."""
+    count = LARGEST + 1
+    missed, squares = np.where(np.arange(count) == 4, 3, 0), np.where(np.arange(count) == 4, 30.0, 10.0)
+    points = Points(np.zeros((count, 3)), np.arange(count), squares, np.zeros(count, np.intp))
+    ids = np.arange(1, count + 1, dtype=np.int32)
+    known = KnownPlanes(ids, np.zeros((count, 4)), np.ones(count, np.intp), missed, points)
+    assert known.largest().ids.tolist() == np.delete(ids, 4).tolist()
+    assert 5 in known._replace(missed=np.minimum(missed, 1)).largest().ids
 
 
 def test_work_does_not_grow_with_the_ids() -> None:
@@ -362,6 +421,22 @@ def test_the_motion_of_the_camera_is_that_of_most_planes(moving: int, rng: np.ra
     on_planes = points - (planes[:5, 3] + np.sum(planes[:5, :3] * points, axis=1))[:, None] * planes[:5, :3]
     moved, carried = truth.of_points(on_planes), truth.of_planes(planes)[:5]
     np.testing.assert_allclose(np.sum(carried[:, :3] * moved, axis=1) + carried[:, 3], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("degrees", "metres", "near"), [(0.2, 0.008, True), (0.2, 0.012, False), (0.4, 0.008, False)])
+def test_motions_are_near_each_other_by_turn_and_step(degrees: float, metres: float, near: bool) -> None:
+    first = motion_of((30.0, 20.0, 0.0), (1.0, 2.0, 3.0))
+    change = motion_of((0.0, degrees, 0.0), (0.0, metres, 0.0))
+    other = Motion(first.rotation @ change.rotation, first.step + change.step)
+    assert first.is_near(other) == other.is_near(first) == near
+
+
+def test_planes_that_are_mirrored_turn_no_camera_inside_out(rng: np.random.Generator) -> None:
+    for count in (3, 8):
+        planes = some_planes(rng, count)
+        rotation = camera_motion(planes, planes * [1.0, 1.0, -1.0, 1.0], np.ones(count)).rotation
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
 def test_what_planes_do_not_tell_of_the_motion_is_taken_for_none() -> None:
