@@ -10,6 +10,7 @@ from scipy.linalg import eigvalsh
 from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
+from rgbd_planes.error_sums import mean_rays
 from rgbd_planes.tile_grid import tile_windows
 
 CAMERA = rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5)
@@ -321,16 +322,6 @@ def test_tiles_without_a_pixel_add_nothing(rng):
     assert union.p_value[0] == pytest.approx(mask.p_value[0], abs=0.1)
 
 
-@pytest.mark.filterwarnings("ignore:about 67% of this frame")
-def test_tiles_without_a_ray_add_nothing():
-    """Behind a fisheye whose image does not fill the frame."""
-    lens = {"distortion": (0.0, 0.0, 0.0, 0.0), "distortion_model": "fisheye"}
-    camera = rp.Camera(64, 48, 12.0, 12.0, 31.5, 23.5, noise=NOISES["time of flight"], **lens)
-    union = rp.merge(rp.fit_tiles(np.ones(camera.shape), camera, 4, max_missing=0.9), np.ones((12, 16), int))
-    assert np.isfinite(union._pixels.error_sums).all()
-    assert np.isfinite(union.alpha_covariance).all()
-
-
 def test_tiles_of_a_column_of_pixels_have_no_width(rng):
     """What rounding leaves of it was divided by."""
     camera = replace(CAMERA, noise=NOISES["time of flight"])
@@ -349,6 +340,25 @@ def test_constant_noise_needs_no_sums(rng):
     assert fits._pixels.error_sums is None
     assert rp.merge(fits, [1])._pixels.error_sums is None
     assert rp.fit_labels(make_depth(camera, rng), replace(camera, noise=None), np.ones(camera.shape, int)).fitted
+
+
+def test_pixels_differ_where_only_their_rounding_does(rng):
+    camera = replace(CAMERA, noise=rp.noise.quantised(rp.noise.NoiseModel((1e-3,)), 0.01))
+    (depth,), seen = measured_floor(camera, 1, rng)
+    fits = rp.fit_labels(depth, camera, seen)
+    a, b, c = fits.alpha[0]
+    q = (a * camera.tan_x + b * camera.tan_y + c)[seen]
+    assert fits._pixels.error_sums[0, :2] == pytest.approx([1e-6 * len(q), np.sum((0.01 * q**2) ** 2 / 12.0)], rel=1e-3)
+
+
+def test_mean_rays_of_points_are_those_of_their_pixels(rng):
+    """To first order: the points are of a plane at a slant, seen over a few degrees."""
+    u, v = np.array([[1.0, 0.0], [0.5, 1.0]]) @ rng.normal(0.0, 0.02, (2, 300)) + [[0.3], [-0.2]]
+    z = 1.0 / (0.5 * u - 0.8 * v + 0.6)
+    points = np.stack([np.ones_like(u), u * z, v * z, z])
+    moments = (points @ points.T)[np.triu_indices(4)][:, None]
+    _, rays, _ = mean_rays("standard_explicit", moments, np.zeros((3, 1)))
+    assert rays[0] == pytest.approx([u.mean(), v.mean(), u.var(), np.mean((u - u.mean()) * v), v.var()], rel=0.1)
 
 
 def test_sums_are_those_of_the_noise_that_the_camera_has(rng):

@@ -251,6 +251,15 @@ def test_a_part_is_as_uncertain_wherever_it_lies_and_however_many_there_are(rng)
     np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-9 * np.abs(first[:3]).max())
 
 
+def test_another_noise_that_is_given_to_a_fit_counts():
+    louder = rp.noise.NoiseModel((2e-3,), correlation=FAR.correlation, floor=FAR.floor, floor_length=FAR.floor_length)
+    camera = camera_of((30, 40), FAR)
+    depth = depth_of(camera, np.array([0.3, -0.2, 0.6]))
+    fits = rp.fit_labels(depth, camera, np.ones(camera.shape, int))
+    other = replace(fits, camera=camera.with_noise(louder))
+    assert ratios(other.alpha_covariance[0], 4.0 * fits.alpha_covariance[0]) == pytest.approx((1.0, 1.0), abs=0.3)
+
+
 @pytest.mark.filterwarnings("ignore:about 67% of this frame")
 def test_pixels_without_a_ray():
     """Behind a fisheye whose image does not fill the frame."""
