@@ -22,7 +22,9 @@ import pytest
 import rgbd_planes as rp
 from rgbd_planes import cli, files, images, presets, scenes
 from rgbd_planes.batch import sequence as batch
+from rgbd_planes.batch.digest import stamps
 from rgbd_planes.batch.parts import FitSettings
+from rgbd_planes.batch.rows import Columns, empty_rows
 from rgbd_planes.sequences import FrameEntry, FrameSequence
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -498,6 +500,25 @@ def test_frames_whose_files_have_changed_are_fitted_again(recording, tmp_path):
     assert [problem.frame for problem in report.problems] == [20]
     assert rp.fit_sequence(sequence, out, num_threads=1, retry=True).problems == []
     check_rows(out, sequence)
+
+
+def test_a_file_that_was_written_again_has_another_stamp(tmp_path):
+    """Also of the same size. Folders and what is not there have none."""
+    path = tmp_path / "frame"
+    path.write_bytes(b"one")
+    first = stamps(path)
+    assert stamps((path, 3, tmp_path, tmp_path / "none")) == first != ""
+    path.write_bytes(b"two")
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 1_000_000))
+    assert stamps(path) != first
+
+
+def test_rows_are_used_again_for_the_same_columns_only():
+    columns = Columns(segments=False, noise=True, timed=True)
+    rows = empty_rows(columns, 10)
+    assert empty_rows(columns, 20) is rows
+    for other in ({"segments": True}, {"noise": False}, {"timed": False}):
+        assert empty_rows(columns._replace(**other), 10) is not rows
 
 
 def test_a_table_of_another_version_is_not_resumed(recording, tmp_path, monkeypatch):
