@@ -114,6 +114,27 @@ def test_that_of_a_part_is_the_mean_over_its_pixels(lens):
     np.testing.assert_allclose(growth_of_windows(camera, windows)[0], mean)
 
 
+def test_what_a_steep_falloff_makes_of_the_rim_costs_the_middle_no_digits(rng):
+    """Where the rim of a fisheye has 10^17 times the variance."""
+    camera = rp.Camera(
+        *(640, 480, 180.0, 180.0, 320.0, 240.0),
+        distortion=(0,) * 4,
+        distortion_model="fisheye",
+        noise=rp.noise.NoiseModel((1e-3,), falloff=8.0),
+    )
+    depth = 1.0 / (1.0 + 1e-3 * rng.standard_normal(camera.shape))
+    depth[camera._without_ray] = 0.0
+    tiles = rp.fit_tiles(depth, camera, 16)
+    middle = np.s_[12:18, 17:23]
+    windows = [[16 * row, 16 * column, 16, 16] for row in range(12, 18) for column in range(17, 23)]
+    found = rp.fit_windows(depth, camera, windows)
+    assert (tiles.p_value[middle] > 1e-3).all()
+    np.testing.assert_allclose(found.angle_std, tiles.angle_std[middle].ravel(), rtol=0.01)
+    labels = np.zeros(camera.shape, int)
+    labels[16 * 15 : 16 * 16, 16 * 20 : 16 * 21] = 1
+    assert tiles.angle_std[15, 20] == pytest.approx(rp.fit_labels(depth, camera, labels).angle_std[0], rel=0.02)
+
+
 def test_windows_at_the_rim_of_a_fisheye_have_that_of_their_rays():
     noise = replace(rp.noise.kinect_v1(), falloff=2.0)
     camera = rp.Camera(

@@ -50,6 +50,38 @@ def test_half_way_between_two_codes_the_variance_is_that_of_rounded_noise(sigma)
     assert between_codes(STEP**2, (sigma * STEP) ** 2, 1.0, 1.1) == 0.0
 
 
+@pytest.mark.parametrize(
+    "shared", [{}, {"correlation": ((0.5, 2.0),)}, {"floor": 1e-3}, {"correlation": ((0.5, 2.0),), "lateral": 0.3}]
+)
+@pytest.mark.parametrize("step", ["step", "disparity_step"])
+def test_parts_of_any_kind_have_it_whatever_neighbours_share(step, shared):
+    """Of a wall that faces the camera: a tile, a window, a label and a union of tiles are the same pixels."""
+    noise = rp.noise.NoiseModel((1e-4,), **{step: 0.02}, **shared)
+    camera = rp.Camera(32, 32, 60.0, 60.0, 15.5, 15.5, noise=noise)
+    depth = np.ones(camera.shape)
+    tile = rp.fit_tiles(depth, camera, 32).alpha_covariance[0, 0]
+    assert tile[2, 2] == pytest.approx(0.02**2 / 12.0, rel=0.05)
+    for others in (
+        rp.fit_windows(depth, camera, [[0, 0, 32, 32]]),
+        rp.fit_labels(depth, camera, np.ones(camera.shape, int)),
+        rp.merge(rp.fit_tiles(depth, camera, 16), np.ones((2, 2), int)),
+    ):
+        np.testing.assert_allclose(others.alpha_covariance[0], tile, rtol=0.02, atol=1e-3 * tile.max())
+
+
+@pytest.mark.parametrize("shared", [{}, {"correlation": ((0.5, 2.0),)}])
+def test_of_a_slanting_strip_it_tilts_as_along_a_row(shared):
+    """Along the strip there is no more of it than in an upright one of that length."""
+    noise = rp.noise.NoiseModel((1e-4,), disparity_step=0.01, **shared)
+    camera = rp.Camera(65, 65, 60.0, 60.0, 32.0, 32.0, noise=noise)
+    y, x = np.mgrid[-32:33, -32:33]
+    depth = np.ones(camera.shape)
+    along = np.array([1.0, 1.0]) / np.sqrt(2.0)
+    slanting = rp.fit_labels(depth, camera, (abs(y - x) <= 2) & (abs(x + y) <= 40)).alpha_covariance[0]
+    lying = rp.fit_labels(depth, camera, (abs(y) <= 1) & (abs(x) <= 28)).alpha_covariance[0]
+    assert along @ slanting[:2, :2] @ along == pytest.approx(lying[0, 0], rel=0.1)
+
+
 @pytest.mark.parametrize("unit", ["depth", "disparity"])
 @pytest.mark.parametrize("sigma", [0.05, 0.1, 0.2, 0.3, 0.6])
 def test_walls_that_face_the_camera_are_not_rough(sigma, unit, rng):

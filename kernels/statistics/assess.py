@@ -15,6 +15,7 @@ from .pixel_variances import find_uneven, independent_variance, mean_inverse_dep
 from .residuals import by_count, residual_ratio, uneven_freedom
 from .room import (
     BETWEEN,
+    COMMON,
     ERROR,
     LATERAL,
     LIMIT,
@@ -86,6 +87,7 @@ def assess(
     tiles = status.shape[1]
     everything = results.shape[1] > 0
     room[BETWEEN] = 0.0
+    room[COMMON : COMMON + 3] = 0.0
     begin = start
     while begin < stop:
         frame, first = begin // tiles, begin % tiles

@@ -6,6 +6,7 @@ from .._jit import kernel
 from .room import (
     ALPHA,
     ANGLE,
+    COMMON,
     INDEPENDENT,
     MEAN_Q,
     N_X,
@@ -82,7 +83,7 @@ def uneven_covariances(room, of_shape):
     """As `covariances`, where some of a tile's pixels are noisier than others: see `sandwich.sandwich`.
 
     Errors that neighbours share raise them by the same factors as if all variances were alike. If ``of_shape`` has
-    rows, they say instead what all errors along the ray make: see OF_SHAPE.
+    rows, they say instead what all errors along the ray make, but for the common one of rounding: see OF_SHAPE.
     """
     is_known = of_shape.shape[0] > 0
     for i in range(of_shape.shape[1]):
@@ -101,6 +102,9 @@ def uneven_covariances(room, of_shape):
         if is_known:
             aa, ab, bb = of_shape[0, i], of_shape[1, i], of_shape[2, i]
             a_mean, b_mean, mean = of_shape[3, i], of_shape[4, i], of_shape[5, i]
+            of_u, of_v, of_mean = room[COMMON, i], room[COMMON + 1, i], room[COMMON + 2, i]
+            aa, ab, bb = aa + of_u * even[0], ab + math.sqrt(of_u * of_v) * even[1], bb + of_v * even[2]
+            mean += of_mean * per_pixel
         else:
             aa, ab, bb = (
                 shared * f_a * slopes[0],

@@ -3,7 +3,7 @@
 import math
 
 from .._jit import kernel
-from .room import BETWEEN, INDEPENDENT, MEAN_Q, N_X, N_Y, OF_COUNT, ROUNDING, SHARED, TILES_AT_ONCE, D
+from .room import BETWEEN, COMMON, INDEPENDENT, MEAN_Q, N_X, N_Y, OF_COUNT, ROUNDING, SHARED, TILES_AT_ONCE, D
 from .rounding import between_codes, in_common, is_left
 from .variances import DEPTH_STEP, DISPARITY_STEP
 
@@ -47,8 +47,13 @@ def rounded_apart(noise, count, room):
 
 @kernel(inline=True)
 def rounded_alike(noise, count, room):
-    """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share."""
+    """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share.
+
+    In rows from COMMON on it is written by itself, for a part of which those factors are not used: as variances of a
+    pixel, of which the slope along x, that along y and the mean inverse depth have the same as of independent ones.
+    """
     for i in range(count):
+        room[COMMON, i] = room[COMMON + 1, i] = room[COMMON + 2, i] = 0.0
         lateral = room[INDEPENDENT, i] - room[ROUNDING, i]
         shared = max(room[SHARED, i], 1e-60)
         step_square = step_square_of(noise, i, room)
@@ -57,6 +62,8 @@ def rounded_alike(noise, count, room):
         u_steps, v_steps = steps_across(step_square, i, room)
         of_u, of_v, of_mean = in_common(step_square, shared + lateral, room[0, i], u_steps, v_steps)
         room[SHARED, i] = shared
+        room[COMMON, i], room[COMMON + 1, i], room[COMMON + 2, i] = of_u, of_v, of_mean
         room[OF_COUNT + 2, i] += of_u / shared
+        room[OF_COUNT + 3, i] += math.sqrt(of_u * of_v) / shared
         room[OF_COUNT + 4, i] += of_v / shared
         room[OF_COUNT + 5, i] += of_mean / shared
