@@ -176,6 +176,29 @@ def test_without_a_bias_the_map_shows_what_chance_makes(length, rng):
     assert "chance alone: ±" in bias.get_xlabel()
 
 
+def test_the_map_of_noise_shows_where_there_is_more(rng):
+    """Half as much again in the right half of the image."""
+    sigma = np.where(np.arange(CAMERA.width) < CAMERA.width // 2, 1e-3, 1.5e-3)
+    depths = 1.0 / (0.5 + 0.05 * CAMERA.tan_y + sigma * rng.standard_normal((2, *CAMERA.shape)))
+    found = rp.estimate_noise(depths, replace(CAMERA, depth_scale=1.0)).evidence.noise_map
+    left, right = (np.nanmean(half**2) for half in np.split(found, 2, axis=1))
+    assert np.sqrt(right / left) == pytest.approx(1.5, abs=0.05)
+    assert left < 1.0 < right
+
+
+@pytest.mark.parametrize("floor", [0.0, 3.0])
+def test_what_chance_makes_of_a_bias_does_not_depend_on_its_size(floor, rng):
+    """A cell of 8 x 8 pixels has an eighth of the deviation of one."""
+    camera = rp.Camera(
+        128, 96, 105.0, 105.0, 63.5, 47.5, noise=rp.noise.NoiseModel((1e-3,), floor=floor, floor_length=48.0)
+    )
+    wall = large.LargePlanes(np.ones((6, 8), np.int64), np.array([[0.0, 0.0, 0.5]]), np.full(1, 110.0), np.zeros(1))
+    depth = 1.0 / (0.5 + 1e-3 * rng.standard_normal(camera.shape))
+    _, count, deviation = flatness([depth], [wall], camera)
+    assert (count == 64).all()
+    np.testing.assert_allclose(deviation, 1e-3 / 8.0, rtol=1e-6)
+
+
 @pytest.mark.parametrize("floor", [0.0, 1.0])
 def test_planes_larger_than_tiles_show_how_far_a_bias_reaches(floor, rng):
     """Tiles of 96 pixels are as flat with it as without. The errors of large planes are what the covariance says."""

@@ -340,7 +340,7 @@ def test_noise_is_linear_between_the_entries_of_its_tables(rng):
 @pytest.mark.parametrize("disparity", [None, (5e-4, 0.1)])
 def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparity):
     # What `find_noise` does, on arrays.
-    camera = replace(CAMERA, disparity=disparity, depth_scale=None if disparity else 1000.0)
+    camera = replace(CAMERA, fy=200.0, disparity=disparity, depth_scale=None if disparity else 1000.0)
     q = 0.5 + 0.1 * camera.tan_x + 1.4e-3 * smooth_noise(3, 1.0)
     raw = np.rint((q - 0.1) / 5e-4 if disparity else 1000.0 / q).astype(np.uint16)
     frame, rays, given = as_depth_frame(raw, camera), rays_of(camera), _given(noise)
@@ -366,6 +366,8 @@ def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparit
     assert found.together == pytest.approx(1.0 + (max(together, 1.0) - 1.0) * min(shown / sigma[16], 1.0) ** 2)
     assert found.growth == pytest.approx(np.minimum(growth, max(0.03 * inverse_depth[16] / sigma[16], 1.0)))
     assert found.lateral_variance == pytest.approx(lateral**2)
+    assert found.lateral_variance_x == pytest.approx((lateral / camera.fx) ** 2)
+    assert found.lateral_variance_y == pytest.approx((lateral / camera.fy) ** 2)
     assert about.tolerance == pytest.approx(tolerance(by_32, table[16], flattest[16]))
     assert about.typical_sigma == pytest.approx(np.median(sigma))
     assert about.is_exact == (sigma[-1] <= flattest[-1])

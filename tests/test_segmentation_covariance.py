@@ -12,6 +12,7 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.segments.reach import OF_ONE, SIZES, as_planes_show, is_in_one, may_be_chance, mixture
 from rgbd_planes.kernels.segments.search import read_frame
 from rgbd_planes.kernels.segments.unevenness import weigh_rays
+from rgbd_planes.kernels.statistics.room import EXPECTED
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation.reach import reach_table
@@ -190,6 +191,19 @@ def test_covariance_of_a_strip_is_no_less_than_what_a_model_of_correlated_errors
     wanted = fits.alpha_covariance[0]
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
     np.testing.assert_allclose(found.alpha_covariance[0] / scale, wanted / scale, atol=0.05)
+
+
+def test_covariance_of_a_small_plane_is_as_much_more_as_its_residual(rng):
+    """Than what a model of errors that neighbours share expects of it."""
+    camera = replace(CAMERA, noise=NoiseModel((1e-3,), correlation=((0.3, 2.0),)))
+    patch, depth = np.s_[100:110, 150:160], np.zeros(CAMERA.shape)
+    depth[patch] = 1.0 / (0.5 + 3e-3 * rng.standard_normal((10, 10)))
+    found = segment(depth, camera)
+    fits = fit_labels(depth, camera, found.labels)
+    assert found.sizes.tolist() == [100]
+    more = 100.0 * found.rmse[0] ** 2 / fits._pixels.shared[0, EXPECTED]
+    assert more > 4.0
+    np.testing.assert_allclose(found.alpha_covariance[0], more * fits.alpha_covariance[0], rtol=5e-3, atol=1e-12)
 
 
 def test_covariance_by_an_exact_model_is_exact(rng):
