@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 
 import rgbd_planes as rp
+from rgbd_planes.fitting import solve_planes
+from rgbd_planes.plane_fits import TileStatus, allocate
 
 
 @settings(max_examples=40)
@@ -139,7 +141,7 @@ def test_small_windows_of_large_frames_are_degenerate_as_documented(method, widt
     corners = rng.integers((height // 2, 0), (height - side, width - side), (500, 2))
     windows = np.column_stack([corners, np.full((500, 2), side)])
     fits = rp.fit_windows(depth, camera, windows, method, implementation="integral")
-    assert least <= np.mean(fits.status == rp.TileStatus.DEGENERATE) <= most
+    assert least <= np.mean(fits.status == TileStatus.DEGENERATE) <= most
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -165,7 +167,7 @@ def test_tiles_that_lost_their_digits_do_not_spoil_unions_of_others(method):
     depth = 1.0 / (0.5 + 0.1 * camera.tan_x - 0.1 * camera.tan_y)
     depth[20, 20] = 1e-6
     tiles = rp.fit_tiles(depth, camera, 8, method, implementation="integral")
-    assert (tiles.status == rp.TileStatus.DEGENERATE).sum() == 23  # to the right of it and below
+    assert (tiles.status == TileStatus.DEGENERATE).sum() == 23  # to the right of it and below
     labels = np.zeros(tiles.shape, int)
     labels[0, :2] = 1
     np.testing.assert_allclose(rp.merge(tiles, labels).alpha, [[0.1, -0.1, 0.5]], atol=1e-12)
@@ -187,12 +189,22 @@ def test_what_a_near_pixel_leaves_of_the_sums_is_no_plane(method, near, rng):
     without = (corner > (200, 300)).any(axis=1) | (corner + 16 <= (200, 300)).any(axis=1)
     after = (corner + 16 > (200, 300)).all(axis=1)
     lost = without & after & (near < 1e-5)
-    assert (sums.status[lost] == rp.TileStatus.DEGENERATE).all()
+    assert (sums.status[lost] == TileStatus.DEGENERATE).all()
     assert (sums.fitted[~lost] == pixels.fitted[~lost]).all()
     assert np.isnan(rp.merge(sums, np.where(lost, 1, 0)).planes).all()
     both = sums.fitted & pixels.fitted
     np.testing.assert_allclose(sums.planes[both], pixels.planes[both], atol=1e-3)
     np.testing.assert_allclose(sums.rmse[both], pixels.rmse[both], rtol=1e-2, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_scatter_that_rounding_has_made_negative_is_no_plane(method):
+    """Of nine pixels at one place: what is left of sums over a frame that were so large."""
+    arrays = allocate((), (1,))
+    u = np.array([1.0, 0.3, 0.3, 0.5])
+    arrays["_moments"][:, 0] = 9.0 * np.outer(u, u)[np.triu_indices(4)] - 1e-10 * np.isin(np.arange(10), (4, 7))
+    solve_planes(method, arrays, np.full(1, 3.0), np.inf, 0, 1, 1e5)
+    assert arrays["status"][0] == TileStatus.DEGENERATE
 
 
 def test_no_windows_no_planes():
