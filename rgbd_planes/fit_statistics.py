@@ -175,6 +175,13 @@ def _limits(level: float, spread: float) -> Floats:
     if level == 0.0:
         return np.empty(0)
     if spread:
+        w = 2.0 / 9.0 * inverse_freedom(spread)
+        least = NormalDist().cdf((w - 1.0) / w**0.5)  # of an infinite ratio, by the approximation
+        if level < least:
+            raise ValueError(
+                f"expected a significance of 0, or of at least {least:.1e}, with a noise whose spread is {spread:g}: "
+                f"no p-value is smaller; got {level:g}"
+            )
         return np.array([-NormalDist().inv_cdf(level)])
     return np.array(_DEFAULT_LIMITS) if level == DEFAULT_SIGNIFICANCE else _made_limits(level)
 

@@ -300,3 +300,15 @@ def test_depths_where_nothing_is_measured_have_no_deviation():
 def test_formulas_that_cannot_be_used(options, error, message):
     with pytest.raises(error, match=message):
         rp.noise.NoiseModel(**options)
+
+
+def test_no_p_value_is_below_what_a_spread_allows():
+    """A smaller significance would test nothing."""
+    camera = rp.Camera(64, 64, 525.0, 525.0, 31.5, 31.5, noise=rp.noise.NoiseModel((1e-3,), spread=2.0))
+    depth = np.where(np.arange(64) % 2 == 0, 3.0, 1.0) * np.ones((64, 1))
+    assert rp.fit_tiles(depth, camera, 16).p_value.max() < 2e-5
+    assert (rp.fit_tiles(depth, camera, 16, significance=1e-4).status == rp.TileStatus.ROUGH).all()
+    with pytest.raises(
+        ValueError, match=r"significance of 0, or of at least 9\.\de-06, with a noise whose spread"
+    ):
+        rp.fit_tiles(depth, camera, 16, significance=1e-6)
