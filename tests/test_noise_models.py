@@ -308,7 +308,5 @@ def test_no_p_value_is_below_what_a_spread_allows():
     depth = np.where(np.arange(64) % 2 == 0, 3.0, 1.0) * np.ones((64, 1))
     assert rp.fit_tiles(depth, camera, 16).p_value.max() < 2e-5
     assert (rp.fit_tiles(depth, camera, 16, significance=1e-4).status == rp.TileStatus.ROUGH).all()
-    with pytest.raises(
-        ValueError, match=r"significance of 0, or of at least 9\.\de-06, with a noise whose spread"
-    ):
+    with pytest.raises(ValueError, match=r"significance of 0, or of at least 9\.\de-06, with a noise whose spread"):
         rp.fit_tiles(depth, camera, 16, significance=1e-6)
