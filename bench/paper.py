@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -301,12 +302,13 @@ def _machine(quick: bool, rounds: int) -> Result:
 
 
 def processor() -> str:
-    """What the system calls the processor."""
+    """What the system calls the processor, and which one it is: virtual machines call very different ones the same."""
     try:
-        with open("/proc/cpuinfo") as file:
-            for line in file:
-                if line.startswith("model name"):
-                    return line.split(":", 1)[1].strip()
+        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
     except OSError:
-        pass
-    return platform.processor() or "unknown"
+        lines = []
+    about = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    if "model name" not in about:
+        return platform.processor() or "unknown"
+    numbers = [f"{name} {about[key]}" for name, key in (("family", "cpu family"), ("model", "model")) if key in about]
+    return about["model name"] + (f" ({', '.join(numbers)})" if numbers else "")
