@@ -180,7 +180,7 @@ class TileFitter(FixedArguments):
 
         Parameters
         ----------
-        frames : (F, H, W) array or sequence of (H, W), or of Frame, as of `open_sequence`
+        frames : (F, H, W) array or sequence of (H, W), or of Frame by this camera, as of `open_sequence`
             Each is asked for once, if there are eight or more for each thread; threads share fewer. With four threads
             or more, an array takes less time than a sequence.
         out : TilePlanes, optional
@@ -238,7 +238,7 @@ class TileFitter(FixedArguments):
 
         Parameters
         ----------
-        frames : iterable of (H, W) array_like, or of Frame
+        frames : iterable of (H, W) array_like, or of Frame by this camera
             Of any length, even without end: a generator that reads a camera or files.
 
         Yields

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, collected_warnings, warn_caller
 from rgbd_planes.depth import as_depth_frame, as_numbered_frame, depth_of, step_of
+from rgbd_planes.files import naming
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
@@ -85,7 +86,7 @@ def estimate_noise(
 
     Parameters
     ----------
-    frames : (F, H, W) array or sequence of (H, W) or of Frame, or one (H, W)
+    frames : (F, H, W) array or sequence of (H, W), or of Frame by this camera, or one (H, W)
         With surfaces that are flat over 50 pixels or more, at the depths that matter; for the covariances of large
         planes, with such planes. The more frames and the more places, the better; one can be enough.
     camera : Camera
@@ -159,7 +160,10 @@ def _open(frames: Any, camera: Camera) -> tuple[list[Any], NoiseModel]:
     if not hasattr(frames, "__len__") or isinstance(frames, (bytes, bytearray, Mapping)):
         raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}")
     is_one = getattr(frames, "ndim", None) == 0
-    opened: list[Any] = [] if is_one else [depth_of(frame, camera) for frame in frames]  # each is read once
+    opened: list[Any] = []
+    for index, given in enumerate(() if is_one else frames):  # each is read once
+        with naming(f"frame {index}"):
+            opened.append(depth_of(given, camera))
     is_one = is_one or (len(opened) > 0 and np.ndim(opened[0]) == 1)  # those were rows
     if is_one:
         opened = [frames]
