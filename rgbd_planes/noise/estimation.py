@@ -22,8 +22,8 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads, collected_warnings, warn_caller
 from rgbd_planes.depth import as_depth_frame, as_numbered_frame, depth_of, step_of
-from rgbd_planes.files import naming
 from rgbd_planes.distances import warn_of_distances
+from rgbd_planes.files import naming
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
 from rgbd_planes.noise.large_planes import TILE, LargePlanes, bends_by_side, large_planes
