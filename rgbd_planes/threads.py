@@ -65,7 +65,8 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
             return
         try:
             with collected_warnings(messages):
-                future.set_result(work(*arguments))
+                made = work(*arguments)
+            future.set_result(made)
         except BaseException as error:
             future.set_exception(error)
 

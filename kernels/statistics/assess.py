@@ -87,7 +87,6 @@ def assess(
     tiles = status.shape[1]
     everything = results.shape[1] > 0
     room[BETWEEN] = 0.0
-    room[COMMON : COMMON + 3] = 0.0
     begin = start
     while begin < stop:
         frame, first = begin // tiles, begin % tiles
@@ -163,6 +162,8 @@ def assess(
             else:
                 chi_square.deviates(tails, TILES_AT_ONCE)
             normal_distribution.tails(tails, TILES_AT_ONCE)
+            if of_pixels.shape[0] >= OF_SHAPE:
+                room[COMMON : COMMON + 3] = 0.0
             if has_rounding:
                 rounded_alike(noise, last - first, room)
             covariances(room)

@@ -49,11 +49,11 @@ def rounded_apart(noise, count, room):
 def rounded_alike(noise, count, room):
     """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share.
 
-    In rows from COMMON on it is written by itself, for a part of which those factors are not used: as variances of a
-    pixel, of which the slope along x, that along y and the mean inverse depth have the same as of independent ones.
+    In rows from COMMON on, 0 before, it is written by itself, for a part of which those factors are not used: as
+    variances of a pixel, of which the slope along x, that along y and the mean inverse depth have the same as of
+    independent ones.
     """
     for i in range(count):
-        room[COMMON, i] = room[COMMON + 1, i] = room[COMMON + 2, i] = 0.0
         lateral = room[INDEPENDENT, i] - room[ROUNDING, i]
         shared = max(room[SHARED, i], 1e-60)
         step_square = step_square_of(noise, i, room)
