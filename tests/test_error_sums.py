@@ -115,6 +115,7 @@ def test_covariance_is_that_of_uneven_variances(noise, lateral, method, rng):
         replace(rp.noise.kinect_v1(), falloff=6.0),
         replace(NOISES["time of flight"], falloff=4.0),
         rp.noise.NoiseModel((1e-4,), step=0.01),
+        replace(NOISES["table"], step=1e-3),  # rounding that is even beside errors that are not
     ],
     ids=str,
 )
@@ -289,6 +290,17 @@ def test_sums_are_those_of_numpy(distortion, disparity, rng):
         wanted = [along.sum(), rounding.sum(), np.sum((along + rounding) ** 2), *products]
         # The kernel looks them up in a table.
         np.testing.assert_allclose(sums[i], wanted, rtol=1e-4, atol=1e-4 * np.abs(products).max())
+
+
+def test_where_a_plane_goes_beyond_infinity_the_noise_is_that_of_the_farthest():
+    """What is measured there is far from the plane of its label, which a near surface has drawn."""
+    camera = replace(CAMERA, noise=NOISES["table"])
+    q = np.maximum(1.0 - 2.0 * (camera.tan_x - camera.tan_x[0, 0]), 0.02)
+    fits = rp.fit_labels(1.0 / q, camera, np.ones(camera.shape, int))
+    on_plane = fits.alpha[0, 0] * camera.tan_x + fits.alpha[0, 1] * camera.tan_y + fits.alpha[0, 2]
+    assert on_plane.min() < -0.1
+    wanted = np.sum(camera.noise._along(np.maximum(on_plane, 0.0)) ** 2)
+    assert fits._pixels.error_sums[0, 0] == pytest.approx(wanted, rel=1e-3)
 
 
 @pytest.mark.parametrize("noise", [*NOISES.values(), replace(rp.noise.kinect_v1(), correlation=((0.5, 3.0),))], ids=str)

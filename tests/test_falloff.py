@@ -101,6 +101,16 @@ def test_p_values_and_covariances_are_right_all_over_the_image(lens, name, kind,
     assert np.mean(fits_of(kind, depth, plain)[0].p_value.ravel()[rings[-1] == 2] < 0.01) > 0.3
 
 
+def test_large_tiles_at_the_edge_have_the_covariance_of_their_pixels(rng):
+    """From one side of such a tile to the other the variance doubles."""
+    camera = replace(PINHOLE, noise=rp.noise.NoiseModel((1.4e-3,), falloff=8.0))
+    tiles = rp.fit_tiles(measured(camera, 1, rng)[0], camera, 48)
+    labels = np.kron(np.arange(1, 13).reshape(tiles.shape), np.ones((48, 48), int))
+    of_pixels = rp.fit_labels(measured(camera, 1, rng)[0], camera, labels)
+    variances = np.diagonal(tiles.alpha_covariance, axis1=-2, axis2=-1).reshape(-1, 3)
+    np.testing.assert_allclose(variances, np.diagonal(of_pixels.alpha_covariance, axis1=-2, axis2=-1), rtol=0.03)
+
+
 @pytest.mark.parametrize("lens", CAMERAS)
 def test_that_of_a_part_is_the_mean_over_its_pixels(lens):
     camera = replace(CAMERAS[lens], noise=NOISES["constant"])

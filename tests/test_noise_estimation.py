@@ -381,7 +381,12 @@ def test_what_coarse_rounding_adds_is_told_apart(rng):
     assert model.step == 0.02
     q = np.array([0.35, 0.5, 0.7])
     np.testing.assert_allclose(model.sigma(q), np.hypot(1.4e-3, 0.02 * q * q / np.sqrt(12.0)), rtol=0.1)
-    np.testing.assert_allclose(model.evidence.residuals, model.evidence.expected, rtol=0.03)
+    shown = model.evidence
+    np.testing.assert_allclose(shown.residuals, shown.expected, rtol=0.03)
+    q = shown.inverse_depth
+    of_tiles = np.sqrt(1.0 - 3.0 / 12**2) * np.hypot(1.4e-3, 0.02 * q * q / np.sqrt(12.0))
+    np.testing.assert_allclose(shown.sigma, of_tiles, rtol=0.05)
+    np.testing.assert_allclose(shown.sigma_fit, of_tiles, rtol=0.05)
 
 
 def test_the_rounding_is_the_finest_step_of_most_frames():

@@ -246,14 +246,29 @@ def test_a_wild_value_spoils_only_its_own_windows(distortion, wild, rng):
 
 @pytest.mark.parametrize("distortion", ["pinhole", "five"])
 @pytest.mark.parametrize("avoid_edges", [False, True])
-def test_the_same_bits_for_any_number_of_threads(distortion, avoid_edges, rng):
+@pytest.mark.parametrize("holes", ["some", "most"])  # the latter with windows that have too few pixels
+def test_the_same_bits_for_any_number_of_threads(distortion, avoid_edges, holes, rng):
     camera = make_camera(DISTORTIONS[distortion], width=90, height=300)
-    depth = as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16")
+    depth = as_dtype(make_holes(make_depth(camera, rng), holes, rng), "uint16")
     for compute in (rp.normals, rp.curvature):
         results = [
             compute(depth, camera, 9, avoid_edges=avoid_edges, num_threads=n).tobytes() for n in (1, 2, 3, 5, 64, None)
         ]
         assert len(set(results)) == 1
+
+
+def test_a_hole_is_seen_by_threads_whose_first_rows_have_none(rng):
+    camera = make_camera(width=90, height=300)
+    depth = make_depth(camera, rng)
+    for row in range(50, 300, 64):  # in the middle of the rows that are one thread's at least
+        depth[row - 10 : row, 30:50] = 0
+    assert len({rp.normals(depth, camera, 9, num_threads=n).tobytes() for n in (1, 2, 5)}) == 1
+
+
+def test_threads_end_at_the_edge_of_a_wide_image(rng):
+    camera = rp.Camera(1400, 130, 800.0, 790.0, 630.0, 71.5, tuple(0.1 * k for k in DISTORTIONS["five"]))
+    depth = make_depth(camera, rng)
+    assert len({rp.normals(depth, camera, 5, num_threads=n).tobytes() for n in (1, 3)}) == 1
 
 
 def test_eight_threads_at_once(rng):

@@ -103,6 +103,34 @@ def test_walls_that_face_the_camera_are_not_rough(sigma, unit, rng):
     assert all(np.mean(which) <= (0.02 if name == "tile" else 0.04) for name, which in rejected.items())
 
 
+def test_what_rounding_adds_to_one_frame_is_not_left_in_the_next(rng):
+    """A near wall is rounded alike, a far slope is not: in one frame of a batch all tiles, some, or none."""
+    camera = replace(CAMERA, disparity=None, depth_scale=1000.0, invalid_values=())
+    inverse_depths = np.array([0.2, 0.5, 0.8, 2.2])
+    errors = rp.noise.table(inverse_depths, 4e-4 * (0.75 / inverse_depths) ** 1.5)
+    camera = replace(camera, noise=rp.noise.quantised(errors, camera))
+    near, far = np.full(camera.shape, 2.0), 0.5 + 1.6 * camera.tan_x
+    scenes = np.array([near, np.where(camera.tan_y < 0.0, near, far), near, far])
+    raw = np.rint(1000.0 / (scenes + errors.sigma(scenes) * rng.standard_normal(scenes.shape))).astype(np.uint16)
+    together = rp.TileFitter(camera, 32, num_threads=1).fit_batch(raw)
+    for i, frame in enumerate(raw):
+        alone = rp.fit_tiles(frame, camera, 32)
+        np.testing.assert_array_equal(together[i].p_value, alone.p_value)
+        np.testing.assert_array_equal(together[i].alpha_covariance, alone.alpha_covariance)
+
+
+def test_what_rounding_adds_to_some_labels_is_not_left_in_others(rng):
+    """In the upper half of the image pixels are rounded alike; the noise is correlated."""
+    camera = replace(CAMERA, disparity=None, depth_scale=1000.0, invalid_values=())
+    errors = rp.noise.NoiseModel((2e-4,), correlation=((0.5, 2.0),))
+    camera = replace(camera, noise=rp.noise.quantised(errors, camera))
+    q = np.where(camera.tan_y < 0.0, 2.0, 0.5 + 0.0 * camera.tan_x)
+    raw = np.rint(1000.0 / (q + 2e-4 * rng.standard_normal(q.shape))).astype(np.uint16)
+    labels = np.kron(np.arange(1, 321).reshape(16, 20), np.ones((8, 8), int))
+    all_of_them, far = rp.fit_labels(raw, camera, labels), rp.fit_labels(raw, camera, np.maximum(labels - 160, 0))
+    np.testing.assert_allclose(all_of_them.alpha_covariance[160:], far.alpha_covariance, rtol=1e-9)
+
+
 @pytest.mark.parametrize("noise", [None, 1e-3])  # what is given may be far more than the sensor has
 @pytest.mark.parametrize("sigma", [0.1, 0.2, 0.7])
 def test_offsets_of_segments_that_face_the_camera(sigma, noise, rng):

@@ -82,6 +82,25 @@ def test_points_near_a_line(width, thickness, rng):
         assert sine < 4e-15 * values[2] / (values[1] - values[0])
 
 
+@pytest.mark.parametrize("width", [1.0, 1e-4])
+def test_points_on_a_plane_leave_nothing_below_zero(width, rng):
+    """The root of the eigenvalue is their residual, which must be a number."""
+    for _ in range(100):
+        axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        points = rng.standard_normal((8, 3)) * [1.0, width, 0.0] @ axes
+        assert smallest_eigenpair(points.T @ points)[0] >= 0.0
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_points_all_round_a_line_have_a_vector_across_it(axis):
+    diagonal = np.ones(3)
+    diagonal[axis] = 9e8
+    value, *vector = smallest_eigenpair(np.diag(diagonal))
+    assert value == pytest.approx(1.0)
+    assert vector[axis] == 0.0
+    assert np.linalg.norm(vector) == pytest.approx(1.0)
+
+
 @settings(max_examples=300)
 @given(clouds, st.floats(1e-3, 1), st.floats(0.3, 30))
 def test_smallest_eigenvector_4x4(points, thickness, distance):
