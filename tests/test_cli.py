@@ -614,10 +614,11 @@ def test_work_is_done_whoever_reads_its_warnings(folder, where):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="without pipes of POSIX")
 def test_a_reader_of_the_result_that_leaves_early_is_an_error(folder, capsys):
+    """Of one that is more than a pipe holds."""
     os.mkfifo("p.json")
     reader = threading.Thread(target=lambda: os.close(os.open("p.json", os.O_RDONLY)))
     reader.start()
-    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--out", "p.json"]) == 2
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--tile", "3", "--out", "p.json"]) == 2
     assert capsys.readouterr().err == "rgbd-planes fit: p.json: Broken pipe\n"
     reader.join()
 
