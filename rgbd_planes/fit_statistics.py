@@ -175,13 +175,6 @@ def _limits(level: float, spread: float) -> Floats:
     if level == 0.0:
         return np.empty(0)
     if spread:
-        w = 2.0 / 9.0 * inverse_freedom(spread)
-        least = NormalDist().cdf((w - 1.0) / w**0.5)  # of an infinite ratio, by the approximation
-        if level < least:
-            raise ValueError(
-                f"expected a significance of 0, or of at least {least:.1e}, with a noise whose spread is {spread:g}: "
-                f"no p-value is smaller; got {level:g}"
-            )
         return np.array([-NormalDist().inv_cdf(level)])
     return np.array(_DEFAULT_LIMITS) if level == DEFAULT_SIGNIFICANCE else _made_limits(level)
 
@@ -209,13 +202,21 @@ def check_level(significance: float | None) -> float | None:
 
 
 def check_significance(significance: float | None, camera: Camera) -> float | None:
-    """The same, for a camera, which needs a noise model unless it is None."""
+    """The same, for a camera, which needs a noise model unless it is None, and p-values as small as that."""
     level = check_level(significance)
     if level is not None and camera.noise is None:
         raise ValueError(
             "significance needs a camera with a noise model: Camera(..., noise=rp.noise.kinect_v1()), "
             "or rp.estimate_noise(frames, camera)"
         )
+    if level and camera.noise is not None and camera.noise.spread:
+        w = 2.0 / 9.0 * inverse_freedom(camera.noise.spread)
+        least = NormalDist().cdf((w - 1.0) / w**0.5)  # of an infinite ratio: see `residuals.deviate_of`
+        if level < least:
+            raise ValueError(
+                f"expected a significance of 0, or of at least {least:.1e}, with a noise whose spread is "
+                f"{camera.noise.spread:g}: no p-value is smaller; got {level:g}"
+            )
     return level
 
 
