@@ -49,12 +49,19 @@ def tile_polygons(tiles: TilePlanes) -> Floats:
         counter-clockwise about its normal: from the top left corner down, where the camera's fx and fy have the same
         sign. One for each tile that is fitted and that these rays all meet, row by row; see `exported`.
     """
-    return _corners(tiles)[exported(tiles)]
+    return polygons_of(tiles)[0]
 
 
 def exported(tiles: TilePlanes) -> NDArray[np.bool_]:
     """(R, C) bool: which tiles `tile_polygons` has: fitted, and met by the rays through their corners."""
     return np.asarray(np.isfinite(_corners(tiles)).all(axis=(2, 3)))
+
+
+def polygons_of(tiles: TilePlanes) -> tuple[Floats, Floats]:
+    """`tile_polygons`, (N, 4, 3), and the planes that they lie on, (N, 4)."""
+    corners = _corners(tiles)
+    whole = np.isfinite(corners).all(axis=(2, 3))
+    return corners[whole], tiles.planes[whole]
 
 
 def _corners(tiles: TilePlanes) -> Floats:
@@ -305,8 +312,7 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> di
     TypeError, ValueError
         The name is no str, or the stamp is no time that ROS can hold; and for tiles as all functions here.
     """
-    _check_one_frame(tiles)
-    return ros_planes(tiles.planes[exported(tiles)], frame_id, stamp)
+    return ros_planes(polygons_of(tiles)[1], frame_id, stamp)
 
 
 def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
@@ -364,10 +370,10 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: A
 
 def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:
     """Four points for each polygon, with their normals and colours."""
-    _check_one_frame(tiles)
-    normals = tiles.planes[exported(tiles)][:, :3]
+    polygons, planes = polygons_of(tiles)
+    normals = planes[:, :3]
     colours = normal_colours(in_image(normals, tiles.camera))
-    return tile_polygons(tiles).reshape(-1, 3), normals.repeat(4, axis=0), colours.repeat(4, axis=0)
+    return polygons.reshape(-1, 3), normals.repeat(4, axis=0), colours.repeat(4, axis=0)
 
 
 def _check_one_frame(tiles: TilePlanes) -> None:

@@ -13,7 +13,7 @@ from rgbd_planes.batch.parts import Problem, in_words
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import warn_caller
 from rgbd_planes.colours import in_image, label_colours, normal_colours
-from rgbd_planes.export import exported, tile_polygons
+from rgbd_planes.export import polygons_of
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.polygons import plane_polygons
@@ -81,8 +81,8 @@ def record(
             camera = frame.camera
             _log_frame(rr, stream, index, frame)
             # In the axes of the image, the only ones that rerun's pinhole has.
-            polygons = in_image(tile_polygons(tiles), camera)
-            normals = in_image(tiles.planes[exported(tiles)][:, :3], camera)
+            corners, planes = polygons_of(tiles)
+            polygons, normals = in_image(corners, camera), in_image(planes[:, :3], camera)
             colours = normal_colours(normals)
             outlines = np.concatenate([polygons, polygons[:, :1]], axis=1)
             size = np.linalg.norm(polygons[:, 0] - polygons[:, 2], axis=1, keepdims=True)
