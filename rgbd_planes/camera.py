@@ -205,30 +205,25 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether the lens bends anything at all."""
+        """Whether the lens bends anything; if not, tan_x depends on the column only, and tan_y on the row only."""
         return bool(self.distortion)
 
     @property
-    def is_separable(self) -> bool:
-        """Whether tan_x depends on the column only and tan_y on the row only: no distortion."""
-        return not self.is_distorted
-
-    @property
     def tan_x_columns(self) -> Floats:
-        """(W,) float64: (x - cx) / fx of each column. It is tan_x itself where the camera `is_separable`."""
+        """(W,) float64: (x - cx) / fx of each column. It is tan_x itself unless the camera `is_distorted`."""
         return _read_only((np.arange(float(self.width)) - self.cx) / self.fx)
 
     @property
     def tan_y_rows(self) -> Floats:
-        """(H,) float64: (y - cy) / fy of each row. It is tan_y itself where the camera `is_separable`."""
+        """(H,) float64: (y - cy) / fy of each row. It is tan_y itself unless the camera `is_distorted`."""
         return _read_only((np.arange(float(self.height)) - self.cy) / self.fy)
 
     @property
     def _rays(self) -> tuple[Floats, Floats]:
-        """tanθx and tanθy, (1, W) and (H, 1), or both (H, W) where the camera is not `is_separable`."""
-        if self.is_separable:
-            return self.tan_x_columns[None], self.tan_y_rows[:, None]
-        return self.tan_x, self.tan_y
+        """tanθx and tanθy, (1, W) and (H, 1), or both (H, W) where the camera `is_distorted`."""
+        if self.is_distorted:
+            return self.tan_x, self.tan_y
+        return self.tan_x_columns[None], self.tan_y_rows[:, None]
 
     @property
     def tan_x(self) -> Floats:
@@ -324,7 +319,7 @@ class Camera:
             if self.is_distorted:
                 x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
             x, y = x * self.fx + self.cx, y * self.fy + self.cy
-        finite = np.logical_and.reduce([np.isfinite(numbers) for numbers in (*of_points, x, y)])
+        finite = np.logical_and.reduce([np.isfinite(each) for each in (*of_points, x, y)])
         return np.stack([np.where(finite, x, np.nan), np.where(finite, y, np.nan)], axis=-1)
 
     def resized(self, width: int, height: int) -> Self:

@@ -146,7 +146,7 @@ def _surfaces(
     avoid_edges = check_bool("avoid_edges", avoid_edges)
     frame = as_depth_frame(depth, camera)
     height, width = frame.raw.shape
-    needs_surfaces = avoid_edges or not normals_only or not camera.is_separable
+    needs_surfaces = avoid_edges or not normals_only or camera.is_distorted
     threads = choose_num_threads(check_num_threads(num_threads), frame.raw.size)
 
     made = np.empty((height, width, 3), np.float32)
@@ -154,7 +154,7 @@ def _surfaces(
     variation = np.empty_like(variance)
     arrays = made.reshape(-1), variance.reshape(-1), variation.reshape(-1)
     work: Any
-    if camera.is_separable:
+    if not camera.is_distorted:
         rays = camera.fx, camera.fy, camera.tan_x_columns, camera.tan_y_rows
 
         def work(start: int, stop: int) -> None:
@@ -166,7 +166,7 @@ def _surfaces(
                 *frame.values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
             )
 
-    with announced(("normals", camera.is_separable, frame.raw.dtype)):
+    with announced(("normals", camera.is_distorted, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)
         if not avoid_edges:
             return made, variation

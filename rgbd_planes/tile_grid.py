@@ -113,7 +113,7 @@ def tile_rays(camera: Camera, tile: tuple[int, int]) -> TileRays:
     """Return the rays of a camera's tiles of (height, width)."""
     heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
     centre = np.empty((2, len(heights), len(widths)))
-    if camera.is_separable:
+    if not camera.is_distorted:
         of_columns, of_rows = camera.tan_x_columns, camera.tan_y_rows
         centre[0], centre[1] = (_means(of_columns, widths), _means(of_rows, heights)[:, None])
         tan_x, tan_y = np.zeros(len(widths) * tile[1]), of_rows - np.repeat(centre[1, :, 0], heights)

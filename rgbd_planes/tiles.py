@@ -109,7 +109,7 @@ class TileFitter(FixedArguments):
         footprint = tile_footprints(camera.shape, self.tile)
         # A copy: for a read-only array kernels would be compiled again.
         self._needed = _valid_needed(camera.shape, self.tile, max_missing).copy()
-        self._compiled_for = method, implementation, camera.is_separable
+        self._compiled_for = method, implementation, camera.is_distorted
         growth = growth_of_tiles(camera, self.tile)
         self._assessment = Assessment(camera, method, significance, windows[:, 2:], footprint, growth)
         if implementation == "direct":

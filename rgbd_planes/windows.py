@@ -170,7 +170,7 @@ def fit_windows(
     assess = Assessment(camera, method, significance, sizes, footprint, growth).of(arrays)
     needed = valid_needed(areas, max_missing)
     threads = choose_num_threads(num_threads, pixels if implementation == "naive" else frame.raw.size)
-    with announced(("windows", method, implementation, camera.is_separable, frame.raw.dtype)):
+    with announced(("windows", method, implementation, camera.is_distorted, frame.raw.dtype)):
         window_moments = WindowMoments(camera, method, implementation)
         source = window_moments.prepare(frame)
         full = np.empty((6, len(rectangles)))

@@ -28,7 +28,7 @@ def rays_of(camera: Camera) -> Rays:
     middle_x = np.minimum(np.arange(columns) * BLOCK + BLOCK // 2, width - 1)
     tan_x, tan_y = camera._rays
     centre_u, centre_v = tan_x[:, middle_x], tan_y[middle_y]
-    if not camera.is_separable:
+    if camera.is_distorted:
         centre_u, centre_v = np.ascontiguousarray(centre_u[middle_y]), np.ascontiguousarray(centre_v[:, middle_x])
     stretches = [np.ones((rows, columns))]
     if lens.size:
