@@ -14,16 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats
-from rgbd_planes.checks import (
-    check_bool,
-    check_not_a_maker,
-    check_whole,
-    collected_warnings,
-    number,
-    numbers,
-    real_array,
-    warn_caller,
-)
+from rgbd_planes.caller_warnings import collected_warnings, warn_caller
+from rgbd_planes.checks import check_bool, check_not_a_maker, check_whole, number, numbers, real_array
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.files import naming, write_beside
 from rgbd_planes.keeping import kept

@@ -1,15 +1,9 @@
-"""Checks of arguments shared by the public functions: an error says what was expected and what came.
-
-They warn of what can be used, but is most likely a mistake.
-"""
+"""Checks of arguments shared by the public functions: an error says what was expected and what came."""
 
 import math
 import os
 import sys
-import threading
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -188,40 +182,12 @@ def check_labels(labels: NDArray[Any], most: int) -> None:
 
 _ROUNDED = 2e-3  # how far R·Rᵀ is off, at most, where the entries of R have three digits or more
 
-# Share of 1/Z that no sensor's noise reaches, between what is nearest in a frame and twice as far away.
-TOO_LARGE = 0.2
-LARGEST_NOISE = 1e60  # 1/m: the square of its square is finite, and so are sums of these over a frame
-
-
-def check_noise(sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True) -> NDArray[np.float64]:
-    """Return standard deviations at inverse depths, one for each, as floats: 0 or more."""
-    made = for_each(sigma, inverse_depth)
-    bad = ~(made >= 0.0) | (finite & (made > LARGEST_NOISE))
-    if bad.any():
-        first = bad.argmax()
-        raise ValueError(
-            f"expected noise of 0 to {LARGEST_NOISE:g} 1/m at all inverse depths, "
-            f"got {made[first]:g} at {inverse_depth[first]:g} 1/m"
-        )
-    return made
-
 
 def check_not_a_maker(noise: Any) -> None:
     """Raise a TypeError for a function of `rgbd_planes.noise` given in place of the model that it makes."""
     if getattr(noise, "__module__", "") == "rgbd_planes.noise" and hasattr(noise, "__name__"):
         name = noise.__name__
         raise TypeError(f"expected noise as a NoiseModel, got the function {name}: {name}(...) makes one")
-
-
-def for_each(sigma: Any, inverse_depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what a function gave for inverse depths as floats, one for each; a single number counts for all."""
-    made = np.asarray(sigma, np.float64)
-    try:
-        return np.broadcast_to(made, inverse_depth.shape)
-    except ValueError:
-        raise ValueError(
-            f"expected noise for each inverse depth, of shape {inverse_depth.shape}, got shape {made.shape}"
-        ) from None
 
 
 def number(name: str, value: Any, *, finite: bool = True) -> float:
@@ -245,53 +211,3 @@ def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]
     if not listed or isinstance(values, (str, bytes)) or any(value is None for value in values):
         raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
     return tuple(number(name, value, finite=finite) for value in values)
-
-
-# ExitStack waits for threads; `dataclasses.replace` makes cameras anew.
-_INSIDE = "rgbd_planes", "contextlib", "dataclasses"
-
-
-class _Collected(threading.local):
-    """In a thread of this library: the warnings that it passes on."""
-
-    messages: list[str] | None = None
-
-
-_collected = _Collected()
-
-
-def warn_caller(message: str) -> None:
-    """Warn at the line that called this library."""
-    if _collected.messages is None:
-        warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
-    else:
-        _collected.messages.append(message)
-
-
-def warn_of_large_noise(sigma: float, inverse_depth: float, result: str) -> None:
-    """Warn of a noise that most likely is in other units."""
-    if sigma > TOO_LARGE * inverse_depth:
-        warn_caller(
-            f"the noise that is given is {sigma:.2g} 1/m where 1/Z is {inverse_depth:.2g} 1/m: most likely it "
-            f"is not in 1/m, or made of lengths that are not in metres. With it {result}"
-        )
-
-
-@contextmanager
-def collected_warnings(messages: list[str]) -> Iterator[None]:
-    """Collect warnings in a list, in a thread that was not called by the line that they are for."""
-    before, _collected.messages = _collected.messages, messages
-    try:
-        yield
-    finally:
-        _collected.messages = before
-
-
-def _first_level_outside() -> int:
-    """The stack level of the code that called this library, as `warnings.warn` counts for its caller."""
-    level = 1
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
-        frame = frame.f_back
-        level += 1
-    return level

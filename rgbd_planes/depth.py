@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import plain_array, warn_caller
+from rgbd_planes.caller_warnings import warn_caller
+from rgbd_planes.checks import plain_array
 from rgbd_planes.depth_units import PLAINLY_NOT_METRES, warn_of_disparity, warn_of_the_range, warn_of_units
 from rgbd_planes.files import naming
 from rgbd_planes.valid_depth import measurements_of, validity

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.checks import warn_caller
+from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.valid_depth import ENDLESS, Valid, measurements_of
 
 _PLAINLY_TOO_NEAR = 1.0  # metres

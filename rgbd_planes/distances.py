@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import warn_caller
 from rgbd_planes.depth import DepthFrame
 
 Floats = NDArray[np.float64]

@@ -9,16 +9,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import (
-    check_camera,
-    check_choice,
-    check_error,
-    check_labels,
-    check_share,
-    label_array,
-    warn_caller,
-)
+from rgbd_planes.checks import check_camera, check_choice, check_error, check_labels, check_share, label_array
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.error_sums import KeepsPixels, Pixels, pixels_of_labels

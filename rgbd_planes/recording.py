@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rgbd_planes.batch.parts import Problem, in_words
+from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import warn_caller
 from rgbd_planes.colours import in_image, label_colours, normal_colours
 from rgbd_planes.export import polygons_of
 from rgbd_planes.extras import needs

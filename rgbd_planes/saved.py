@@ -10,8 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import collected_warnings
 from rgbd_planes.files import naming, readable, write_beside
 from rgbd_planes.noise.model import NoiseModel
 

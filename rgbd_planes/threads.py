@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rgbd_planes.checks import collected_warnings, warn_caller
+from rgbd_planes.caller_warnings import collected_warnings, warn_caller
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor

@@ -13,8 +13,9 @@ import numpy as np
 
 from rgbd_planes.batch.digest import of_files, stamps
 from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
+from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_bool, check_choice, check_error, check_share, collected_warnings
+from rgbd_planes.checks import check_bool, check_choice, check_error, check_share
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside

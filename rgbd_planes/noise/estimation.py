@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.caller_warnings import collected_warnings, warn_caller
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_num_threads, collected_warnings, warn_caller
+from rgbd_planes.checks import check_camera, check_num_threads
 from rgbd_planes.depth import as_depth_frame, as_numbered_frame, depth_of, step_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import naming

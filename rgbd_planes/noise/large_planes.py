@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import collected_warnings
 from rgbd_planes.merging import merge
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import like_rectangles

@@ -9,10 +9,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import LARGEST_NOISE, check_noise, for_each, number, numbers, real_array, warn_of_large_noise
+from rgbd_planes.checks import number, numbers, real_array
 from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
+from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, for_each, warn_of_large_noise
 from rgbd_planes.wording import counted, two_digits
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import check_camera, number, warn_caller
+from rgbd_planes.caller_warnings import warn_caller
+from rgbd_planes.checks import check_camera, number
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.noise.falloff import growth_of_pixels

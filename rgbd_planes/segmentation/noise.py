@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_noise, warn_of_large_noise
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.error_sums import mean_rays
 from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
@@ -15,6 +14,7 @@ from rgbd_planes.kernels.segments.inside import runs_inside
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
 from rgbd_planes.kernels.statistics.room import COLUMNS, EXPECTED
 from rgbd_planes.noise.model import SMALLEST, NoiseModel
+from rgbd_planes.noise.sigma import check_noise, warn_of_large_noise
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.workspace import Workspace
 from rgbd_planes.shared_errors import covariances_by_shape

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.aligned_arrays import aligned
+from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, number, warn_caller
+from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, number
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
