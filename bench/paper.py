@@ -182,9 +182,9 @@ def _plane_counts(rounds: int, quick: bool) -> Result:
 def _segmentation(count: int, rounds: int) -> Result:
     frames, camera, source = sequence(count)
     fitters: dict[str, QuadtreeFitter] = {
-        method: QuadtreeFitter(camera, method=method, implementation="integral") for method in TABLES
+        method: QuadtreeFitter(camera, method=method, max_error=0.02, implementation="integral") for method in TABLES
     }
-    fitters["range_explicit_direct"] = QuadtreeFitter(camera)
+    fitters["range_explicit_direct"] = QuadtreeFitter(camera, max_error=0.02)
     total = dict.fromkeys(fitters, Times(0.0, 0.0))
     for frame in frames:
         work = {name: (lambda f=fitter, d=frame: f.fit(d)) for name, fitter in fitters.items()}

@@ -27,7 +27,7 @@ def test_segmentation(
     benchmark: Any, frame_and_camera: tuple[NDArray[Any], Camera], method: str, implementation: str
 ) -> None:
     frame, camera = frame_and_camera
-    fitter = QuadtreeFitter(camera, method=method, implementation=implementation)
+    fitter = QuadtreeFitter(camera, method=method, max_error=0.02, implementation=implementation)
     benchmark(fitter.fit, frame)
 
 

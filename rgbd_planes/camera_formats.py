@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import check_choice, check_whole, number
+from rgbd_planes.checks import check_choice, check_whole, number, real_array
 from rgbd_planes.files import no_folder
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,7 @@ def from_opencv(
     if np.shape(size) != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
     pixel_center = number("pixel_center", pixel_center)
-    coefficients = [] if distortion is None else _floats("distortion", distortion).ravel().tolist()
+    coefficients = [] if distortion is None else real_array("distortion", distortion).ravel().tolist()
     return {
         "width": size[0],
         "height": size[1],
@@ -95,7 +95,7 @@ def from_ros(info: Any, rectified: bool) -> tuple[dict[str, Any], dict[str, Any]
         info = _camera_info(info)
     width, height = _whole(info, "width"), _whole(info, "height")
     name, columns = ("P", 4) if rectified else ("K", 3)
-    matrix = _floats(name, _get(info, name, name.lower()))
+    matrix = real_array(name, _get(info, name, name.lower()))
     if matrix.size != 3 * columns:
         raise ValueError(f"expected {3 * columns} numbers in {name}, got {matrix.size}")
     if not matrix.any():
@@ -142,7 +142,7 @@ def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ros_distortion(info: Any) -> dict[str, Any]:
-    coefficients = _floats("D, empty without distortion,", _get(info, "D", "d")).ravel().tolist()
+    coefficients = real_array("D, empty without distortion,", _get(info, "D", "d")).ravel().tolist()
     if not any(coefficients):
         return {}
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
@@ -160,7 +160,7 @@ def _ros_distortion(info: Any) -> dict[str, Any]:
 def from_open3d(values: Any) -> dict[str, Any]:
     """Arguments of `Camera`; see `Camera.from_open3d`."""
     intrinsic = _get(values, "intrinsic", default=values)
-    numbers = _floats("intrinsic_matrix", _get(intrinsic, "intrinsic_matrix"))
+    numbers = real_array("intrinsic_matrix", _get(intrinsic, "intrinsic_matrix"))
     if not isinstance(intrinsic, Mapping):  # Open3D's own object has a matrix
         matrix = _matrix("intrinsic_matrix", numbers)
     elif numbers.shape == (9,):
@@ -172,7 +172,7 @@ def from_open3d(values: Any) -> dict[str, Any]:
 
 def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]:
     """Arguments of `Camera`; see `Camera.from_realsense`."""
-    coefficients = _floats("coeffs", _get(intrinsics, "coeffs")).ravel().tolist()
+    coefficients = real_array("coeffs", _get(intrinsics, "coeffs")).ravel().tolist()
     made: dict[str, Any] = {
         "width": _get(intrinsics, "width"),
         "height": _get(intrinsics, "height"),
@@ -242,18 +242,9 @@ def _whole(source: Any, name: str, **default: int) -> int:
     return check_whole(name, _get(source, name, **default), 0)
 
 
-def _floats(name: str, values: ArrayLike) -> Floats:
-    try:
-        if values is None:  # NaN to NumPy
-            raise TypeError
-        return np.asarray(values, np.float64)
-    except (OverflowError, TypeError, ValueError):
-        raise TypeError(f"expected {name} as numbers, got {values!r}") from None
-
-
-def _matrix(name: str, values: ArrayLike) -> Floats:
+def _matrix(name: str, values: Any) -> Floats:
     """A camera matrix without skew."""
-    matrix = _floats(name, values)
+    matrix = real_array(name, values)
     if matrix.shape != (3, 3):
         raise ValueError(f"expected {name} of shape (3, 3), got {matrix.shape}")
     empty = matrix.copy()

@@ -87,7 +87,7 @@ def check_num_threads(num_threads: int | None) -> int | None:
     return None if num_threads is None else check_whole("num_threads", num_threads, 1, "whole number, or None")
 
 
-def check_error(max_error: float | None) -> float:
+def check_max_error(max_error: float | None) -> float:
     """Return the largest permitted residual in metres: infinity for None."""
     if max_error is None:
         return math.inf
@@ -127,6 +127,8 @@ def real_array(name: str, values: Any) -> NDArray[np.float64]:
     array = plain_array(name, values)
     if array.dtype.kind not in "biufO":  # NumPy would read text as numbers, and drop imaginary parts
         raise TypeError(f"expected {name} as numbers, got an array of {array.dtype}")
+    if array.dtype == object and None in array.ravel().tolist():  # NaN to NumPy
+        raise TypeError(f"expected {name} as numbers, got None")
     try:
         return array.astype(np.float64, copy=False)
     except (OverflowError, TypeError, ValueError):

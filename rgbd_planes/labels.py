@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_labels, check_share, label_array
+from rgbd_planes.checks import check_camera, check_choice, check_labels, check_max_error, check_share, label_array
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.error_sums import KeepsPixels, Pixels, pixels_of_labels
@@ -103,7 +103,7 @@ def fit_labels(
     check_camera(camera)
     check_choice("method", method, METHODS)
     max_missing = check_share("max_missing", max_missing)
-    error = check_error(max_error)
+    error = check_max_error(max_error)
     check_significance(significance, camera)
     numbers = _check_labels(labels, camera)
     frame = as_depth_frame(depth, camera)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import FixedArguments, check_camera, check_choice, check_error, check_share, check_whole
+from rgbd_planes.checks import FixedArguments, check_camera, check_choice, check_max_error, check_share, check_whole
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fitting import METHODS, Arrays, solve_planes, valid_needed
@@ -125,7 +125,7 @@ class QuadtreeFitter(FixedArguments):
         method: str = "range_explicit",
         *,
         max_subdivisions: int = 2,
-        max_error: float = 0.02,
+        max_error: float = 0.03,
         max_missing: float = 0.5,
         implementation: str = "direct",
     ) -> None:
@@ -144,7 +144,7 @@ class QuadtreeFitter(FixedArguments):
         vars(self).update(camera=camera, method=method, implementation=implementation)
         # Of all squares of each level, (R, C, 4).
         self._windows = [_squares(camera, tile >> level) for level in range(max_subdivisions + 1)]
-        self._max_error = check_error(max_error)
+        self._max_error = check_max_error(max_error)
         self._max_missing = check_share("max_missing", max_missing)
         if implementation == "direct":
             self._finest = TileFitter(camera, finest, method, num_threads=1)
@@ -242,7 +242,7 @@ def segment_quadtree(
     method: str = "range_explicit",
     *,
     max_subdivisions: int = 2,
-    max_error: float = 0.02,
+    max_error: float = 0.03,
     max_missing: float = 0.5,
     clusters: int = 8,
     seed: int = 0,
@@ -268,7 +268,7 @@ def segment_quadtree(
         2 pixels.
     max_error : float
         Residual in metres along the normal (``rmse_metric``) above which a square is split: larger than the sensor's
-        noise at the farthest surface, which is 25 mm for a Kinect v1 at 4.2 m. The camera's noise model plays no part.
+        noise at the farthest surface, which is 30 mm for a Kinect v1 at 4.6 m. The camera's noise model plays no part.
     max_missing : float
         Share of missing pixels above which a square is dropped.
     clusters : int

@@ -19,7 +19,7 @@ from rgbd_planes.checks import (
     FixedArguments,
     check_camera,
     check_choice,
-    check_error,
+    check_max_error,
     check_num_threads,
     check_share,
     each_of,
@@ -100,7 +100,7 @@ class TileFitter(FixedArguments):
             "implementation": implementation, "max_missing": max_missing, "max_error": max_error,
             "significance": significance, "num_threads": num_threads,
         }  # fmt: skip
-        self._max_error = check_error(max_error)
+        self._max_error = check_max_error(max_error)
         self._num_threads = check_num_threads(num_threads)
 
         self._noise_is_asked = threading.Lock()  # kept from the first frame on that tells; no thread waits for it
@@ -442,16 +442,18 @@ def fit_tiles(
     Warns
     -----
     UserWarning
-        The frame is most likely not in the units that the camera says: its typical depth is above 50 m, or all of its
-        depths are below 2 cm, or it has 8 bits and ends before 1 m, as a picture does. A ``depth_range`` reaching
-        beyond 50 m, or ending below those limits, says that this is meant and silences the warning; of a ``disparity``
-        a scale of 1 does, as that of a network's has no unit. Or the ``depth_range`` begins beyond 50 m and leaves
-        nothing of the frame, which is between those numbers of millimetres. Or one number counts as depth in more than
-        one pixel of a hundred that most likely means missing: 65535 or 32767, the largest of 16 bits, or one beyond 50
-        m that is more than three times as far as all else in the frame, such as the 1e10 of a renderer's sky, which a
-        ``depth_range`` reaching beyond 50 m silences, too; or a disparity of 0 or less. Or all depths are negative, as
-        where z points backwards. Or the camera's noise model says more than a fifth of 1/Z:
-        most likely it is in other units. A `TileFitter` says so once.
+        Most likely something is not meant as it is, which a `TileFitter` says once:
+
+        - The unit of the frame: its typical depth is above 50 m, or all of its depths are below 2 cm, or it has 8 bits
+          and ends before 1 m, as a picture does. A ``depth_range`` that reaches beyond 50 m, or ends below those
+          limits, says that this is meant; of a ``disparity`` a scale of 1 does, as that of a network's has no unit.
+        - The unit of the ``depth_range``: it begins beyond 50 m and leaves nothing of the frame, which is between those
+          numbers of millimetres.
+        - A number that means missing, but counts as depth in more than one pixel of a hundred: 65535 or 32767, the
+          largest of 16 bits; one beyond 50 m and more than three times as far as all else in the frame, such as the
+          1e10 of a renderer's sky, unless the ``depth_range`` reaches beyond 50 m; a disparity of 0 or less.
+        - The direction of z: all depths are negative.
+        - The unit of the camera's noise model: it says more than a fifth of 1/Z.
     """
     fitter = TileFitter(
         camera,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice, check_error, check_num_threads, check_share, plain_array
+from rgbd_planes.checks import check_camera, check_choice, check_max_error, check_num_threads, check_share, plain_array
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fit_statistics import Assessment
@@ -154,7 +154,7 @@ def fit_windows(
         check_choice("implementation", implementation, ("integral", "naive"))
     max_missing = check_share("max_missing", max_missing)
     num_threads = check_num_threads(num_threads)
-    error = check_error(max_error)
+    error = check_max_error(max_error)
     rectangles = _check_windows(windows, camera)
     frame = as_depth_frame(depth, camera)
     warn_of_noise(frame, camera.noise)

@@ -110,6 +110,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: metrics.plane_errors([[0, 0, 1, 1]], [list("0011")]), TypeError, "truth as numbers, .* of <U1"),
         (lambda: CAMERA.project(["1", "2", "3"]), TypeError, "points as numbers, got an array of <U1"),
         (lambda: CAMERA.project([{}, 2, 3]), TypeError, "points as numbers, got {}"),
+        (lambda: CAMERA.project([1, None, 3]), TypeError, "points as numbers, got None"),
         (
             lambda: uncertainty.angle_between(1j * np.ones((2, 4)), np.zeros((2, 4, 4)), np.ones(4), np.zeros((4, 4))),
             TypeError,

@@ -200,7 +200,7 @@ def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
 
 def test_real_frame_equals_oracle(real_frame):
     depth, camera = real_frame
-    elements = rp.segment_quadtree(depth, camera).elements
+    elements = rp.segment_quadtree(depth, camera, max_error=0.02).elements
     chosen = np.linspace(0, len(elements.status) - 1, 60).astype(int)
     expected = oracle.fit_windows(depth, camera, elements.windows[chosen], "range_explicit", max_error=0.02)
     for i, plane in zip(chosen, expected, strict=True):

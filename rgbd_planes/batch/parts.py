@@ -15,7 +15,7 @@ from rgbd_planes.batch.digest import of_files, stamps
 from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_bool, check_choice, check_error, check_share
+from rgbd_planes.checks import check_bool, check_choice, check_max_error, check_share
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
@@ -65,7 +65,7 @@ class FitSettings:
             "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
             "max_missing": check_share("max_missing", self.max_missing),
-            "max_error": None if self.max_error is None else check_error(self.max_error),
+            "max_error": None if self.max_error is None else check_max_error(self.max_error),
             "significance": check_level(self.significance),
         }
         check_choice("method", self.method, METHODS)
