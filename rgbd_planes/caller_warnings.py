@@ -11,7 +11,7 @@ _INSIDE = "rgbd_planes", "contextlib", "dataclasses"
 
 
 class _Collected(threading.local):
-    """In a thread of this library: the warnings that it passes on."""
+    """For each thread: the list that its warnings go to instead of being issued."""
 
     messages: list[str] | None = None
 

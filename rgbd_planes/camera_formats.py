@@ -95,7 +95,7 @@ def from_ros(info: Any, rectified: bool) -> tuple[dict[str, Any], dict[str, Any]
         info = _camera_info(info)
     width, height = _whole(info, "width"), _whole(info, "height")
     name, columns = ("P", 4) if rectified else ("K", 3)
-    matrix = real_array(name, _get(info, name, name.lower()))
+    matrix = _real_array_of_yaml(name, _get(info, name, name.lower()))
     if matrix.size != 3 * columns:
         raise ValueError(f"expected {3 * columns} numbers in {name}, got {matrix.size}")
     if not matrix.any():
@@ -142,7 +142,7 @@ def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ros_distortion(info: Any) -> dict[str, Any]:
-    coefficients = real_array("D, empty without distortion,", _get(info, "D", "d")).ravel().tolist()
+    coefficients = _real_array_of_yaml("D, empty without distortion,", _get(info, "D", "d")).ravel().tolist()
     if not any(coefficients):
         return {}
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
@@ -240,6 +240,16 @@ def _get(source: Any, *names: str, **default: Any) -> Any:
 def _whole(source: Any, name: str, **default: int) -> int:
     """A whole number, not negative, that a mapping or an object has."""
     return check_whole(name, _get(source, name, **default), 0)
+
+
+def _real_array_of_yaml(name: str, values: Any) -> Floats:
+    """`real_array`; PyYAML, which follows YAML 1.1, reads the number 1e-05 as text."""
+    if isinstance(values, list):
+        try:
+            values = [float(value) if isinstance(value, str) else value for value in values]
+        except ValueError as error:
+            raise TypeError(f"expected {name} as numbers: {error}") from None
+    return real_array(name, values)
 
 
 def _matrix(name: str, values: Any) -> Floats:

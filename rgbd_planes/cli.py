@@ -74,7 +74,7 @@ def _run(argv: list[str] | None) -> int:
             status = arguments.run(arguments)
             print(end="", flush=True)
     except (CommandError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError, UserWarning) as error:
-        if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # no more threads: of no own kind
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # of no kind of its own
             raise
         print(f"{program}: {one_line(error) or 'not enough memory'}", file=sys.stderr)
         return 2

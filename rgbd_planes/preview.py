@@ -44,7 +44,7 @@ def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
         RGB and opacity. Each panel as large as the frame, but at most 320 pixels wide. Colours as in `TilePlanes.plot`.
     """
     if len(fits.shape) > 2:
-        raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}")
+        raise ValueError(f"expected the tiles of one frame, got a batch of shape {fits.shape}: take fits[i]")
     cells = fits._cells(*_sampled(fits.camera.shape))
     normals = normal_colours(in_image(fits.planes[..., :3], fits.camera))
     return _beside(_shown(normals, cells), _shown(status_colours(fits.status), cells))

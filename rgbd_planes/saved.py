@@ -120,4 +120,4 @@ def check_planes(planes: NDArray[np.float64], alpha: NDArray[np.float64]) -> Non
     with np.errstate(all="ignore"):
         length = np.linalg.norm(normal, axis=1)
         if not (np.allclose(length, 1.0) and (d > 0.0).all() and np.allclose(-alpha * d, normal)):
-            raise ValueError("planes that are none")
+            raise ValueError("planes without a unit normal, d > 0 and alpha = -n / d")

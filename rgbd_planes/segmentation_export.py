@@ -54,7 +54,7 @@ def to_dict(segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = N
     Raises
     ------
     TypeError
-        It is no `Segmentation` and no `LabelPlanes`, or the polygons are no `PlanePolygon`.
+        It is neither a `Segmentation` nor a `LabelPlanes`, or the polygons are no `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     """
@@ -102,7 +102,7 @@ def write_json(
     Raises
     ------
     TypeError
-        It is no `Segmentation` and no `LabelPlanes`, or the polygons are not `PlanePolygon`.
+        It is neither a `Segmentation` nor a `LabelPlanes`, or the polygons are not `PlanePolygon`.
     ValueError
         The camera's noise model is a function, or the polygons are not those of this segmentation.
     OSError
@@ -126,7 +126,7 @@ def write_labels(path: str | os.PathLike[str], segmentation: Segmented) -> None:
     Raises
     ------
     TypeError
-        It is no `Segmentation` and no `LabelPlanes`.
+        It is neither a `Segmentation` nor a `LabelPlanes`.
     ValueError
         There are more than 65535 planes, or the path has another suffix.
     OSError
@@ -153,7 +153,7 @@ def write_points_ply(path: str | os.PathLike[str], segmentation: Segmented, dept
     Raises
     ------
     TypeError, ValueError
-        It is no `Segmentation` and no `LabelPlanes`, or the frame is not its camera's.
+        It is neither a `Segmentation` nor a `LabelPlanes`, or the frame is not its camera's.
     OSError
         It cannot be written there.
     """
@@ -218,7 +218,7 @@ def to_ros_planes(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
     Raises
     ------
     TypeError
-        It is no `Segmentation` and no `LabelPlanes`.
+        It is neither a `Segmentation` nor a `LabelPlanes`.
     """
     _check(segmentation)
     return ros_planes(segmentation.planes[_fitted(segmentation)], frame_id, stamp)
@@ -254,7 +254,7 @@ def to_ros_labels(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
     Raises
     ------
     TypeError
-        It is no `Segmentation` and no `LabelPlanes`.
+        It is neither a `Segmentation` nor a `LabelPlanes`.
     """
     _check(segmentation)
     labels = segmentation.labels.astype("<i4")

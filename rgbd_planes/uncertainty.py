@@ -2,8 +2,8 @@
 
 Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
 ``plane_covariance`` of a fit. Everything is to first order in the errors. Leading shapes broadcast. Arrays of other
-shapes, and planes whose normals are not of length 1, raise a ValueError that names them, masked arrays, or such as are
-not of numbers, a TypeError.
+shapes, and planes whose normals are not of length 1, raise a ValueError that names them; masked arrays, and arrays of
+anything but numbers, a TypeError.
 """
 
 from __future__ import annotations

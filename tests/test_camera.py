@@ -548,6 +548,11 @@ def test_a_region_beyond_the_image_is_refused(roi, message):
         Camera.from_ros(camera_info(roi=roi))
 
 
+def test_numbers_that_yaml_reads_as_text():
+    info = camera_info(D=[0.1, "-1e-05", 0.0, "2e-3", 0.0])  # PyYAML takes a number for one only if it has a point
+    assert Camera.from_ros(as_file(info)).distortion == (0.1, -1e-5, 0.0, 2e-3, 0.0)
+
+
 def test_from_ros_models():
     rational = camera_info(distortion_model="rational_polynomial", D=RATIONAL)
     assert Camera.from_ros(rational).distortion == RATIONAL
