@@ -6,29 +6,61 @@ bits for any number of threads, and no threading layer of Numba's to choose, to 
 
 import os
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from queue import SimpleQueue
+from threading import Lock, Thread
+from typing import Any, TypeVar
 
 from rgbd_planes.caller_warnings import collected_warnings, warn_caller
-
-if TYPE_CHECKING:
-    from concurrent.futures import ThreadPoolExecutor
 
 # Handing a range to a waiting thread and collecting it costs about 50 µs: the time of this many pixels.
 PIXELS_PER_THREAD = 1_000_000
 
 Work = Callable[[int, int], object]
 Result = TypeVar("Result")
+_Queue = SimpleQueue[Callable[[], None] | None]
+
+
+class _Pool:
+    """Threads that do what is put into a queue, until the pool is forgotten.
+
+    Not those of `concurrent.futures`: of an interrupt inside of their locks, which are Python code, these stay locked,
+    and all later work would wait for ever.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._queue: _Queue = SimpleQueue()
+        self._not_started = [None] * workers  # popped, which two threads cannot do at once
+
+    def put(self, work: Callable[[], None]) -> None:
+        if self._not_started:
+            with suppress(IndexError):  # another thread has just started the last one
+                self._not_started.pop()
+                self._start()
+        self._queue.put(work)
+
+    def _start(self) -> None:
+        try:
+            Thread(target=_work_off, args=(self._queue,), name="rgbd_planes", daemon=True).start()
+        except BaseException:
+            self._not_started.append(None)
+            raise
+
+    def __del__(self) -> None:
+        self._queue.put(None)
+
+
+def _work_off(queue: _Queue) -> None:
+    while (work := queue.get()) is not None:
+        work()
+        del work  # with the arrays that it refers to
+    queue.put(None)  # for the next thread
 
 
 @lru_cache(maxsize=4)  # whose threads end, once nothing is left for them to do, when they are forgotten here
-def _pool(workers: int) -> "ThreadPoolExecutor":
-    # Imported here: once the main thread has ended this is an error, which `submit` expects.
-    from concurrent.futures import ThreadPoolExecutor
-
-    return ThreadPoolExecutor(workers, thread_name_prefix="rgbd_planes")
+def _pool(workers: int) -> _Pool:
+    return _Pool(workers)
 
 
 # Threads do not survive a fork: a child makes its own.
@@ -57,30 +89,43 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
     work are issued when the result is asked for.
     """
     messages: list[str] = []
-    # Not the pool's own: it keeps work for which it could not start a thread, and would do it later.
-    future: Future[Result] = Future()
+    # The first who writes into it does the work. A lock would not tell an interrupted caller who has it.
+    taken: dict[str, str] = {}
+    made: list[Result] = []
+    wrong: list[BaseException] = []
+    ended = Lock()
+    ended.acquire()
 
     def work_elsewhere() -> None:
-        if not future.set_running_or_notify_cancel():
+        if taken.setdefault("by", "thread") != "thread":
             return
         try:
             with collected_warnings(messages):
-                made = work(*arguments)
-            future.set_result(made)
+                made.append(work(*arguments))
         except BaseException as error:
-            future.set_exception(error)
+            wrong.append(error)
+        ended.release()
+
+    def wait() -> None:
+        if taken.setdefault("by", "caller") == "thread":
+            with ended:
+                pass
 
     with suppress(RuntimeError):
-        _pool(num_threads).submit(work_elsewhere)
+        _pool(num_threads).put(work_elsewhere)
 
     def result() -> Result:
-        if future.cancel():
+        try:
+            wait()
+        except BaseException:  # an interrupt: the arrays that the thread writes to are the caller's again
+            wait()
+            raise
+        if taken["by"] == "caller":
             return work(*arguments)
         try:
-            return future.result()
-        except BaseException:
-            future.exception()  # also after an interrupt: the arrays that the thread writes to are the caller's again
-            raise
+            if wrong:
+                raise wrong.pop()
+            return made.pop()
         finally:
             for message in messages:
                 warn_caller(message)
