@@ -249,7 +249,8 @@ def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
     for row in range(raw.shape[0]):
         for column in range(raw.shape[1]):
             before[row, column] = missing
-            if not lowest <= raw[row, column] <= highest:
+            # Of a frame that is overwritten meanwhile, by a camera's driver, more may be missing than were counted.
+            if not lowest <= raw[row, column] <= highest and missing + 1 < len(sums):
                 x = tan_x[row, column]
                 y = tan_y[row, column]
                 sums[missing + 1, 0] = sums[missing, 0] + x

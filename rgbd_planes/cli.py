@@ -74,6 +74,8 @@ def _run(argv: list[str] | None) -> int:
             status = arguments.run(arguments)
             print(end="", flush=True)
     except (CommandError, ImportError, MemoryError, OSError, RuntimeError, TypeError, ValueError, UserWarning) as error:
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):  # imports of some libraries hide it
+            return 130
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # of no kind of its own
             raise
         print(f"{program}: {one_line(error) or 'not enough memory'}", file=sys.stderr)

@@ -573,6 +573,18 @@ def test_what_the_machine_lacks_is_one_line(folder, capsys, monkeypatch, error, 
     assert words in fails(capsys, "fit", "depth.png", "--camera", "camera.json")
 
 
+def test_an_interrupt_that_an_import_hides(folder, capsys, monkeypatch):
+    def fail(*arguments, **options):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+
+    monkeypatch.setattr(rp, "fit_tiles", fail)
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json"]) == 130
+    assert "failed" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("measured", [True, False])
 def test_a_reader_that_leaves_early_is_no_error(folder, unbuffered, measured):

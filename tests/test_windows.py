@@ -11,6 +11,7 @@ from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_c
 
 import rgbd_planes as rp
 from rgbd_planes.fitting import solve_planes
+from rgbd_planes.kernels.summed_area import missing_rays
 from rgbd_planes.plane_fits import TileStatus, allocate
 
 
@@ -242,3 +243,14 @@ def test_bad_arguments_are_refused():
     camera = make_camera()
     with pytest.raises(ValueError, match="integral, naive, got 'direct'"):
         rp.fit_windows(np.ones(camera.shape), camera, [], implementation="direct")
+
+
+def test_a_frame_of_which_more_is_missing_than_was_counted():
+    """As where a camera's driver overwrites it meanwhile: nothing is written beyond the room that there is."""
+    raw = np.zeros((4, 5), np.uint16)
+    sums = np.full((7, 5), np.nan)
+    before = np.zeros((4, 6), np.int32)
+    missing_rays(raw, 1, 9, np.ones((4, 5)), np.ones((4, 5)), before, sums[:4])
+    assert before.max() == 3
+    assert np.isfinite(sums[:4]).all()
+    assert np.isnan(sums[4:]).all()
