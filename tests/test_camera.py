@@ -556,6 +556,11 @@ def test_numbers_that_yaml_reads_as_text():
 def test_from_ros_models():
     rational = camera_info(distortion_model="rational_polynomial", D=RATIONAL)
     assert Camera.from_ros(rational).distortion == RATIONAL
+    for zeros in (4, 6):  # of thin prisms, and of a tilted sensor too: OpenCV gives 12 or 14 coefficients
+        longer = rational | {"D": (*RATIONAL, *[0.0] * zeros)}
+        assert Camera.from_ros(longer).distortion == RATIONAL
+    for unnamed in (camera_info(distortion_model=""), without(camera_info(), "distortion_model")):
+        assert Camera.from_ros(unnamed).distortion == KINECT  # plumb_bob, as that of most drivers is
     assert Camera.from_ros(camera_info(distortion_model="", D=[])).distortion == ()
     assert Camera.from_ros(camera_info(distortion_model="equidistant", D=[0.0] * 4)).distortion == ()
     fisheye = Camera.from_ros(camera_info(distortion_model="equidistant", D=FISHEYE))
@@ -654,6 +659,7 @@ def test_from_realsense():
     # The device states its unit in float32.
     assert Camera.from_realsense(realsense(), depth_units=float(np.float32(0.001))).depth_scale == 1000.0
     assert Camera.from_realsense(realsense(), depth_units=0.0001).depth_scale == 10000.0
+    assert Camera.from_realsense(realsense(), depth_units=1.0).depth_scale == 1.0  # the largest unit
     assert Camera.from_realsense(realsense(), depth_scale=5000.0).depth_scale == 5000.0
     assert Camera.from_realsense(realsense(), disparity=(0.1, 0)).disparity == (0.1, 0.0)
     with pytest.raises(ValueError, match="depth_units or depth_scale, got both"):
