@@ -106,6 +106,29 @@ def test_a_square_counts_by_its_area():
     assert of_depth[1] == of_depth[2] != of_depth[0]
 
 
+def test_a_shift_counts_by_the_depth_of_most_squares():
+    """A few that are far away do not make planes alike that lie before one another."""
+    camera = rp.Camera(width=64, height=64, fx=60.0, fy=60.0, cx=31.5, cy=31.5)
+    turned = 1.0 / (np.cos(0.1) - np.sin(0.1) * camera.tan_x)
+    depth = np.ones(camera.shape)
+    depth[:, 16:32], depth[:, 32:48], depth[48:, 48:] = turned[:, 16:32], 1.2, 10.0
+    labels = rp.segment_quadtree(depth, camera, 16, max_subdivisions=0, clusters=3).labels
+    plain, same, shifted, far = labels[0, 0], labels[0, 16], labels[0, 32], labels[48, 48]
+    assert plain == same
+    assert len({plain, shifted, far}) == 3
+
+
+def test_the_first_cluster_has_the_most_pixels_missing_ones_included():
+    camera = rp.Camera(width=64, height=64, fx=60.0, fy=60.0, cx=31.5, cy=31.5)
+    depth = np.full(camera.shape, 2.0)
+    depth[:, :40] = 1.0
+    depth[::5, :40] = depth[1::5, :40] = 0.0  # fewer are left than beside
+    found = rp.segment_quadtree(depth, camera, 8, max_subdivisions=0, clusters=2)
+    assert np.count_nonzero(depth == 1.0) < np.count_nonzero(depth == 2.0)
+    np.testing.assert_allclose(found.planes[:, 3], [1.0, 2.0])
+    assert (found.labels[:, :40] == 1).all()
+
+
 def test_clusters_are_the_same_in_any_unit(camera, frame):
     """The distance of planes is in units of a frame's own depth."""
     camera = rp.Camera(**{**camera.to_dict(), "depth_scale": None})
