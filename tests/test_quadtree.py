@@ -260,6 +260,20 @@ def test_a_square_whose_pixels_determine_no_plane_is_split():
     assert elements.level[degenerate].tolist() == [2] * 8  # along the column
 
 
+@pytest.mark.parametrize("implementation", ["direct", "integral"])
+@pytest.mark.parametrize("method", METHODS)
+def test_elements_of_one_column_have_no_plane(method, implementation):
+    """Nor have their unions: sums over a whole frame leave rounding errors there, which are no scatter."""
+    camera = rp.Camera(577, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(seed=1)
+    elements = QuadtreeFitter(camera, method=method, implementation=implementation).fit(depth)
+    of_column = elements.windows[:, 3] == 1
+    assert np.bincount(elements.level[of_column]).tolist() == [0, 0, 60]
+    assert (elements.status[of_column] == rp.TileStatus.DEGENERATE).all()
+    unions = rp.merge(elements, np.where(of_column, elements.windows[:, 0] // 16 + 1, 0))
+    assert (unions.status == rp.TileStatus.DEGENERATE).all()
+
+
 def test_other_seeds_begin_elsewhere():
     """Of as many clusters as there are kinds of planes k-means may find others."""
     camera = rp.presets.primesense()
