@@ -155,6 +155,19 @@ def test_disparity_equals_oracle(method, implementation, distortion, rng):
     assert assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation]) == tiles.status.size
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+def test_depths_out_of_range_are_missing_at_either_end(method, implementation, rng):
+    camera = make_camera(depth_range=(1.0, 2.5))
+    depth = as_dtype(make_depth(camera, rng), "uint16")
+    assert (depth > 2500).any()
+    for value in (999, 1000, 2500, 2501):  # the two in the middle count
+        depth[rng.random(depth.shape) < 0.05] = value
+    tiles = rp.fit_tiles(depth, camera, 16, method, implementation=implementation)
+    expected = oracle.fit_windows(depth, camera, oracle.tile_windows(camera, 16), method)
+    assert assert_equals_oracle(tiles, expected, rmse_floor=RMSE_FLOOR[implementation]) > 0
+
+
 @settings(max_examples=60)
 @given(data=st.data())
 def test_any_holes_any_tile(data):
@@ -256,6 +269,7 @@ def test_rough_keeps_its_plane(rng):
         tiles = rp.fit_tiles(depth, camera, method=method, max_error=limit)
         np.testing.assert_array_equal(tiles.status == rp.TileStatus.ROUGH, plain.rmse_metric > limit)
         np.testing.assert_array_equal(tiles.planes, plain.planes)
+        assert tiles.fitted.all()
         assert 0 < np.count_nonzero(tiles.status == rp.TileStatus.ROUGH) < tiles.status.size
 
 
@@ -319,6 +333,11 @@ def test_out_is_written_into(rng):
     ):
         with pytest.raises(ValueError, match="out must be a result of this fitter"):
             other.fit(first, out=out)
+    for frames, result in (([first], stack), ([first] * 3, stack), ([first], out)):
+        with pytest.raises(ValueError, match=r"of shape \(\d, 3, 4\), got"):
+            fitter.fit_batch(frames, out=result)
+    with pytest.raises(ValueError, match=r"of shape \(3, 4\), got"):
+        fitter.fit(first, out=stack)
     for name in ("planes", "_moments"):
         array = getattr(out, name).copy(order="F")
         read_only = getattr(out, name).copy()
