@@ -145,6 +145,15 @@ def test_small_windows_of_large_frames_are_degenerate_as_documented(method, widt
     assert least <= np.mean(fits.status == TileStatus.DEGENERATE) <= most
 
 
+def test_small_windows_on_the_optical_axis_have_their_plane():
+    """X and Y are as good as nothing there: it is their Z that sums over the frame keep."""
+    camera = replace(rp.presets.primesense(), cx=638.0, cy=478.0)
+    depth = rp.scenes.plane((0.1, 0.0, -1.0), 2.0).render(camera).measure(quantise=False)
+    windows = [(477, 637, 3, 3)]
+    fits = rp.fit_windows(depth, camera, windows, "standard_pca", implementation="integral")
+    assert (fits.status == TileStatus.OK).all()
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_few_windows_are_fitted_from_their_own_pixels(method, rng):
     """Tables are for windows that have more than three times the pixels of the frame."""
