@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,12 +25,22 @@ def test_the_kernels_number_the_status_as_the_library_does():
     assert numbers == {status.name: status.value for status in rp.TileStatus}
 
 
+def test_arrays_have_the_types_that_are_documented(tiles):
+    for name in ("planes", "alpha", "rmse", "rmse_metric"):
+        assert getattr(tiles, name).dtype == np.float64
+    assert (tiles.valid_count.dtype, tiles.status.dtype) == (np.int32, np.uint8)
+
+
 def test_repr_says_what_there_is(tiles):
     text = repr(tiles)
     assert text.startswith("<TilePlanes: 5 x 5 tiles of 11 x 13 pixels, range_implicit: ")
     for status in rp.TileStatus:
         count = np.count_nonzero(tiles.status == status)
         assert (f"{count} {status.name}" in text) == (count > 0)
+    median = 1e3 * np.median(tiles.rmse_metric[np.isfinite(tiles.rmse_metric)])
+    shown = re.search(r"median rmse ([\d.]+) mm", text)
+    assert shown
+    assert float(shown[1]) == pytest.approx(median, rel=0.06)  # two digits
 
 
 @pytest.mark.parametrize("frames", [None, 1, 3])
