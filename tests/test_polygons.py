@@ -195,6 +195,12 @@ def test_parts_and_holes_of_fewer_pixels_are_left_out() -> None:
     assert len(own.image.geoms[0].interiors) == 1
     (own,) = plane_polygons(found, min_part=1e5)  # more than all its pixels: the largest part stays
     assert len(own.image.geoms) == 1
+    found.labels[12:18] = 0
+    for labels in (found.labels, np.flipud(found.labels).copy()):
+        found.labels[:] = labels
+        (own,) = plane_polygons(found, min_part=1e5)
+        (part,) = own.image.geoms
+        assert part.area > 0.8 * CAMERA.width * CAMERA.height
 
 
 @pytest.mark.parametrize("holes", [0.05, 0.25, 0.4])
