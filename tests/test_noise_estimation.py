@@ -12,7 +12,8 @@ from rgbd_planes.noise import estimation
 from rgbd_planes.noise import large_planes as large
 from rgbd_planes.noise.flatness import flatness
 from rgbd_planes.noise.large_planes import large_planes
-from rgbd_planes.noise.samples import WINDOW, Samples, unevenness
+from rgbd_planes.noise.samples import WINDOW, Samples, flat_windows, unevenness
+from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
@@ -256,18 +257,52 @@ def test_a_bias_wider_than_any_surface():
 def test_tilts_are_those_of_the_pixels_that_are_there(rng):
     """Of an even, whole tile x and y are not correlated: a corner is missing from each."""
     camera = rp.Camera(72, 48, 60.0, 60.0, 35.5, 23.5)
-    q = 0.4 + 0.1 * camera.tan_x - 0.2 * camera.tan_y + 1e-3 * rng.standard_normal(camera.shape)
     corner = np.add.outer(np.arange(8), np.arange(8)) < 3
-    depth = np.where(np.tile(corner, (6, 9)), 0.0, 1.0 / q)
-    small, windows = (rp.TileFitter(camera, size).fit_batch([depth]) for size in (8, WINDOW))
-    found = Samples.of(small, np.ones(windows.shape, bool), windows, 0.1)
-    assert len(found.tilt_square) == 54
+    frames = []
+    for slope in (0.1, 0.3):
+        q = 0.4 + slope * camera.tan_x - 0.2 * camera.tan_y + 1e-3 * rng.standard_normal(camera.shape)
+        frames.append(np.where(np.tile(corner, (6, 9)), 0.0, 1.0 / q))
+    frames[0][10, 10:15] = 0.0  # of too many pixels
+    small, windows = (rp.TileFitter(camera, size).fit_batch(frames) for size in (8, WINDOW))
+    found = Samples.of(small, np.ones(windows.shape, bool), windows, 0.13)
+    assert len(found.tilt_square) == 2 * 54 - 1
     u, v = np.broadcast_arrays(camera.tan_x, camera.tan_y)
-    for _, row, column, tilt_square in zip(*found.place, found.tilt_square, strict=True):
-        d_u, d_v, _ = small.alpha[0, row, column] - windows.alpha[0, row // 3, column // 3]
+    for frame, row, column, tilt_square in zip(*found.place, found.tilt_square, strict=True):
+        d_u, d_v, _ = small.alpha[frame, row, column] - windows.alpha[frame, row // 3, column // 3]
         here = slice(8 * row, 8 * row + 8), slice(8 * column, 8 * column + 8)
         rise = (d_u * u[here] + d_v * v[here])[~corner]
         assert tilt_square == pytest.approx(0.5 * np.sum((rise - rise.mean()) ** 2))
+
+
+def test_slopes_and_rays_are_those_at_the_tile_behind_a_lens(rng):
+    """Where pixels are farther apart at one side than at another."""
+    camera = rp.Camera(96, 72, 60.0, 62.0, 20.5, 15.5, (0.3, -0.1, 0.0, 0.0, 0.0))
+    q = 0.4 + 0.1 * camera.tan_x - 0.2 * camera.tan_y
+    depth = 1.0 / (q + 1e-6 * rng.standard_normal(q.shape))
+    small, windows = (rp.TileFitter(camera, size).fit_batch([depth]) for size in (8, WINDOW))
+    found = Samples.of(small, np.ones(windows.shape, bool), windows, 0.1)
+    assert len(found.q) == 9 * 12
+    slopes = sum(np.square(slope) for slope in np.gradient(q))
+    for values, wanted in (
+        (found.slope_square, slopes),
+        (WEIGHTS_OF_PLACES @ found.rays[0], camera.tan_x),
+        (WEIGHTS_OF_PLACES @ found.rays[1], camera.tan_y),
+        (WEIGHTS_OF_PLACES @ found.depths, q),
+    ):
+        means = wanted.reshape(9, 8, 12, 8).mean(axis=(1, 3))[found.place[1:]]
+        np.testing.assert_allclose(values, means, rtol=0.02, atol=2e-3 * np.abs(means).max())
+
+
+def test_a_part_of_a_window_at_the_rim_is_none(rng):
+    """However many of its pixels may be missing."""
+    camera = rp.Camera(6 * WINDOW + 20, 5 * WINDOW + 20, 130.0, 130.0, 81.5, 69.5)
+    frames = 1.0 / (0.4 + 0.1 * camera.tan_x + 1e-3 * rng.standard_normal((2, *camera.shape)))
+    windows, parts = (rp.TileFitter(camera, size).fit_batch(frames) for size in (WINDOW, 8))
+    flat = flat_windows(windows, parts, 0.5)
+    assert flat.shape == (2, 6, 7)
+    assert flat[:, :5, :6].mean() > 0.9
+    assert not flat[:, 5].any()
+    assert not flat[:, :, 6].any()
 
 
 def test_frames_without_anything_flat(rng):
