@@ -11,6 +11,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import root_of, unite
+from .behind import gap_between, may_cross
 from .facets import find_faceted, turn_of_groups
 from .moments import angle_between, jump_at
 from .noise import about_plane, sensor_variance
@@ -134,12 +135,53 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
     return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step, bend, covered
 
 
+@kernel(inline=True)
+def turns_as_an_arc(bending, a, b, angle):
+    """Whether two regions turn within themselves by enough of the angle between them: see BENT_SHARE."""
+    return math.sqrt(bending[a]) + math.sqrt(bending[b]) > BENT_SHARE * angle
+
+
+@kernel()
+def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent):
+    """Unite the regions that are one arc behind something thin in front of them; the arguments are `find_curved`'s."""
+    alpha, regions = planes.alpha, len(parent)
+    where = np.empty(3)
+    for a in range(regions):
+        if region_moments[a, 0] < SMALL or breadth(box[a]) < FEWEST_ACROSS or not bending[a] > 0.0:
+            continue
+        variance = about_plane(sensor_variance(region_moments[a, 3] / region_moments[a, 0], sigma), planes, a)
+        for b in range(regions):
+            if b == a or region_moments[b, 0] < region_moments[a, 0] or not bending[b] > 0.0:
+                continue
+            if breadth(box[b]) < FEWEST_ACROSS or not (may_cross(box, a, b, 0) or may_cross(box, a, b, 1)):
+                continue
+            angle = angle_between(alpha[a], alpha[b])
+            if not (angle > SLIGHTLY and turns_as_an_arc(bending, a, b, angle)):
+                continue
+            if root_of(parent, a) == root_of(parent, b):
+                continue
+            beyond = rules.close * math.sqrt(variance)
+            if not (
+                gap_between(region, rays, pyramid, alpha, a, b, box, 0, beyond, where)
+                or gap_between(region, rays, pyramid, alpha, a, b, box, 1, beyond, where)
+            ):
+                continue
+            jump = jump_at(alpha, a, b, where)
+            if not jump * jump < rules.reach * rules.reach * variance:
+                continue
+            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box)
+            if better > max(MARGIN * bend, rules.region_spread * planes.waviness_square[a]):
+                unite(parent, a, b)
+                bent[root_of(parent, a)] = True
+
+
 @kernel()
 def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noise, rules, contacts, count, curved):
     """Mark the regions that are part of a curved surface.
 
     Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread`` variances,
-    and that turn within themselves as parts of an arc do, form groups. A group is curved if its normals turn by more
+    and that turn within themselves as parts of an arc do, form groups; so do such regions on both sides of something
+    thin in front. A group is curved if its normals turn by more
     than ``sharp`` degrees, root mean square: if by less, it is the sensor that bends a plane. Of small regions it is
     not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are those of
     `find_curled`, the groups of `facets.find_faceted`, and smaller neighbours as which a curve goes on.
@@ -186,11 +228,11 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
         enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
-        if enough and better > max(MARGIN * bend, significant * planes.waviness_square[a]):
-            turns = math.sqrt(bending[a]) + math.sqrt(bending[b])
-            if turns > BENT_SHARE * angle_between(alpha[a], alpha[b]):
-                unite(parent, a, b)
-                bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
+        enough &= better > max(MARGIN * bend, significant * planes.waviness_square[a])
+        if enough and turns_as_an_arc(bending, a, b, angle_between(alpha[a], alpha[b])):
+            unite(parent, a, b)
+            bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
+    unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent)
     turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
     turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
     for a in range(regions):
