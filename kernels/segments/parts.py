@@ -156,22 +156,21 @@ def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, str
     int
         Number of planes.
     """
-    plane, small, uneven, bent, thin, _, _ = reasons
     moments, size, across, down, first, region = parts
     planes = 0
     for k in range(count):
-        why[k] = plane
+        why[k] = reasons.plane
         if size[k] < rules.narrow * max(across[k], down[k]):
-            why[k] = thin
+            why[k] = reasons.narrow
         if curved[region[k]]:
-            why[k] = bent
+            why[k] = reasons.curved
         if residual(moments[k]) > (rules.shapeless * deviation[region[k]]) ** 2 * size[k]:
-            why[k] = uneven
+            why[k] = reasons.rough
         if size[k] < least:
-            why[k] = small
-        stray[k] = why[k] == small or why[k] == thin
+            why[k] = reasons.small
+        stray[k] = why[k] == reasons.small or why[k] == reasons.narrow
         number[k] = 0
-        if why[k] == plane:
+        if why[k] == reasons.plane:
             place = planes  # parts are nearly in the order of their first pixels
             while place > 0 and first[kept[place - 1]] > first[k]:
                 kept[place] = kept[place - 1]
