@@ -77,6 +77,7 @@ _RANDOM = 0.01  # σq as a share of all errors, at least: small tiles see it, an
 _TURNS, _CLOSE = 10, 0.02  # most turns of fitting depth and falloff; a relative change that counts as none
 _SMALL, _ROUNDS = 0.1, 10  # deviations of logarithms that count as small, and steps to find their least sum
 _NO_NOISE = "expected frames with noise, got flat tiles whose only residual is rounding: rendered without noise?"
+_FEWEST_FREE = 40.0  # degrees of freedom that residuals count as having: else tilts alone would tell of long waves
 _ENOUGH_LARGE = 48  # windows twice as large that are enough to tell how far errors reach
 
 
@@ -355,7 +356,8 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     # sizes.
     counts = np.array([len(some.count) for some in samples.values()])
     pixels = np.array([np.median(some.count) for some in samples.values()])
-    of_one = np.append(1.25 * np.sqrt(2.0 / (sizes**2 - 3.0)), np.full(len(small), 1.0 / np.log(2.0)))
+    freedom = [max(float(np.median(some.expected(model)[1])), _FEWEST_FREE) for some in samples.values()]
+    of_one = np.append(1.25 * np.sqrt(2.0 / np.array(freedom)), np.full(len(small), 1.0 / np.log(2.0)))
     chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
     sides, bends, planes = bends_by_side(large)
