@@ -47,7 +47,39 @@ def test_half_way_between_two_codes_the_variance_is_that_of_rounded_noise(sigma)
     wanted = np.diff(norm.cdf(edges), axis=0)[0] @ (levels - 0.5) ** 2
     found = between_codes(STEP**2, (sigma * STEP) ** 2, 0.0, 0.0) / STEP**2
     assert found + sigma**2 + 1.0 / 12.0 == pytest.approx(wanted, abs=1e-3)
-    assert between_codes(STEP**2, (sigma * STEP) ** 2, 1.0, 1.1) == 0.0
+    assert between_codes(STEP**2, (sigma * STEP) ** 2, 1.0, 1.1) == pytest.approx(0.0, abs=1e-9 * STEP**2)
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.6, 1.25, 1.5, 2.5, 3.3])
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.25, 0.4])
+def test_a_surface_over_some_steps_has_no_larger_residual_than_that(sigma, steps):
+    """Wherever its codes lie: of the largest variance only what other waves than the first leave is missing."""
+    from scipy.stats import norm
+
+    place, codes = np.linspace(-0.5, 0.5, 401), np.arange(-9, 10)
+    largest = 0.0
+    for middle in np.arange(0.0, 1.0, 0.05):
+        x = (middle + steps * place)[:, None]
+        share = np.diff(norm.cdf((np.append(codes - 0.5, 9.5) - x) / max(sigma, 1e-9)), axis=1)
+        mean = share @ codes
+        line = np.polyval(np.polyfit(place, mean, 1), place)
+        largest = max(largest, np.mean(share @ codes**2 - 2.0 * line * mean + line**2))
+    found = between_codes(STEP**2, (sigma * STEP) ** 2, steps, 0.0) / STEP**2 + sigma**2 + 1.0 / 12.0
+    assert 0.97 * largest < found < 3.0 * largest
+
+
+@pytest.mark.parametrize("size", [16, 32])
+def test_flat_tiles_that_climb_by_some_steps_are_not_rough(size, rng):
+    """Integer millimetres, with a tenth of that as other noise."""
+    camera = rp.Camera(size, size, 525.0, 525.0, 0.5 * (size - 1), 0.5 * (size - 1), depth_scale=1000.0)
+    sigma = 1e-4 * 0.5**2  # at 2 m
+    camera = camera.with_noise(rp.noise.quantised(rp.noise.NoiseModel((sigma,)), camera))
+    across = camera.tan_x[0, -1] - camera.tan_x[0, 0]
+    for steps in (1.25, 1.4, 1.5, 1.6, 2.5):
+        q = 0.5 + 1e-3 * 0.5**2 * (rng.random((300, 1, 1)) + steps * camera.tan_x / across)
+        measured = np.rint(1000.0 / (q + sigma * rng.standard_normal(q.shape))).astype(np.uint16)
+        tiles = rp.TileFitter(camera, size).fit_batch(measured)
+        assert np.mean(tiles.p_value < 0.01) <= 0.02
 
 
 @pytest.mark.parametrize(

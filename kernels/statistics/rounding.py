@@ -27,15 +27,21 @@ def is_left(step_square, sigma_square):
 
 @kernel(inline=True)
 def between_codes(step_square, sigma_square, u_steps, v_steps):
-    """By how much a pixel's residual variance exceeds σ² + Δ²/12 at most: where all lie half-way between two codes.
+    """By how much a pixel's residual variance exceeds σ² + Δ²/12 at most, wherever the codes lie.
 
-    A pixel then is (m + 1/2)·Δ off with the probability that its error is between m·Δ and (m + 1)·Δ. What ``u_steps``
-    and ``v_steps``, which the fit spans, have of this variance is not in the residual.
+    On a surface of hardly a step most where all lie half-way between two codes. A pixel then is (m + 1/2)·Δ off with
+    the probability that its error is between m·Δ and (m + 1)·Δ. What ``u_steps`` and ``v_steps``, which the fit spans,
+    have of this variance is not in the residual. Over more steps the variance at a true value x has the wave
+    -(Δ²/π² + 4σ²)·exp(-2π²σ²/Δ²)·cos(2πx/Δ), of which a number of steps that is not whole leaves a part in the mean.
     """
     root = math.sqrt(0.5 * step_square / sigma_square) if sigma_square > 0.0 else math.inf
     rounded = 0.25 + 2.0 * math.erfc(root) + 4.0 * math.erfc(2.0 * root)
     left = rounded - (1.0 + u_steps * u_steps + v_steps * v_steps) / 12.0
-    return max(left * step_square - sigma_square, 0.0)
+    wave = (step_square / math.pi**2 + 4.0 * sigma_square) * math.exp(-2.0 * math.pi**2 * sigma_square / step_square)
+    for steps in (u_steps, v_steps):
+        x = math.pi * steps
+        wave *= abs(math.sin(x)) / x if x > 1e-3 else 1.0
+    return max(left * step_square - sigma_square, wave)
 
 
 @kernel(inline=True)

@@ -194,7 +194,7 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     -----
     Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the other noise is less than half a
     step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances account for
-    it, p-values are then too large.
+    it, p-values are then too large, or too small where it climbs by a whole step or a half from pixel to pixel.
     """
     from rgbd_planes.camera import Camera  # which has a noise model itself
 
