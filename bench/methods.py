@@ -26,7 +26,7 @@ TABLES = {"standard_implicit": 9, "range_implicit": 4, "standard_explicit": 8, "
 """The paper's methods, and how many summed-area tables each needs for a frame."""
 
 _camera = partial(Camera, width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
-# A Kinect v1 in eighths of a pixel of disparity: 1/Z = scale·raw + offset, 0.47 m at 2047 and 7.8 m at 1000.
+# Units of disparity a little finer than a Kinect v1's: 1/Z = scale·raw + offset, 0.47 m at 2047 and 7.7 m at 1000.
 _DISPARITY = (1.9e-3, -1.77)
 
 

@@ -11,7 +11,7 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
     (
         "sat_implicit",
         "Build the summed-area tables, implicit: 4 in range space for 9",
-        "The paper's MATLAB computes one table after the other; here one pass fills all of a method's "
+        "Presumably the paper's MATLAB computes one table after the other; here one pass fills all of a method's "
         "tables, so a pixel is read and divided once, and what is left is nearly the tables themselves: 9 "
         "to 4.",
     ),
@@ -26,14 +26,14 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
     (
         "plane_implicit",
         "One plane from built tables, implicit, windows the same in every frame",
-        "The paper finds the eigenvectors of a general 4x4 matrix in both spaces. Here range space solves a "
+        "The paper counts the eigenvectors of a 4x4 matrix alike in both spaces. Here range space solves a "
         "secular equation from the explicit solution, in one or two steps; the standard form needs a 3x3 "
         "eigenvector first.",
     ),
     (
         "plane_explicit",
         "One plane from built tables, explicit, windows the same in every frame",
-        "The paper's standard form inverts MᵗM where range space multiplies by a stored inverse. Here "
+        "Presumably the paper's standard form inverts MᵗM where range space multiplies by a stored inverse. Here "
         "both solve a centred 2x2 system in closed form, which costs less than looking the sums up, so "
         "what is saved is 5 of 8 look-ups; camera terms of a window are looked up once for all frames in "
         "range space.",
@@ -109,13 +109,16 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
     ),
 )
 FLIGHT = (
-    ("flight_seconds_saved_implicit", "Seconds saved in a five-minute flight at 30 frames per second, implicit"),
+    (
+        "flight_seconds_saved_implicit",
+        "Seconds saved in a five-minute flight, implicit at 30 frames per second (the paper says neither)",
+    ),
     ("flight_seconds_saved_explicit", "The same, explicit"),
 )
 COUNTS = (
     ("implicit", "Summed-area tables, implicit: 9 standard, 4 range"),
     ("explicit", "Summed-area tables, explicit: 8 standard, 3 range"),
-    ("naive", "Naive windows"),
+    ("naive", "Naive windows, terms of the depth"),
 )
 
 

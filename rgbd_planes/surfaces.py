@@ -72,16 +72,17 @@ def normals(
 
     Notes
     -----
-    A window counts as crossed by an edge when the variance of its residuals is larger than that of a window
-    beside it by more than noise explains: by the factor that the ratio of two such variances exceeds about once
-    in a thousand times for independent normal noise. It does not count where rounding to the frame's raw values makes
-    as large a variance, or where most windows of the frame have one as large: sensors round, too, and neighbouring
-    pixels share errors, so that some windows are far calmer than others by chance. So chance makes an edge where the
-    frame is much noisier than elsewhere: of one pixel in a hundred with a window of 3, and eight others; where a fifth
-    is missing of six in a hundred, and with a window of 7 of five in a thousand. There is no threshold to set. It
-    takes about four times as long. A surface that bends by more than its noise within a window is also taken for an
-    edge: its normals are then those half a window away; with a window of 15, on a ball of 0.2 m radius at 1 m, off by
-    8° where it is seen at 60° to 70° from its normal, and by 13° to 18° at its very rim.
+    A window counts as crossed by an edge when the variance of its residuals is larger than that of a window beside
+    it by more than noise explains: by the factor that the ratio of two such variances exceeds in one to two cases
+    of a thousand, or four with a window of 3, for independent normal noise. It does not count where rounding to the
+    frame's raw values makes as large a variance, or where most windows of the frame have one as large: sensors
+    round, too, and neighbouring pixels share errors, so that some windows are far calmer than others by chance. So
+    chance makes an edge where the frame is much noisier than elsewhere: of one pixel in a hundred with a window of
+    3, and eight others; where a fifth is missing of six in a hundred, and with a window of 7 of five in a thousand.
+    There is no threshold to set. It takes about four times as long. A surface that bends by more than its noise
+    within a window is also taken for an edge: its normals are then those half a window away; with a window of 15,
+    on a ball of 0.2 m radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 13° to 18° at
+    its very rim.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 
@@ -204,7 +205,7 @@ def _check_window(window: int) -> int:
 
 
 def _ratio(window: int) -> float:
-    """Ratio of two residual variances of full windows that noise exceeds once in a thousand cases.
+    """Ratio of two residual variances of full windows that noise exceeds in one to four cases of a thousand.
 
     Half the logarithm of a variance ratio of f and f degrees of freedom is about normal, with variance 1/f
     (Fisher's z).
