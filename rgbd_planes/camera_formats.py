@@ -46,6 +46,11 @@ _ROS_FILE = {  # a ROS calibration file's names for the matrices of the message
 
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
+    if os.fspath(path).lower().endswith((".yaml", ".yml")):
+        raise ValueError(
+            f"expected a JSON file, got {os.fspath(path)}: Camera.from_ros takes what yaml.safe_load reads from "
+            "ROS's YAML, and Camera.save writes JSON"
+        )
     with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors write a byte order mark
         try:
             values = json.load(file)

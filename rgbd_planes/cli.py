@@ -6,6 +6,7 @@ import difflib
 import inspect
 import io
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -59,15 +60,15 @@ def _run(argv: list[str] | None) -> int:
         )
         subparser.set_defaults(run=command(subparser))
     status: int | None = 0
-    program = parser.prog
+    of_command: argparse.ArgumentParser = parser
     try:
         try:
             arguments, unknown = parser.parse_known_args(argv)
         finally:  # also if that ends here, with a help text
             print(end="", flush=True)
-        program += f" {arguments.command}"
+        of_command = subparsers.choices[arguments.command]
         if unknown:
-            subparsers.choices[arguments.command].error(f"unrecognized arguments: {' '.join(unknown)}")
+            of_command.error(f"unrecognized arguments: {' '.join(unknown)}")
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # for a damaged file the error says enough
             warnings.showwarning = _show_each_once()
@@ -78,11 +79,23 @@ def _run(argv: list[str] | None) -> int:
             return 130
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # of no kind of its own
             raise
-        print(f"{program}: {one_line(error) or 'not enough memory'}", file=sys.stderr)
+        words = _with_options(one_line(error), of_command)
+        print(f"{of_command.prog}: {words or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
     return status or 0
+
+
+def _with_options(words: str, parser: argparse.ArgumentParser) -> str:
+    """An error of a function in the words of its command: ``max_error`` is --max-error there."""
+    options = {a.dest: a.option_strings[-1] for a in parser._actions if a.option_strings}
+    options["num_threads"] = options.get("threads", "num_threads")
+    first, space, rest = words.partition(" ")
+    for name, option in options.items():
+        if "_" in name:
+            rest = re.sub(rf"\b{name}\b", option, rest)
+    return options.get(first, first) + space + rest
 
 
 class _Forgiving:

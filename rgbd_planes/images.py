@@ -17,6 +17,9 @@ from rgbd_planes.files import damage, existing_file, write_beside
 
 Frame = NDArray[Any]
 
+RECORDINGS = (".sens", ".bag", ".mcap", ".db3", ".mkv")
+"""Suffixes of files of many depth images, which `rgbd_planes.open_sequence` reads."""
+
 
 def read_depth(path: str | os.PathLike[str]) -> Frame:
     """Read a depth frame as it is stored: no value is scaled or converted.
@@ -44,6 +47,8 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         raise ValueError(f"{path}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)")
     file = existing_file(path)
     reader = _READERS.get(file.suffix.lower())
+    if file.suffix.lower() in RECORDINGS:
+        raise ValueError(f"{path}: expected one depth image, got a recording (`rgbd-planes batch` takes recordings)")
     if reader is None:
         raise ValueError(
             f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}: "

@@ -11,8 +11,11 @@ def two_digits(value: float) -> str:
 
 
 def percent(share: SupportsFloat) -> str:
-    """A share of 1 in per cent, to one decimal."""
-    return f"{100.0 * float(share):.1f} %"
+    """A share of 1 in per cent, to one decimal; 0 and 100 only if it is exactly that."""
+    number = 100.0 * float(share)
+    if 0.0 < number < 100.0:
+        number = min(max(number, 0.1), 99.9)
+    return f"{number:.1f} %"
 
 
 def counted(count: float, what: str) -> str:

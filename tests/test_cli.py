@@ -17,6 +17,7 @@ import rgbd_planes as rp
 from rgbd_planes import cli, export, images, scenes
 from rgbd_planes.commands import COMMANDS
 from rgbd_planes.fitting import METHODS
+from rgbd_planes.wording import percent
 
 CAMERA = rp.Camera(width=80, height=60, fx=65.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=1000.0)
 
@@ -344,8 +345,9 @@ BAD_INPUT = {
     "tile no number": (None, ["--tile", "16y12"], "16 or 12x20, got '16y12'"),
     "tile half a size": (None, ["--tile", "16x"], "16 or 12x20, got '16x'"),
     "method": (None, ["--method", "ransac"], "range_explicit.*ransac"),
-    "share": (None, ["--max-missing", "2"], "max_missing"),
-    "threads": (None, ["--threads", "0"], "num_threads"),
+    "share": (None, ["--max-missing", "2"], "fit: --max-missing must be between 0 and 1, got 2"),
+    "threads": (None, ["--threads", "0"], "fit: --threads must be at least 1"),
+    "YAML": (lambda folder: os.rename("camera.json", "c.yaml"), ["--camera", "c.yaml"], "Camera.from_ros takes"),
     "out is no npz": (None, ["--out", "p.csv"], r"ends in \.npz or \.json"),
     "figure is no picture": (None, ["--figure", "p.docx"], r"\.png or"),
     "out in no folder": (None, ["--out", "none/p.npz"], "no folder"),
@@ -532,6 +534,19 @@ def test_a_batch_without_a_place_for_what_went_wrong(folder):
     assert ran.stdout.startswith("1 of 2 frames, 20 rows")
 
 
+@pytest.mark.parametrize("options", [[], ["--segments"]])
+def test_a_batch_without_any_plane_says_so(folder, capsys, options):
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("tqdm")
+    (folder / "depth").mkdir()
+    os.rename("depth.png", "depth/0.png")
+    replace(CAMERA, depth_range=(40.0, 50.0)).save("far.json")
+    assert cli.main(["batch", "depth", "--camera", "far.json", "--out", "table", *options]) == 1
+    out, err = capsys.readouterr()
+    assert out.startswith("1 of 1 frame, ")
+    assert "batch: no plane in any frame: are the camera's unit, depth_range" in err
+
+
 @pytest.mark.skipif(os.name != "posix", reason="without a shell of POSIX")
 @pytest.mark.parametrize("option", ["--version", "fit --help"])
 def test_a_reader_of_help_that_leaves_early_is_no_error(option):
@@ -672,3 +687,8 @@ def test_demo_knows_before_the_work_that_it_cannot_write(tmp_path, capsys):
     (tmp_path / "demo_camera.json").mkdir()
     assert "demo_camera.json: it is a folder" in fails(capsys, "demo", "--out", tmp_path)
     assert os.listdir(tmp_path) == ["demo_camera.json"]
+
+
+def test_a_share_is_none_or_all_only_if_it_is():
+    shares = {0.0: "0.0 %", 1e-5: "0.1 %", 0.5: "50.0 %", 0.99999: "99.9 %", 1.0: "100.0 %"}
+    assert {share: percent(share) for share in shares} == shares

@@ -580,3 +580,9 @@ def test_what_a_library_says_of_a_damaged_file_is_one_line():
         files.readable("a.bag", "a bag"),
     ):
         raise RuntimeError("no index\n  at 7\n")
+
+
+def test_a_recording_is_for_batches(tmp_path):
+    (tmp_path / "a.BAG").touch()
+    with pytest.raises(ValueError, match=r"a\.BAG: expected one depth image, got a recording .`rgbd-planes batch`"):
+        images.read_depth(tmp_path / "a.BAG")

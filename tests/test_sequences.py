@@ -234,11 +234,17 @@ def test_scannet_as_exported_by_its_python_tool(tmp_path, frames):
     for i, frame in zip((2, 11, 100), frames, strict=True):
         images.write_png(tmp_path / "depth" / f"{i}.png", frame)
     same(rp.open_sequence(tmp_path), frames, CAMERA, ["depth/2.png", "depth/11.png", "depth/100.png"])
+    (tmp_path / "depth" / "2.png").write_bytes(b"damaged")
+    assert len(rp.open_sequence(tmp_path)) == 3  # another image gives the size
     (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("1 2 3")
     with pytest.raises(ValueError, match="expected a 4 x 4 matrix"):
         rp.open_sequence(tmp_path)
     (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("0 " * 16)
     with pytest.raises(ValueError, match=r"intrinsic_depth\.txt: .*fx and fy not 0"):
+        rp.open_sequence(tmp_path)
+    for image in (tmp_path / "depth").iterdir():
+        image.write_bytes(b"damaged")
+    with pytest.raises(ValueError, match=r"2\.png: .*the first image that can be read gives the size"):
         rp.open_sequence(tmp_path)
 
 

@@ -107,6 +107,12 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             print(f"Skipped {len(report.problems)} of {counted(report.frames, 'frame')}.", file=sys.stderr)
             if report.resumed and not arguments.retry:
                 print("What was skipped before is tried again with --retry.", file=sys.stderr)
+        if len(report.problems) < report.frames and not report.status["OK"] + report.status["ROUGH"]:
+            print(
+                f"{parser.prog}: no plane in any frame: are the camera's unit, depth_range and invalid_values right?",
+                file=sys.stderr,
+            )
+            return 1
         return 1 if report.problems else 0
 
     return run

@@ -23,7 +23,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
     """
     add_frame(parser)
     add_fit_options(parser)
-    add_noise(parser, "calls tiles ROUGH that it does not explain, and goes into the NPZ, for covariances and p-values")
+    add_noise(parser, "calls tiles ROUGH that it does not explain, and gives the files covariances and p-values")
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
     parser.add_argument("--out", type=Path, metavar="NPZ/JSON", help="write the planes; TilePlanes.load reads an NPZ")
     parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and tiles")

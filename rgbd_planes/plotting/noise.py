@@ -99,7 +99,8 @@ def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, grey: s
     image = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
     # Beside the map. A colour bar that takes its room from the axes would move the map to the side of its half of the
     # figure, where titles that are wider than a narrow map are cut off.
-    axes.figure.colorbar(image, cax=axes.inset_axes((1.03, 0.075, 0.05, 0.85)))
+    wide = 0.05 * max(values.shape[0] / values.shape[1], 1.0)  # of the map's width: beside a narrow one no line
+    axes.figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.6 * wide, 0.075, wide, 0.85)))
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(f"grey: {grey}", fontsize=9)
     axes.set_xticks([])

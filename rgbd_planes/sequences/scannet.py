@@ -16,6 +16,7 @@ from rgbd_planes.images import read_depth
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, image_sequence, numbered, some
 
 _ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
+_TRIED = 10  # images, until one can be read
 _COMPRESSIONS = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
 
 
@@ -46,7 +47,7 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
         return image_sequence(numbered(files), camera or _camera_of_info(root / "_info.txt"), root)
     files = [file for file in (root / "depth").glob("*") if file.suffix in (".pgm", ".png")]
     files = some(numbered(files), "depth/N.png or frame-NNNNNN.depth.pgm", root)
-    return image_sequence(files, camera or _camera_of_matrix(root, files[0]), root)
+    return image_sequence(files, camera or _camera_of_matrix(root, files), root)
 
 
 def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
@@ -158,7 +159,7 @@ def _unpack(stream: BinaryIO, layout: str) -> tuple[Any, ...]:
     return struct.unpack(layout, stream.read(struct.calcsize(layout)))
 
 
-def _camera_of_matrix(root: Path, first: Path) -> Camera:
+def _camera_of_matrix(root: Path, images: list[Path]) -> Camera:
     file = root / "intrinsic" / "intrinsic_depth.txt"
     if not file.is_file():
         raise ValueError(f"{root}: expected intrinsic/intrinsic_depth.txt, or a camera")
@@ -166,10 +167,15 @@ def _camera_of_matrix(root: Path, first: Path) -> Camera:
         matrix = np.array(file.read_text(encoding="utf-8-sig").split(), np.float64).reshape(4, 4)
     except ValueError:
         raise ValueError(f"{file}: expected a 4 x 4 matrix") from None
-    try:
-        height, width = read_depth(first).shape
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{error}; the first image gives the size of the frames") from None
+    wrong: list[Exception] = []
+    for image in images[:_TRIED]:
+        try:
+            height, width = read_depth(image).shape
+            break
+        except (OSError, ValueError) as error:
+            wrong.append(error)
+    else:
+        raise ValueError(f"{wrong[0]}; the first image that can be read gives the size of the frames")
     with naming(file):
         return _camera(matrix, (width, height), 1000.0)
 
