@@ -27,7 +27,7 @@ from rgbd_planes import (
     segment_sequence,
     segmentation_export,
 )
-from rgbd_planes.colours import label_colours
+from rgbd_planes.colours import NO_PLANE, label_colours
 from rgbd_planes.noise import kinect_v1
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
@@ -68,9 +68,12 @@ def test_points_have_the_colours_of_their_planes(tmp_path, depth):
     seen = found.labels[depth > 0]
     points = CAMERA.points(depth)[depth > 0]
     assert np.column_stack([vertices["x"], vertices["y"], vertices["z"]]) == pytest.approx(points, rel=1e-6)
+    colours = np.rint(255.0 * np.vstack([[NO_PLANE], label_colours(len(found))]))
     for label in range(len(found) + 1):
         own = vertices[seen == label]
-        assert len(np.unique(own[["red", "green", "blue", "nx", "ny", "nz"]])) <= 1
+        assert len(np.unique(own[["red", "green", "blue", "nx", "ny", "nz"]])) == 1
+        assert own[["red", "green", "blue"]][0].tolist() == tuple(colours[label])
+    assert [vertices[seen == 0][name].any() for name in ("nx", "ny", "nz")] == [False] * 3
     largest = 1 + int(found.sizes.argmax())
     normal = [float(vertices[seen == largest][name][0]) for name in ("nx", "ny", "nz")]
     assert normal == pytest.approx(found.planes[largest - 1, :3], rel=1e-6)
@@ -88,6 +91,7 @@ def test_mesh_lies_on_the_planes(tmp_path, depth):
     normals = np.column_stack([vertices[name] for name in ("nx", "ny", "nz")]).astype(float)
     distance = np.abs((points * normals).sum(axis=1))
     assert np.abs(distance[:, None] - found.planes[:, 3]).min(axis=1).max() < 1e-4
+    assert ((points * normals).sum(axis=1) < 0.0).all()  # they point towards the camera
     assert len(faces) == len(vertices) // 3 * (1 + 3 * 4)
     write_polygons_ply(tmp_path / "none.ply", [])
     assert len(read_ply(tmp_path / "none.ply")[0]) == 0
@@ -102,6 +106,26 @@ def test_some_of_the_polygons_have_the_colours_of_their_labels(tmp_path, depth):
     vertices, _ = read_ply(tmp_path / "mesh.ply")
     (colour,) = np.unique(vertices[["red", "green", "blue"]]).tolist()
     assert colour == pytest.approx(255 * label_colours(3)[2], abs=0.5)
+
+
+def test_a_dictionary_has_each_planes_own_numbers(depth):
+    found = segment(depth, CAMERA)
+    made = segmentation_export.to_dict(found)
+    assert made["sigma"] == found.sigma
+    assert [plane["label"] for plane in made["planes"]] == list(range(1, len(found) + 1))
+    columns = {"plane": found.planes, "covariance": found.plane_covariance, "size": found.sizes}
+    columns |= {"rmse": found.rmse, "rmse_metric": found.rmse_metric}
+    for name, values in columns.items():
+        assert [plane[name] for plane in made["planes"]] == values.tolist(), name
+
+
+def test_some_of_the_polygons_keep_their_labels_in_a_message(depth):
+    pytest.importorskip("shapely")
+    from rgbd_planes import plane_polygons
+
+    some = plane_polygons(segment(depth, CAMERA))[:0:-2]
+    message = segmentation_export.to_ros_polygons(some)
+    assert message["labels"] == [polygon.label for polygon in some for _ in polygon.rings()]
 
 
 def test_polygons_go_with_their_planes_in_any_order(depth):
@@ -154,11 +178,12 @@ def test_planes_of_ones_own_labels(tmp_path, depth, noise):
     segmentation_export.write_json(tmp_path / "planes.json", made, polygons)
     read = json.loads((tmp_path / "planes.json").read_text())
     assert read["camera"] == json.loads(json.dumps(camera.to_dict()))
+    assert read["method"] == made.method
     assert [plane["label"] for plane in read["planes"]] == (there + 1).tolist()
     for i, plane in zip(there, read["planes"], strict=True):
         assert plane["plane"] == made.planes[i].tolist()
         assert (plane["size"], plane["status"]) == (made.valid_count[i], TileStatus(made.status[i]).name)
-        assert plane["rmse_metric"] == made.rmse_metric[i]
+        assert (plane["rmse"], plane["rmse_metric"]) == (made.rmse[i], made.rmse_metric[i])
         assert plane["area"] > 0.0
         assert ("covariance" in plane) == ("p_value" in plane) == (noise is not None)
         if noise is not None:
@@ -402,6 +427,12 @@ def test_rerun_shows_a_mirrored_camera_as_its_picture_is(depth, tmp_path):
     assert len(recorded[0]) >= 3
     for plain, mirrored in zip(*recorded, strict=True):
         np.testing.assert_allclose(mirrored, plain, rtol=1e-4, atol=1e-5)
+
+
+def test_labels_of_more_than_8_bits_are_written(tmp_path):
+    labels = np.arange(CAMERA.width * CAMERA.height).reshape(CAMERA.shape) % 700
+    segmentation_export.write_labels(tmp_path / "labels.png", fit_labels(np.ones(CAMERA.shape), CAMERA, labels))
+    np.testing.assert_array_equal(images.read_depth(tmp_path / "labels.png"), labels)
 
 
 def test_labels_that_16_bits_cannot_hold(depth, tmp_path):
