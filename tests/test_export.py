@@ -178,6 +178,38 @@ def test_colours_of_points_are_shares(tmp_path):
     assert not (tmp_path / "no.ply").exists()
 
 
+def test_points_keep_their_colours_where_others_are_left_out(tmp_path):
+    points = np.array([[0.0, 0.0, 1.0], [np.nan] * 3, [1.0, 0.0, 2.0]])
+    export.write_ply(tmp_path / "points.ply", points, colours=[[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    content = (tmp_path / "points.ply").read_bytes()
+    assert [content[-18:-15], content[-3:]] == [bytes([255, 0, 0]), bytes([0, 0, 255])]
+
+
+def test_tiles_of_a_mirrored_camera_have_the_colours_of_its_picture(tmp_path):
+    plyfile = pytest.importorskip("plyfile")
+    colours = []
+    for sign in (1.0, -1.0):
+        camera = replace(CAMERA, fx=sign * CAMERA.fx, fy=sign * CAMERA.fy, distortion=())
+        wall = scenes.plane((0.3 * sign, -0.5 * sign, -0.8), 2.0).render(camera).depth
+        export.write_tiles_ply(tmp_path / "tiles.ply", rp.fit_tiles(wall, camera))
+        vertex = plyfile.PlyData.read(tmp_path / "tiles.ply")["vertex"]
+        colours.append(np.stack([vertex[name] for name in ("red", "green", "blue")]).astype(int))
+    np.testing.assert_allclose(colours[1], colours[0], atol=1)
+    assert colours[0].min(axis=1)[:2].min() > 128  # to the right, and up
+
+
+def test_faces_have_as_many_corners_as_a_byte_can_count(tmp_path):
+    plyfile = pytest.importorskip("plyfile")
+    points, face = np.zeros((256, 3)), np.arange(256)[None]
+    export.write_ply(tmp_path / "face.ply", points, faces=face[:, :255])
+    (read,) = plyfile.PlyData.read(tmp_path / "face.ply")["face"]["vertex_indices"]
+    np.testing.assert_array_equal(read, face[0, :255])
+    for wrong in (face, face[:, :2]):
+        with pytest.raises(ValueError, match="K from 3 to 255"):
+            export.write_ply(tmp_path / "no.ply", points, faces=wrong)
+    assert not (tmp_path / "no.ply").exists()
+
+
 def test_open3d_gets_the_same_mesh_and_points(tiles, depth, tmp_path):
     open3d = pytest.importorskip("open3d", exc_type=ImportError)
     mesh = export.to_open3d(tiles)
