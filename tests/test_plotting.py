@@ -5,6 +5,7 @@ import itertools
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -133,6 +134,10 @@ def test_normals_have_one_legend():
         facing, right, up = colours[100, 100], colours[100, 199], colours[1, 100]
         normals = np.array([[0.0, 0.0, -1.0], [0.99, 0.0, -0.141], [0.0, -0.99, -0.141]])
         np.testing.assert_allclose([facing, right, up], plotting.normal_colours(normals), atol=0.01)
+        figure.draw_without_rendering()
+        above, below, left, right = (text.get_window_extent() for text in ball.texts)
+        assert above.y0 > left.y1 > below.y1  # pixels of a figure count upwards
+        assert left.x1 < above.x0 < right.x0
 
 
 def test_without_a_frame_the_planes_own_depth_is_drawn():
@@ -153,6 +158,17 @@ def test_the_scale_of_one_depth_is_in_metres():
         (scale,) = (axes.xaxis for axes in drawn if "metres" in axes.get_xlabel())
         assert scale.get_offset_text().get_text() == ""
         assert scale.get_major_ticks()[1].label1.get_text().startswith("1.0")
+
+
+@pytest.mark.parametrize(("strays", "ends"), [((), "neither"), ((0.3,), "min"), ((9.0,), "max"), ((0.3, 9.0), "both")])
+def test_the_scale_of_depth_says_at_which_end_there_is_more(strays, ends):
+    camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
+    depth = np.ones(camera.shape)
+    depth[:, 34:] = 2.0
+    depth[0, : len(strays)] = strays
+    (image,) = rp.fit_tiles(depth, camera, tile=8).plot(depth).axes[0].get_images()
+    assert image.colorbar.extend == ends
+    assert image.get_clim() == (1.0, 2.0)  # which a few pixels do not change
 
 
 def test_rounding_is_no_curvature():
@@ -300,17 +316,20 @@ def test_drawn_into_a_part_of_a_figure():
     assert len(upper.axes) == len(lower.axes) > 0
 
 
-@pytest.mark.parametrize("shape", [(480, 640), (512, 512), (640, 480), (640, 360)])
-def test_the_figure_of_noise_says_all_of_it_for_narrow_images(shape):
-    height, width = shape
-    maps, cells = (height // 12, width // 12), (height // 8, width // 8)
+def some_evidence(maps, cells):
     curve = np.ones(6)
-    evidence = NoiseEvidence(
+    return NoiseEvidence(
         windows=100, sizes=np.array([6, 8, 12, 24, 48, 96]), residuals=curve, expected=curve,
         inverse_depth=np.linspace(0.3, 1.0, 6), sigma=1e-3 * curve, sigma_fit=1e-3 * curve,
         p_values=np.linspace(0.0, 1.0, 100), noise_map=np.ones(maps), edge_growth=1.3,
         flatness=np.full(cells, 1e-3), flatness_count=np.full(cells, 100), flatness_std=np.full(cells, 1e-4),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (512, 512), (640, 480), (640, 360)])
+def test_the_figure_of_noise_says_all_of_it_for_narrow_images(shape):
+    height, width = shape
+    evidence = some_evidence(maps=(height // 12, width // 12), cells=(height // 8, width // 8))
     figure = evidence.plot()
     figure.draw_without_rendering()
     for axes in figure.axes:
@@ -356,6 +375,28 @@ def test_evidence_is_drawn_as_it_is():
     at_12 = np.flatnonzero(evidence.sizes == 12)[0]
     of_independent = np.sqrt((1.0 - 3.0 / evidence.sizes**2) / (1.0 - 3.0 / 12**2))
     np.testing.assert_allclose(independent[1], evidence.residuals[at_12] * of_independent)
+
+
+def test_maps_of_evidence_are_drawn_where_it_lies(rng):
+    evidence = some_evidence(maps=(3, 4), cells=(5, 6))
+    flatness, count = 1e-3 * rng.standard_normal((5, 6)), rng.integers(16, 100, (5, 6))
+    flatness[0, 1], count[2, 3] = np.nan, 15  # no large plane there, and one of too few pixels
+    evidence = replace(
+        evidence, noise_map=rng.uniform(0.5, 2.0, (3, 4)), flatness=flatness, flatness_count=count,
+        flatness_std=np.where(np.isfinite(flatness), 2e-4, np.nan), p_values=rng.random(100) ** 2,
+    )  # fmt: skip
+    figure = evidence.plot()
+    noise, bias = (axes for axes in figure.axes if axes.get_xlabel().startswith("grey"))
+    assert np.array_equal(image_of(noise), evidence.noise_map)
+    expected = np.where(count < 16, np.nan, 1e3 * flatness)
+    np.testing.assert_allclose(np.ma.filled(bias.get_images()[0].get_array(), np.nan), expected)
+    lowest, highest = bias.get_images()[0].get_clim()
+    assert highest == -lowest > 1.1  # 1e-3 / m, of which there is as much
+    assert "±0.2e-3 / m" in bias.get_xlabel()
+    assert noise.get_xlabel().endswith("the model's grows to 1.3 times towards the edge")
+    bars = figure.axes[2].patches
+    assert sum(bar.get_height() * bar.get_width() for bar in bars) == pytest.approx(1.0)
+    assert bars[0].get_height() == pytest.approx(np.count_nonzero(evidence.p_values < 0.05) / 100 / 0.05)
 
 
 def test_axes_in_the_place_of_a_figure():

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import oracle
 import pytest
+from matplotlib.colors import to_rgb
 
 import rgbd_planes as rp
 from rgbd_planes import scenes
@@ -219,6 +220,34 @@ def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
         count, name = text.get_text().split(":")[0].split()
         assert patch.get_edgecolor() == to_rgba(OUTLINES[rp.TileStatus[name]])
         assert int(count) == drawn[patch.get_edgecolor()]
+
+
+def test_figure_outlines_elements_where_they_are_and_fills_them_by_cluster(camera, frame):
+    segmentation = rp.segment_quadtree(frame, camera)
+    elements, labels = segmentation.elements, segmentation.labels
+    panel = segmentation.plot(frame).axes[1]
+    squares = f"{np.count_nonzero(elements.status == rp.TileStatus.OK)} squares fitted"
+    assert panel.get_title() == f"{squares}, {len(segmentation.planes)} clusters"
+    drawn = [path.get_extents().extents for lines in panel.collections for path in lines.get_paths()]
+    top, left, height, width = elements.windows.T
+    inside = np.stack([left + 0.5, top + 0.5, left + width - 1.5, top + height - 1.5], axis=1)
+    np.testing.assert_allclose(sorted(map(tuple, drawn)), sorted(map(tuple, inside)))
+
+    picture = np.asarray(panel.get_images()[0].get_array())
+    seen = frame > 0
+    plain = picture[seen & (labels == 0)]
+    assert (np.ptp(plain, axis=-1) == 0.0).all()  # grey, darker where it is farther
+    depth = frame[seen & (labels == 0)]
+    assert plain[depth <= np.quantile(depth, 0.1)].min() > plain[depth >= np.quantile(depth, 0.9)].max()
+    # What is left without the grey of the depth is the cluster's colour.
+    nearest, farthest = np.percentile(frame[seen] / camera.depth_scale, [0.5, 99.5])
+    far = np.clip((frame / camera.depth_scale - nearest) / (farthest - nearest), 0.0, 1.0)
+    tint = picture - 0.45 * (0.75 - 0.55 * far)[..., None]
+    tints = [tint[seen & (labels == i)] for i in range(1, len(segmentation.planes) + 1)]
+    assert all(np.ptp(own, axis=0).max() < 1e-9 for own in tints)
+    strongest = np.array([own[0] for own in tints[:9]])
+    np.testing.assert_allclose(strongest[0], 0.55 * np.array(to_rgb("tab:blue")))
+    assert len(np.unique(strongest.round(6), axis=0)) == len(strongest)
 
 
 def test_real_frame_equals_oracle(real_frame):
