@@ -232,6 +232,16 @@ def test_only_gaps_that_are_missing_and_narrow_are_the_plane_s() -> None:
     assert own.image.area == pytest.approx(found.labels.sum())
 
 
+def test_gaps_of_a_low_strip_may_be_wider_than_it_is_high() -> None:
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    found.labels[:], found.reason[:] = 0, Reason.UNCLAIMED
+    found.labels[40:43, 20:140] = 1
+    gap = np.s_[40:43, 60:68]  # of fewer than 10 x 10 pixels
+    found.labels[gap], found.reason[gap] = 0, Reason.MISSING
+    (own,) = plane_polygons(found, min_part=100.0)
+    assert own.image.equals(shapely.box(19.5, 39.5, 139.5, 42.5))
+
+
 def test_outline_without_simplification_covers_every_pixel() -> None:
     found = segment(board(CAMERA)[0].depth, CAMERA)
     assert len(found) == 2
@@ -315,6 +325,18 @@ def test_parts_are_simplified_each_for_itself(rng: np.random.Generator) -> None:
     (every,), (few,) = (plane_polygons(found, tolerance=tolerance) for tolerance in (0.0, 1.0))
     assert len(few.image.geoms) > 10
     assert few.image.equals(every.image.simplify(1.0))
+
+
+def test_parts_that_would_cross_keep_clear_of_each_other() -> None:
+    """Wavy stripes with narrow gaps: each simplified for itself, some would reach into the next one."""
+    rows, columns = np.indices(CAMERA.shape)
+    found = segment(np.full(CAMERA.shape, 2.0), CAMERA)
+    found.labels[:] = (rows + 10.0 * np.sin(columns / 5.0)) % 12.0 >= 2.0
+    (every,), (few,) = (plane_polygons(found, tolerance=tolerance) for tolerance in (0.0, 4.0))
+    corners, all_corners = (set(map(tuple, shapely.get_coordinates(made.image))) for made in (few, every))
+    assert len(few.image.geoms) == len(every.image.geoms) > 10
+    assert len(corners) < 0.5 * len(all_corners)
+    assert corners <= all_corners  # none is where two edges cross
 
 
 def test_what_is_made_valid_keeps_all_of_its_parts() -> None:
