@@ -545,6 +545,18 @@ def test_steps_of_metres_that_were_integers_are_no_edges_either():
         np.testing.assert_allclose(rp.normals(depth, same, 7, avoid_edges=True), plain, atol=1e-3)
 
 
+@pytest.mark.parametrize("depth_range", [(0.0, 3.0), (1.5, 8.0)], ids=["too far", "too near"])
+def test_avoiding_edges_gives_no_normal_where_nothing_is_measured(depth_range):
+    """Beside what is beyond the range there are windows that would do."""
+    camera = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0, depth_range=depth_range)
+    raw = np.full(camera.shape, 2000, np.uint16)
+    beyond = np.zeros(camera.shape, bool)
+    beyond[10:14, 20:24] = beyond[30, 40] = True
+    raw[beyond] = 5000 if depth_range[1] < 5.0 else 1000
+    normals = rp.normals(raw, camera, avoid_edges=True)
+    np.testing.assert_array_equal(np.isnan(normals[..., 0]), beyond)
+
+
 def test_avoiding_edges_gives_no_normal_away_from_the_camera(rng):
     camera = rp.Camera(64, 48, 30.0, 30.0, 31.5, 23.5)
     depth = rng.uniform(0.001, 1.0, camera.shape) ** -3.0
