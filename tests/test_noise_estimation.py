@@ -437,6 +437,16 @@ def test_the_rounding_is_the_finest_step_of_most_frames():
     assert (model.step, model.disparity_step) == (0.0, pytest.approx(0.002))
 
 
+@pytest.mark.parametrize("disparity", [(2e-3, 0.0), (-2e-3, 3.0)], ids=["rising", "falling"])
+def test_the_rounding_of_a_disparity_is_its_scale(disparity):
+    """Of which the Kinect's is negative: its codes grow with the distance."""
+    scale, offset = disparity
+    camera = replace(CAMERA, depth_scale=None, disparity=disparity)
+    raw = np.rint((1.0 / rendering(*VIEWS[0]).depth - offset) / scale).astype(np.uint16)
+    _, rounding = estimation._open([raw], camera)
+    assert (rounding.step, rounding.disparity_step) == (0.0, pytest.approx(2e-3))
+
+
 def test_all_tiles_at_one_depth(rng):
     """Bins by depth may have the very same one."""
     pattern = 20000 + rng.integers(-50, 51, (12, 12))
