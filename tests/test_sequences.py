@@ -598,6 +598,8 @@ def test_rosbag_of_compressed_depth(tmp_path, frames, name):
 
     path = tmp_path / name
     store, _ = type_store(path)
+    frames = frames.copy()
+    frames[:, 2:5, 3:9] = 0  # which floats have as NaN, and the formula of others as some depth
     plain, info = messages(store, frames)
     compressed = []
     for kind, quantisation in (("16UC1", (0.0, 0.0)), ("32FC1", (6000.0, -20.0))):
