@@ -165,6 +165,13 @@ def test_values_of_any_dtype_are_kept(dtype, becomes):
     np.testing.assert_array_equal(frame.metres[frame.valid], depth[depth > 0] / scale)
 
 
+@pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.int32])
+def test_limits_and_invalid_values_of_integers_may_be_between_them(dtype):
+    raw = np.arange(1400, 1424).reshape(4, 6).astype(dtype)
+    cam = camera(depth_scale=1000.0, depth_range=(1.4025, 1.4195), invalid_values=(1410.5, 1412.0))
+    np.testing.assert_array_equal(as_depth_frame(raw, cam).valid, (raw >= 1403) & (raw <= 1419) & (raw != 1412))
+
+
 def test_negative_integers_are_missing():
     depth = np.array([[-5, 0, 3], [7, -32768, 32767]], np.int16)
     frame = as_depth_frame(depth, camera((2, 3), depth_scale=1000.0, depth_range=(0.004, 100)))
@@ -263,6 +270,8 @@ def test_integers_in_unlikely_units_draw_a_warning():
         with pytest.warns(UserWarning, match="is it in millimetres, depth_scale=1000") as caught:
             as_depth_frame(depth.astype(dtype), camera((480, 640), depth_scale=1.0))
         assert caught[0].filename == __file__
+    with pytest.warns(UserWarning, match="most of this frame is beyond 50 m"):
+        as_depth_frame(np.full((480, 640), 40000, np.uint16), camera((480, 640), depth_scale=600.0))
     picture = (depth // 10).astype(np.uint8)
     for depth_range in (None, (0, 20)):
         with pytest.warns(UserWarning, match=r"ends at 0\.26 m: is it a picture of the depth"):
@@ -421,9 +430,19 @@ def test_the_scale_of_disparities_is_doubted(dtype, offset):
         as_depth_frame(disparity, camera(depth.shape, depth_range=(0.0, ends), **wrong))  # warnings are errors here
     as_depth_frame(disparity, camera(depth.shape, disparity=(right, offset), invalid_values=(0,)))
     as_depth_frame(np.zeros_like(disparity), camera(depth.shape, disparity=(right, 0.0)))
-    as_depth_frame(disparity, camera(depth.shape, disparity=(1.0, 0.0)))  # of a network, as documented
+    for relative in ((1.0, 0.0), (-1.0, 2000.0)):
+        as_depth_frame(disparity, camera(depth.shape, disparity=relative))  # of a network, as documented
     disparity[np.random.default_rng(1).random(depth.shape) < 0.7] = parts // 2 or 0.5  # beyond 50 m: said to be missing
     as_depth_frame(disparity, camera(depth.shape, disparity=(right, 0.0), depth_range=(0.0, 30.0)))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint16])
+def test_the_scale_of_disparities_is_doubted_whatever_invalid_values_would_mean(dtype):
+    """The Kinect's code for missing, 2047, would be farther than all others."""
+    codes = np.linspace(300.0, 1000.0, 480 * 640).reshape(480, 640).astype(dtype)
+    codes[np.random.default_rng(0).random(codes.shape) < 0.3] = 2047
+    with pytest.warns(UserWarning, match="all of this frame is nearer than 0.02 m"):
+        as_depth_frame(codes, camera(codes.shape, disparity=(-3.0, 6145.0), invalid_values=(2047,)))
 
 
 @pytest.mark.parametrize(
@@ -618,3 +637,6 @@ def test_depths_that_are_all_negative_are_doubted():
         warnings.simplefilter("error")
         as_depth_frame(np.full(CAMERA.shape, -1.0), CAMERA)  # nothing was measured
         as_depth_frame(np.where(np.arange(320) % 2 == 0, depth, -1.0), CAMERA)
+    with pytest.warns(UserWarning, match="millimetres") as caught:  # not all are negative
+        as_depth_frame(1000.0 * np.where(np.arange(320) % 4 == 0, -depth, depth), CAMERA)
+    assert len(caught) == 1
