@@ -252,6 +252,18 @@ def test_numbers_of_planes_do_not_cover_each_other(shape):
     assert len(texts) >= min(len(found), 5)
 
 
+@pytest.mark.parametrize(("side", "numbers"), [(4, ["1"]), (6, ["1", "2"])])
+def test_planes_that_are_small_in_the_image_have_no_number(side, numbers):
+    """25 pixels of 160 x 120 are as many as 400 of 640 x 480."""
+    camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
+    depth = np.full(camera.shape, 2.0)
+    depth[:, 80:] = 3.0
+    labels = np.ones(camera.shape, np.int32)
+    labels[90 : 90 + side, 130 : 130 + side] = 2
+    figure = replace(rp.segment(depth, camera, noise=1e-3), labels=labels).plot()
+    assert [text.get_text() for text in figure.axes[0].texts] == numbers
+
+
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1)])
 def test_a_segmented_frame_of_one_row_or_column_behind_a_lens(shape):
     camera = rp.Camera(shape[1], shape[0], 52.5, 52.5, 0.3, 0.2, distortion=(0.1, 0.0, 0.0, 0.0))
@@ -283,6 +295,18 @@ def test_colours_are_of_the_image_whatever_the_sign_of_fy():
     for panel in (1, 2):
         pictures = [image_of(tiles.plot().axes[panel]) for tiles in (floor, mirrored)]
         np.testing.assert_allclose(*pictures, atol=1e-9)
+
+
+def test_light_comes_from_above_and_from_the_left():
+    camera = rp.Camera(width=64, height=48, fx=52.5, fy=52.5, cx=31.5, cy=23.5)
+
+    def brightness(normal):
+        fits = rp.fit_tiles(scenes.plane(normal, 1.5).render(camera).depth, camera, tile=(48, 64), max_missing=0.9)
+        assert fits.fitted.all()
+        return image_of(fits.plot().axes[2]).sum(axis=-1)[0, 0]
+
+    assert brightness((0.0, -0.6, -0.8)) > 1.2 * brightness((0.0, 0.6, -0.8))  # a floor, and a ceiling
+    assert brightness((-0.6, 0.0, -0.8)) > 1.1 * brightness((0.6, 0.0, -0.8))  # what faces left, and right
 
 
 def test_missing_pixels_have_one_colour_in_the_papers_figure():
