@@ -12,7 +12,7 @@ from rgbd_planes.noise import estimation
 from rgbd_planes.noise import large_planes as large
 from rgbd_planes.noise.flatness import flatness
 from rgbd_planes.noise.large_planes import large_planes
-from rgbd_planes.noise.samples import WINDOW, Samples, flat_windows, unevenness
+from rgbd_planes.noise.samples import WINDOW, Samples, _mode, flat_windows, outlying, unevenness
 from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
@@ -274,6 +274,18 @@ def test_tilts_are_those_of_the_pixels_that_are_there(rng):
         assert tilt_square == pytest.approx(0.5 * np.sum((rise - rise.mean()) ** 2))
 
 
+@pytest.mark.parametrize("size", [6, 12])
+def test_a_window_shares_the_slopes_that_independent_errors_give_its_tiles(size, rng):
+    """In the proportion of their squared numbers of pixels; half of the variance is known to be of rounding."""
+    model = rp.noise.NoiseModel((1e-3,), disparity_step=1e-3 * np.sqrt(12.0))
+    q = 0.4 + 0.1 * CAMERA.tan_x + 1e-3 * np.sqrt(2.0) * rng.standard_normal((6, *CAMERA.shape))
+    tiles, windows = (rp.TileFitter(CAMERA, side).fit_batch(1.0 / q) for side in (size, WINDOW))
+    found = Samples.of(tiles, np.ones(windows.shape, bool), windows, 0.1)
+    own = 1.0 - (size / WINDOW) ** 4
+    assert found.typical_tilt(model) == pytest.approx((own, 2.0 * own), rel=0.08)
+    np.testing.assert_allclose(estimation._tilts((0.0, 0.0), np.array([size]), WINDOW), own)
+
+
 def test_slopes_and_rays_are_those_at_the_tile_behind_a_lens(rng):
     """Where pixels are farther apart at one side than at another."""
     camera = rp.Camera(96, 72, 60.0, 62.0, 20.5, 15.5, (0.3, -0.1, 0.0, 0.0, 0.0))
@@ -303,6 +315,32 @@ def test_a_part_of_a_window_at_the_rim_is_none(rng):
     assert flat[:, :5, :6].mean() > 0.9
     assert not flat[:, 5].any()
     assert not flat[:, :, 6].any()
+
+
+def test_outliers_are_looked_for_in_all_frames(rng):
+    """And not only in the first one, whose windows are enough to look at."""
+    q = 0.4 + 1e-3 * rng.standard_normal((4, *CAMERA.shape))
+    q[1:][rng.random(q[1:].shape) < 0.02] = 0.5
+    frames = list(1.0 / q)
+    windows = rp.TileFitter(CAMERA, WINDOW).fit_batch(frames)
+    found = [outlying(frames[:count], windows[:count], np.ones(windows[:count].shape, bool)) for count in (1, 4)]
+    assert found[0] == pytest.approx(1.0, abs=0.02)
+    assert found[1] > 2.0
+
+
+def test_what_is_usual_is_before_clutter_of_which_there_is_more(rng):
+    flat, clutter = 0.02 * rng.standard_normal(40), 1.0 + 0.05 * rng.standard_normal(100)
+    assert _mode(np.concatenate([clutter, flat])) == pytest.approx(0.0, abs=0.02)
+    assert _mode(np.concatenate([clutter, flat[:20]])) == pytest.approx(1.0, abs=0.05)  # too few to be what is flat
+
+
+def test_a_large_tile_across_an_edge_is_left_out_although_its_windows_are_flat(rng):
+    q = 0.4 + 1e-3 * rng.standard_normal(CAMERA.shape)
+    q[3 * 48 : 4 * 48, 4 * 48 + WINDOW : 5 * 48] += 0.02
+    tiles, windows = (rp.TileFitter(CAMERA, side).fit_batch([1.0 / q]) for side in (2 * WINDOW, WINDOW))
+    found = Samples.of(tiles, np.ones(windows.shape, bool), windows, 0.1)
+    places = set(map(tuple, np.transpose(found.place).tolist()))
+    assert set(np.ndindex(tiles.shape)) - places == {(0, 3, 4)}
 
 
 def test_frames_without_anything_flat(rng):
