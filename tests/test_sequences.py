@@ -107,6 +107,12 @@ def test_the_calibration_of_tum_is_known_by_the_last_number_in_its_name(tmp_path
     assert rp.open_sequence(tmp_path / name).camera == getattr(presets, f"tum_freiburg{number}")()
 
 
+def test_a_longer_number_is_none_of_the_cameras_of_tum(tmp_path):
+    (tmp_path / "kitchen_fr12").mkdir()
+    with pytest.raises(ValueError, match="expected freiburg1, freiburg2 or freiburg3 in the folder's name"):
+        sequences.tum(tmp_path / "kitchen_fr12")
+
+
 def test_tum_by_a_link(tmp_path, frames, link):
     """The calibration is known by the name of a link, or by that of the folder that it leads to."""
     for folder, name in (("volume", "freiburg2_desk"), ("freiburg2_xyz", "frames")):
