@@ -81,6 +81,17 @@ def test_labels_of_tiles_are_their_merged_planes(rng):
     np.testing.assert_allclose(again.planes, halves.planes, rtol=1e-9)
 
 
+def test_the_errors_of_a_union_are_those_of_its_own_plane(rng):
+    """Whatever other unions there are: the lateral error goes with the slope."""
+    camera = make_camera(noise=rp.noise.NoiseModel((1e-3,), lateral=0.5, step=0.01))
+    q = np.where(np.arange(64) < 32, 0.5 + 0.0 * camera.tan_x, 0.5 + 0.5 * camera.tan_x)
+    tiles = rp.fit_tiles(1.0 / (q + 1e-3 * rng.standard_normal(q.shape)), camera, 16)
+    labels = np.where(np.arange(4) < 2, 1, 2) * np.ones((3, 1), int)
+    both, alone = rp.merge(tiles, labels), rp.merge(tiles, labels == 2)
+    np.testing.assert_array_equal(both.alpha_covariance[1], alone.alpha_covariance[0])
+    assert both.p_value[1] == alone.p_value[0]
+
+
 def test_three_pixels_of_tiles_without_a_plane_make_a_union():
     camera = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
     depth = np.zeros((4, 4))
