@@ -475,7 +475,7 @@ def test_command_writes_normals_and_a_figure(folder, capsys):
     ("options", "message"),
     [
         ("--window 8", "window must be odd"),
-        ("--max-missing 2", "max_missing must be between 0 and 1"),
+        ("--max-missing 2", "--max-missing must be between 0 and 1"),
         ("--out n.txt", "expected a name that ends in .npy"),
         ("--figure nowhere/n.png", "there is no folder"),
     ],

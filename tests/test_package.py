@@ -218,7 +218,7 @@ def test_what_is_compiled_is_announced(many, monkeypatch):
     fitter = rp.TileFitter(make_camera(), 8, num_threads=2)
     frame = np.full((48, 64), 1000, np.int32)
     fitter.fit(frame) if many == "fit" else list(getattr(fitter, many)([frame] * 3))
-    assert compilation._compiled == {("range_explicit", "direct", True, False, np.dtype(np.float64))}
+    assert compilation._compiled == {("range_explicit", "direct", False, False, np.dtype(np.float64))}
 
 
 def test_works_without_a_place_for_a_cache():

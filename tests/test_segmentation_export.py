@@ -270,7 +270,7 @@ def test_command_passes_its_options_on(folder, capsys):
         (["--polygons"], "give --out"),
         (["--polygons", "--out", "planes.npz"], "give --out with a name that ends in .json"),
         (["--out", "planes.txt"], "ends in .json or .npz"),
-        (["--min-size", "1"], "min_size must be at least 3"),
+        (["--min-size", "1"], "--min-size must be at least 3"),
         (["--labels", "a.png", "--figure", "a.png"], "a.png: --figure would write over another file"),
         (["--points", "a.ply", "--mesh", "./a.ply"], "a.ply: --mesh would write over another file"),
         (["--labels", "depth.png"], "depth.png: --labels would write over another file"),
