@@ -17,8 +17,8 @@ from rgbd_planes.files import damage, existing_file, write_beside
 
 Frame = NDArray[Any]
 
-RECORDINGS = (".sens", ".bag", ".mcap", ".db3", ".mkv")
-"""Suffixes of files of many depth images, which `rgbd_planes.open_sequence` reads."""
+RECORDINGS = {".sens": "scannet_sens", ".bag": "rosbag", ".mcap": "rosbag", ".db3": "rosbag", ".mkv": "mkv"}
+"""Files of many depth images, by suffix: the formats as which `rgbd_planes.open_sequence` reads them."""
 
 
 def read_depth(path: str | os.PathLike[str]) -> Frame:

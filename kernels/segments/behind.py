@@ -5,6 +5,7 @@ are an arc: see `shape.find_curved`.
 """
 
 from .._jit import kernel
+from .gaps import overlap
 
 
 @kernel()
@@ -18,11 +19,9 @@ def is_in_front(pyramid, i, alpha, beyond):
 @kernel(inline=True)
 def may_cross(box, a, b, down):
     """Whether half of the rows of the shorter region, or columns if ``down`` is 1, may cross a gap between two."""
-    along, across = 2 * down, 2 - 2 * down
-    common = min(box[a, along + 1], box[b, along + 1]) - max(box[a, along], box[b, along])
+    along, common = 2 * down, overlap(box, a, b, down)
     shorter = min(box[a, along + 1] - box[a, along], box[b, along + 1] - box[b, along])
-    apart = max(box[a, across], box[b, across]) - min(box[a, across + 1], box[b, across + 1])
-    return 2 * common >= shorter and apart <= common
+    return 2 * common >= shorter and -overlap(box, a, b, 1 - down) <= common
 
 
 @kernel()

@@ -28,7 +28,7 @@ SEE_THROUGH_SHARE = 0.1  # share of the rows or columns that may be open
 
 @kernel(inline=True)
 def overlap(box, a, b, down):
-    """Rows of blocks, or columns if ``down`` is 1, that boxes a and b of `label_boxes` share; below 0 if apart."""
+    """Rows of blocks, or columns if ``down`` is 1, that boxes a and b share; below 0 if apart."""
     return min(box[a, 2 * down + 1], box[b, 2 * down + 1]) - max(box[a, 2 * down], box[b, 2 * down])
 
 

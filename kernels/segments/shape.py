@@ -181,10 +181,10 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
 
     Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread`` variances,
     and that turn within themselves as parts of an arc do, form groups; so do such regions on both sides of something
-    thin in front. A group is curved if its normals turn by more
-    than ``sharp`` degrees, root mean square: if by less, it is the sensor that bends a plane. Of small regions it is
-    not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are those of
-    `find_curled`, the groups of `facets.find_faceted`, and smaller neighbours as which a curve goes on.
+    thin in front. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square: if by less,
+    it is the sensor that bends a plane. Of small regions it is not: those with such a neighbour are curved if they turn
+    by more than SLIGHTLY. Also curved are those of `find_curled`, the groups of `facets.find_faceted`, and smaller
+    neighbours as which a curve goes on.
 
     Parameters
     ----------

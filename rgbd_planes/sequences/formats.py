@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_choice
+from rgbd_planes.images import RECORDINGS
 from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.bag import rosbag
 from rgbd_planes.sequences.folder import folder
@@ -82,14 +83,11 @@ def open_sequence(
 
 def _recognise(path: Path, has_camera: bool) -> str:
     if path.is_file():
-        suffix = path.suffix.lower()
-        if suffix == ".sens":
-            return "scannet_sens"
-        if suffix in (".bag", ".mcap", ".db3") or path.name.endswith(".bag.active"):
-            return "rosbag"
-        if suffix == ".mkv":
-            return "mkv"
-        raise ValueError(f"{path}: expected a folder, or a .sens, .bag, .mcap, .db3 or .mkv file")
+        suffix = ".bag" if path.name.endswith(".bag.active") else path.suffix.lower()
+        if suffix in RECORDINGS:
+            return RECORDINGS[suffix]
+        *others, last = RECORDINGS
+        raise ValueError(f"{path}: expected a folder, or a {', '.join(others)} or {last} file")
     existing_folder(path)
     for sign, format in _SIGNS.items():
         if any(path.glob(sign)):
