@@ -326,22 +326,38 @@ def test_too_many_open_files_are_no_fault_of_a_frame(recording, tmp_path, monkey
     check_rows(out, sequence)
 
 
-def test_a_batch_ends_where_no_more_threads_can_be_started(recording, tmp_path, monkeypatch):
+@pytest.mark.parametrize("most", [0, 1, 2])
+def test_where_no_more_threads_can_be_started_those_that_there_are_do_it(recording, tmp_path, monkeypatch, most):
     started, start = [], threading.Thread.start
 
-    def start_one(thread):
-        if started:
+    def start_some(thread):
+        if len(started) == most:
             raise RuntimeError("can't start new thread")
         started.append(thread)
         start(thread)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", start_one)
-        with pytest.raises(RuntimeError, match="can't start new thread"):
-            rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out", num_threads=3)
-    assert not started[0].is_alive()
+    monkeypatch.setattr(threading.Thread, "start", start_some)
     rp.fit_sequence(rp.open_sequence(recording), tmp_path / "out", num_threads=3)
+    assert len(started) == most
+    assert not any(thread.is_alive() for thread in started)
+    monkeypatch.undo()
     check_rows(tmp_path / "out", rp.open_sequence(recording))
+
+
+def test_nothing_goes_on_once_the_caller_has_an_error(recording, tmp_path):
+    """Not even while that error, and with it the call, is still looked at."""
+    before, out = set(threading.enumerate()), tmp_path / "out"
+
+    def interrupt(done):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rp.fit_sequence(rp.open_sequence(recording), out, num_threads=2, progress=interrupt)
+    assert set(threading.enumerate()) <= before
+    parts = len(list(out.glob("part-*")))
+    rp.fit_sequence(rp.open_sequence(recording), out, num_threads=2)
+    assert parts < len(list(out.glob("part-*")))
+    check_rows(out, rp.open_sequence(recording))
 
 
 def test_frames_that_were_skipped_are_tried_again_where_asked_for(recording, tmp_path):

@@ -6,19 +6,19 @@ an image, fitting it and writing a table all release Python's lock; where one ma
 Dask cluster do. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
 """
 
+import concurrent.futures.thread  # noqa: F401 (pandas, which pyarrow loads, cannot once the main thread has ended)
 import json
 import os
 import re
-import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
+from threading import Thread
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -213,15 +213,16 @@ def fit_sequence(
         if progress is not None and report.resumed:
             progress(Progress(report.resumed, tuple(report.problems)))
         said = set()
-        for frames, part in workers.run(sequence, settings, columns, missing, folder):
-            if part is not None:
-                report.add(part)
-                for kind, (name, message) in part.warnings.items():
-                    if kind not in said:
-                        said.add(kind)
-                        warn_caller(f"{name}: {message}")
-            if progress is not None:
-                progress(Progress(frames, () if part is None else part.problems))
+        with closing(workers.run(sequence, settings, columns, missing, folder)) as results:
+            for frames, part in results:
+                if part is not None:
+                    report.add(part)
+                    for kind, (name, message) in part.warnings.items():
+                        if kind not in said:
+                            said.add(kind)
+                            warn_caller(f"{name}: {message}")
+                if progress is not None:
+                    progress(Progress(frames, () if part is None else part.problems))
     report.problems.sort(key=lambda problem: problem.frame)
     return report
 
@@ -301,7 +302,7 @@ def _file(folder: Path, number: int) -> Path:
 
 
 class _Threads:
-    """Fits parts in threads of this process.
+    """Fits parts in threads of this process: of its own, for the reason that `rgbd_planes.threads` has.
 
     `run` yields the number of frames that were fitted since it last did, and a part, if one is done.
     """
@@ -312,25 +313,29 @@ class _Threads:
 
     def run(
         self, sequence: FrameSequence, settings: FitSettings, columns: Columns, tasks: list[Task], folder: Path
-    ) -> Iterator[tuple[int, Part | None]]:
-        stopped = threading.Event()
+    ) -> Generator[tuple[int, Part | None], None, None]:
+        to_do: SimpleQueue[Task] = SimpleQueue()
         fitted: SimpleQueue[None] = SimpleQueue()  # an item for each frame
-        waiting = iter(tasks)
-        executor = ThreadPoolExecutor(self.slots, thread_name_prefix="rgbd_planes_batch")
+        done: SimpleQueue[Part | BaseException] = SimpleQueue()
+        is_stopped = False
+        for task in tasks:
+            to_do.put(task)
 
-        def submit(task: Task) -> None:
-            frames, file = sequence[task[1] : task[2]], _file(folder, task[0])
-            work = partial(
-                fit_part, frames, task[1], settings, columns, file, stopped.is_set, partial(fitted.put, None)
-            )
-            try:
-                future = executor.submit(work)
-            except RuntimeError:
-                if threading.main_thread().is_alive():
-                    raise
-                future = Future()  # once the main thread has ended, no new thread can be started
-                future.set_result(work())
-            running[future] = task
+        def work_off() -> None:
+            while not is_stopped:
+                try:
+                    number, start, stop = to_do.get_nowait()
+                except Empty:
+                    return
+                frames, file = sequence[start:stop], _file(folder, number)
+                try:
+                    part = fit_part(
+                        frames, start, settings, columns, file, lambda: is_stopped, partial(fitted.put, None)
+                    )
+                except BaseException as error:  # the caller raises it
+                    done.put(error)
+                    return
+                done.put(part)
 
         def newly_fitted() -> int:
             count = fitted.qsize()
@@ -338,22 +343,32 @@ class _Threads:
                 fitted.get()
             return count
 
-        running: dict[Future[Part], Task] = {}
+        threads = [
+            Thread(target=work_off, name="rgbd_planes_batch", daemon=True) for _ in range(min(self.slots, len(tasks)))
+        ]
+        started: list[Thread] = []
         try:
-            for task in islice(waiting, 2 * self.slots):
-                submit(task)
-            while running:
-                done = wait(running, PROGRESS_SECONDS, FIRST_COMPLETED).done
-                if not done:
+            with suppress(RuntimeError):  # there are no more threads, by a limit or since the main thread has ended
+                for thread in threads:
+                    thread.start()
+                    started.append(thread)
+            if not started:
+                work_off()
+            left = len(tasks)
+            while left:
+                try:
+                    part = done.get(timeout=PROGRESS_SECONDS)
+                except Empty:
                     yield newly_fitted(), None
-                for future in sorted(done, key=running.__getitem__):  # one thread's are reported in order
-                    del running[future]
-                    yield newly_fitted(), future.result()
-                    for task in islice(waiting, 1):
-                        submit(task)
+                    continue
+                if isinstance(part, BaseException):
+                    raise part
+                left -= 1
+                yield newly_fitted(), part
         finally:
-            stopped.set()
-            executor.shutdown(cancel_futures=True)
+            is_stopped = True
+            for thread in started:
+                thread.join()
 
 
 class _Cluster:
@@ -366,7 +381,7 @@ class _Cluster:
 
     def run(
         self, sequence: FrameSequence, settings: FitSettings, columns: Columns, tasks: list[Task], folder: Path
-    ) -> Iterator[tuple[int, Part | None]]:
+    ) -> Generator[tuple[int, Part | None], None, None]:
         from distributed import as_completed
 
         waiting = iter(tasks)
