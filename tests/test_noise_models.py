@@ -3,6 +3,7 @@
 import pickle
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import monte_carlo
 import numpy as np
@@ -65,6 +66,15 @@ def test_a_jump_of_the_noise_is_one_from_the_lower_to_the_higher():
         sigma = with_noise.angle_std / without.angle_std
         assert sigma.min() > 1.9e-4
         assert sigma.max() < 2.2e-3
+
+
+@pytest.mark.parametrize(
+    ("inverse_depth", "says"),
+    [([0.25, 0.33, 0.4, 1.0, 2.0], "0.36 mm at 0.5 m, 8.9 mm at 2.5 m, 23 mm at 4 m"), ([0.5], "5.7 mm at 2 m")],
+)
+def test_a_model_that_was_estimated_shows_its_sigma_where_it_was_seen(inverse_depth, says):
+    evidence = SimpleNamespace(inverse_depth=np.array(inverse_depth))
+    assert repr(replace(rp.noise.kinect_v1(), evidence=evidence)) == f"<NoiseModel: sigma {says}>"
 
 
 def test_models_have_their_published_sigma_and_show_it():

@@ -141,7 +141,11 @@ class NoiseModel:
         # No Greek: printing letters that stdout's encoding lacks is an error, as into a file on Windows.
         parts = ["sigma by a function"]
         if self.formula is None:
-            sigmas = zip(1e3 * self.sigma_depth([0.5, 1.0, 2.0]), ("0.5", "1", "2"), strict=True)
+            depths = ["0.5", "1", "2"]
+            if self.evidence is not None:  # the nearest, the middle and the farthest that was seen
+                seen = 1.0 / np.quantile(self.evidence.inverse_depth, [1.0, 0.5, 0.0])
+                depths = list(dict.fromkeys(two_digits(depth) for depth in seen))
+            sigmas = zip(1e3 * self.sigma_depth([float(depth) for depth in depths]), depths, strict=True)
             parts = ["sigma " + ", ".join(f"{two_digits(sigma)} mm at {depth} m" for sigma, depth in sigmas)]
         if self.falloff:
             times = float(self._growth(_AT_30_DEGREES, 0.0)) ** 0.5
