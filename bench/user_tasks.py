@@ -305,11 +305,12 @@ def measure() -> dict[str, Any]:
             times: dict[str, list[float]] = {w: [] for w in runs}
             for _ in range(5):
                 for w, f in runs.items():
-                    for left in folder.glob("planes.parquet/*"):
-                        left.unlink()
-                    start = time.perf_counter()
-                    f(argument, camera)
-                    took = time.perf_counter() - start
+                    for _ in range(2):  # the first one after another library's finds the caches full of that
+                        for left in folder.glob("planes.parquet/*"):
+                            left.unlink()
+                        start = time.perf_counter()
+                        f(argument, camera)
+                        took = time.perf_counter() - start
                     times[w].append(f.seconds if isinstance(f, PclTask) else took)
             for w, f in runs.items():
                 ratio = statistics.median(t / o for t, o in zip(times[w], times["ours"], strict=True))

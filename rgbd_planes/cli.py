@@ -56,7 +56,7 @@ def _run(argv: list[str] | None) -> int:
             help=summary,
             description=textwrap.fill(summary, width),
             epilog=example.strip(),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_Formatter,
         )
         subparser.set_defaults(run=command(subparser))
     status: int | None = 0
@@ -123,6 +123,13 @@ class _Forgiving:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Breaks no line within rgbd-planes."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -868,7 +868,9 @@ def test_command_writes_the_table_and_says_what_it_did(recording, tmp_path, caps
     assert first.startswith("rgbd-planes batch: skipped frame 3, depth/3.png: ")
     assert last == "Skipped 1 of 30 frames."
     assert cli.main(arguments) == 1
-    assert capsys.readouterr().err.splitlines()[-1] == "What was skipped before is tried again with --retry."
+    written, err = capsys.readouterr()
+    assert "\n30 frames had been tried before.\n" in written
+    assert err.splitlines()[-1] == "What was skipped before is tried again with --retry."
     assert cli.main([*arguments, "--retry"]) == 1
     written, err = capsys.readouterr()
     assert written.startswith("29 of 30 frames, 725 rows: ")

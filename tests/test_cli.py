@@ -478,6 +478,7 @@ def test_help_shows_an_example(capsys, command, monkeypatch):
     out = capsys.readouterr().out
     assert f"example: rgbd-planes {command}" in out
     assert max(map(len, out.splitlines())) < 80
+    assert "rgbd-\n" not in out
     if command == "fit":
         assert all(method in out for method in METHODS)
 

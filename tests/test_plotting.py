@@ -343,7 +343,7 @@ def test_drawn_into_a_part_of_a_figure():
 def some_evidence(maps, cells):
     curve = np.ones(6)
     return NoiseEvidence(
-        windows=100, sizes=np.array([6, 8, 12, 24, 48, 96]), residuals=curve, expected=curve,
+        frames=2, windows=100, sizes=np.array([6, 8, 12, 24, 48, 96]), residuals=curve, expected=curve,
         inverse_depth=np.linspace(0.3, 1.0, 6), sigma=1e-3 * curve, sigma_fit=1e-3 * curve,
         p_values=np.linspace(0.0, 1.0, 100), noise_map=np.ones(maps), edge_growth=1.3,
         flatness=np.full(cells, 1e-3), flatness_count=np.full(cells, 100), flatness_std=np.full(cells, 1e-4),
@@ -417,10 +417,32 @@ def test_maps_of_evidence_are_drawn_where_it_lies(rng):
     lowest, highest = bias.get_images()[0].get_clim()
     assert highest == -lowest > 1.1  # 1e-3 / m, of which there is as much
     assert "±0.2e-3 / m" in bias.get_xlabel()
-    assert noise.get_xlabel().endswith("the model's grows to 1.3 times towards the edge")
+    assert "one frame" not in bias.get_xlabel()
+    assert noise.get_xlabel().endswith("the model's noise grows 1.3-fold towards the edge")
     bars = figure.axes[2].patches
     assert sum(bar.get_height() * bar.get_width() for bar in bars) == pytest.approx(1.0)
     assert bars[0].get_height() == pytest.approx(np.count_nonzero(evidence.p_values < 0.05) / 100 / 0.05)
+    figure = replace(evidence, frames=1).plot()
+    assert "of one frame" in figure.axes[-1].get_xlabel()
+    figure = replace(evidence, flatness=np.full((5, 6), np.nan)).plot()
+    assert [len(axes.child_axes) for axes in figure.axes[-2:]] == [1, 0]  # no scale of nothing
+
+
+def test_scales_have_arrows_where_values_are_beyond_them(rng):
+    evidence = some_evidence(maps=(3, 4), cells=(50, 60))
+    flatness = 1e-3 * rng.standard_normal((50, 60))
+    flatness[0, 0] = -2e-2
+    noise_map = np.where(np.arange(12).reshape(3, 4) == 5, 9.0, 1.0)
+    figure = replace(evidence, noise_map=noise_map, flatness=flatness).plot()
+    noise, bias = (axes.images[0].colorbar for axes in figure.axes if axes.get_xlabel().startswith("grey"))
+    assert (noise.extend, bias.extend) == ("max", "both")
+    camera = rp.Camera(width=80, height=60, fx=65.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=1000.0)
+    depth = scenes.room().render(camera).measure(seed=2)
+    depth[0, 0] = 40_000
+    normals, curvature = rp.normals(depth, camera), rp.curvature(depth, camera)
+    metres, _, bent = plot_surfaces(depth, camera, normals, curvature).axes[:3]
+    assert metres.images[0].colorbar.extend == "both"
+    assert bent.images[0].colorbar.extend == "both"
 
 
 def test_axes_in_the_place_of_a_figure():

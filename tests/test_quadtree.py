@@ -10,6 +10,7 @@ from matplotlib.colors import to_rgb
 
 import rgbd_planes as rp
 from rgbd_planes import scenes
+from rgbd_planes.plotting.quadtree import OUTLINES
 from rgbd_planes.quadtree import QuadtreeFitter
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
@@ -207,8 +208,6 @@ def test_figure_outlines_every_element_in_its_status_colour(camera, frame):
     from matplotlib.collections import PatchCollection
     from matplotlib.colors import to_rgba
 
-    from rgbd_planes.plotting.quadtree import OUTLINES
-
     segmentation = rp.segment_quadtree(frame, camera)
     figure = segmentation.plot(frame)
     outlines = [c for c in figure.axes[1].collections if isinstance(c, PatchCollection)]
@@ -228,10 +227,19 @@ def test_figure_outlines_elements_where_they_are_and_fills_them_by_cluster(camer
     panel = segmentation.plot(frame).axes[1]
     squares = f"{np.count_nonzero(elements.status == rp.TileStatus.OK)} squares fitted"
     assert panel.get_title() == f"{squares}, {len(segmentation.planes)} clusters"
-    drawn = [path.get_extents().extents for lines in panel.collections for path in lines.get_paths()]
-    top, left, height, width = elements.windows.T
-    inside = np.stack([left + 0.5, top + 0.5, left + width - 1.5, top + height - 1.5], axis=1)
-    np.testing.assert_allclose(sorted(map(tuple, drawn)), sorted(map(tuple, inside)))
+    drawn = np.array([path.get_extents().extents for lines in panel.collections for path in lines.get_paths()])
+    where = [elements.windows[elements.status == status] for status in OUTLINES]
+    top, left, height, width = np.concatenate(where).T
+    squares = np.stack([left - 0.5, top - 0.5, left + width - 0.5, top + height - 0.5], axis=1)
+    inset = (drawn - squares) * [1.0, 1.0, -1.0, -1.0]
+    np.testing.assert_allclose(inset, inset[:, :1] * np.ones(4), atol=1e-9)
+    assert (inset > 0.0).all()
+    # Lines touch neither their neighbours' nor most of what they outline.
+    panel.figure.draw_without_rendering()
+    points = 72.0 / panel.figure.dpi * panel.get_window_extent().width / camera.width
+    lines = np.concatenate([lines.get_linewidth() for lines in panel.collections]) / points
+    assert (lines < 1.1 * 2.0 * inset[:, 0]).all()
+    assert (inset[:, 0] + lines < 0.2 * width).all()
 
     picture = np.asarray(panel.get_images()[0].get_array())
     seen = frame > 0

@@ -251,6 +251,22 @@ def test_command_writes_everything(folder, capsys, depth):
     np.testing.assert_array_equal(Segmentation.load("planes.npz").labels, found.labels)
 
 
+def test_command_shows_the_largest_planes(folder, capsys, depth):
+    assert cli.main(["segment", "depth.png", "--camera", "camera.json"]) == 0
+    _, _, header, *lines = capsys.readouterr().out.splitlines()
+    found = segment(depth, CAMERA)
+    shown = np.array([line.split() for line in lines], float)
+    own = shown[:, 0].astype(int) - 1
+    assert sorted(found.sizes[own]) == sorted(found.sizes)[-5:]
+    assert (np.diff(shown[:, 1]) <= 0.0).all()
+    expected = np.column_stack([found.sizes, found.planes, found.angle_std, 1e3 * found.offset_std])[own]
+    np.testing.assert_allclose(shown[:, 1:], expected, rtol=0.051, atol=5.1e-4)
+    np.testing.assert_allclose(shown[:, 1:6], expected[:, :5], atol=5.1e-4)
+    assert all(len(line) == len(header) < 80 for line in lines)
+    assert cli.main(["segment", "depth.png", "--camera", "camera.json", "--min-size", "100000"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
 @pytest.mark.filterwarnings("default:the noise that is given")
 def test_command_passes_its_options_on(folder, capsys):
     arguments = ["segment", "depth.png", "--camera", "camera.json"]

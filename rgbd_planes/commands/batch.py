@@ -95,7 +95,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         done = f"{report.frames - len(report.problems)} of {counted(report.frames, 'frame')}"
         print(f"{done}, {counted(report.rows, 'row')}" + (f": {rows}." if rows else "."))
         if report.resumed:
-            print(f"{report.resumed} frames had been done before.")
+            done_or_not = "tried" if report.problems else "done"
+            print(f"{counted(report.resumed, 'frame')} had been {done_or_not} before.")
         total = sum(report.seconds.values())
         if total > 0.0:
             shares = ", ".join(f"{work} {percent(seconds / total)}" for work, seconds in report.seconds.items())

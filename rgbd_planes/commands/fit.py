@@ -45,7 +45,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
             num_threads=arguments.threads,
         )
         print(describe_tiles(tiles))
-        if camera.noise is None and arguments.max_error is None:
+        if camera.noise is None and arguments.max_error is None and tiles.fitted.any():
             print("Without the sensor's noise, tiles across edges are OK, too: rgbd-planes noise finds it.")
         if arguments.out is not None:
             if arguments.out.suffix.lower() == ".json":

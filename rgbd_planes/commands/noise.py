@@ -29,6 +29,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
 
     The frames should show walls, floors or tables at the depths that matter.
     One that cannot be read is reported and skipped, and makes the exit status 1.
+    What is printed is in the words of rgbd_planes.noise.NoiseModel.
     """
     parser.add_argument(
         "frames",

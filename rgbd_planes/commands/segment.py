@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rgbd_planes.commands.arguments import (
     FIGURES,
@@ -14,6 +15,11 @@ from rgbd_planes.commands.arguments import (
     read_frame,
     write_figure,
 )
+
+if TYPE_CHECKING:
+    from rgbd_planes import Segmentation
+
+_SHOWN = 5  # planes
 
 
 def segment(parser: argparse.ArgumentParser) -> Run:
@@ -56,6 +62,8 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         depth, camera, status = read_frame(arguments)
         found = segment_depth(depth, camera, noise=arguments.noise, min_size=arguments.min_size)
         print(f"{found._summary}.")
+        if len(found):
+            print(_largest(found))
         polygons = plane_polygons(found) if outlined else []
         if arguments.out is not None and arguments.out.suffix.lower() == ".npz":
             found.save(arguments.out)
@@ -75,3 +83,22 @@ def segment(parser: argparse.ArgumentParser) -> Run:
         return status
 
     return run
+
+
+def _largest(found: "Segmentation") -> str:
+    """A table of the largest planes."""
+    import numpy as np
+
+    from rgbd_planes.wording import two_digits
+
+    lines = ["The largest, with nx X + ny Y + nz Z + d = 0:"]
+    lines.append(
+        f"label {'pixels':>8} {'nx':>7} {'ny':>7} {'nz':>7} {'d, m':>8} {'std n, degrees':>15} {'std d, mm':>10}"
+    )
+    for i in np.argsort(-found.sizes, kind="stable")[:_SHOWN]:
+        nx, ny, nz, d = found.planes[i]
+        lines.append(
+            f"{i + 1:5} {found.sizes[i]:8} {nx:7.3f} {ny:7.3f} {nz:7.3f} {d:8.4g} "
+            f"{two_digits(found.angle_std[i]):>15} {two_digits(1e3 * found.offset_std[i]):>10}"
+        )
+    return "\n".join(lines)

@@ -27,8 +27,8 @@ class NoiseEvidence:
 
     Attributes
     ----------
-    windows : int
-        Number of flat windows, of 24 x 24 pixels.
+    frames, windows : int
+        Number of frames, and of flat windows, of 24 x 24 pixels.
     sizes : (S,) int64
         Sides of tiles; then, if there are any, of squares as large as the large planes of a frame.
     residuals, expected : (S,) float64
@@ -51,6 +51,7 @@ class NoiseEvidence:
         Standard deviation in 1/m that random errors alone, with what neighbouring pixels share of them, give each cell.
     """
 
+    frames: int
     windows: int
     sizes: npt.NDArray[np.int64]
     residuals: Floats
@@ -79,7 +80,7 @@ class NoiseEvidence:
         Parameters
         ----------
         figure : matplotlib Figure, optional
-            Drawn into; a new one by default.
+            Drawn into, with texts for 15 x 8.2 inches and ``layout="constrained"``; a new one by default.
         """
         from rgbd_planes.plotting.noise import plot_evidence
 
@@ -117,6 +118,7 @@ def evidence_of(
     np.add.at(numbers, chosen.place[1:], 1.0)
     bias, count, deviation = flatness(frames, large, wide)
     return NoiseEvidence(
+        frames=len(frames),
         windows=windows,
         sizes=sizes,
         residuals=np.sqrt(np.maximum(residuals, 0.0)),

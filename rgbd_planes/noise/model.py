@@ -153,7 +153,8 @@ class NoiseModel:
         if self.lateral:
             parts.append(f"lateral {self.lateral:.2g} pixels")
         for share, length in self.correlation:
-            parts.append(f"{two_digits(100.0 * share)} % correlated over {counted(length, 'pixel')}")
+            if share >= 1e-3:
+                parts.append(f"{two_digits(100.0 * share)} % correlated over {counted(length, 'pixel')}")
         if self.floor:
             parts.append(f"floor {self.floor:.2g} sigma over {counted(self.floor_length, 'pixel')}")
         if self.spread:

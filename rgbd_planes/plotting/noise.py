@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from rgbd_planes.checks import check_figure
 from rgbd_planes.noise.samples import REFERENCE
-from rgbd_planes.plotting.tiles import NotebookFigure
+from rgbd_planes.plotting.tiles import NotebookFigure, beyond
 from rgbd_planes.wording import two_digits
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     ----------
     evidence : NoiseEvidence
     figure : matplotlib Figure or SubFigure, optional
-        Drawn into; a new one by default.
+        Drawn into, with texts for 15 x 8.2 inches and ``layout="constrained"``; a new one by default.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     title = "Noise over the image, as a multiple of the model's"
     _draw_map(maps[0], evidence.noise_map, title, "nothing flat there", cmap="viridis", vmin=0.5, vmax=2.0)
     if evidence.edge_growth > 1.0:
-        note = f"     the model's grows to {two_digits(evidence.edge_growth)} times towards the edge"
+        note = f"     the model's noise grows {two_digits(evidence.edge_growth)}-fold towards the edge"
         maps[0].set_xlabel(maps[0].get_xlabel() + note, fontsize=9)
     bias = 1e3 * np.where(evidence.flatness_count >= 16, evidence.flatness, np.nan)
     some = np.isfinite(bias)
@@ -56,9 +56,11 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
         limit = max(float(np.quantile(np.abs(bias[some]), 0.98)), _PALE * chance)
         _draw_map(maps[1], bias, title, "no large plane", cmap="RdBu_r", vmin=-limit, vmax=limit)
         note = f"     chance alone: ±{two_digits(chance)}e-3 / m (standard deviation)"
+        if evidence.frames == 1:
+            note += "\nof one frame: what bends in the scene shows, too"
         maps[1].set_xlabel(maps[1].get_xlabel() + note, fontsize=9)
     else:
-        _draw_map(maps[1], bias, title, "no large plane", cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        _draw_map(maps[1], bias, title, "no large plane", cmap="RdBu_r")
     return figure
 
 
@@ -68,7 +70,7 @@ def _draw_depth(axes: "Axes", evidence: "NoiseEvidence") -> None:
     order = np.argsort(depth)
     axes.plot(depth[order], 1e3 * evidence.sigma_fit[order], color=_MODEL, label="model")
     axes.set_ylim(0.0, 1.15e3 * max(evidence.sigma.max(), evidence.sigma_fit.max()))
-    _finish(axes, "Residual of 1/Z in a tile of 12 pixels", "depth, m", "rms residual, 1e-3 / m")
+    _finish(axes, "Residual of 1/Z in tiles of 12 x 12 pixels", "depth, m", "rms residual, 1e-3 / m")
 
 
 def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
@@ -82,8 +84,8 @@ def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
     ticks = [size for size in (6, 8, 12, 24, 48, 96, 192, 384, 768) if size <= 1.2 * evidence.sizes.max()]
     axes.set_xticks(ticks, [str(size) for size in ticks])
     axes.set_ylim(0.0, 1.25 * max(evidence.residuals.max(), evidence.expected.max()))
-    title = "How far errors reach (rounding and lateral error apart)"
-    _finish(axes, title, "side of the tile or plane, pixels", "rms residual / σq")
+    title = "How far errors reach (without what rounding and slant add)"
+    _finish(axes, title, "side of the tile or plane, pixels", "rms residual / noise of a pixel")
 
 
 def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
@@ -97,10 +99,11 @@ def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
 def _draw_map(axes: "Axes", values: npt.NDArray[np.float64], title: str, grey: str, **style: Any) -> None:
     axes.set_facecolor((0.86, 0.86, 0.86))
     image = axes.imshow(np.ma.masked_invalid(values), interpolation="nearest", **style)
-    # Beside the map. A colour bar that takes its room from the axes would move the map to the side of its half of the
-    # figure, where titles that are wider than a narrow map are cut off.
-    wide = 0.05 * max(values.shape[0] / values.shape[1], 1.0)  # of the map's width: beside a narrow one no line
-    axes.figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.6 * wide, 0.075, wide, 0.85)))
+    if np.isfinite(values).any():
+        # Beside the map. A colour bar that takes its room from the axes would move the map to the side of its half of
+        # the figure, where titles that are wider than a narrow map are cut off.
+        wide = 0.05 * max(values.shape[0] / values.shape[1], 1.0)  # of the map's width: beside a narrow one no line
+        axes.figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.6 * wide, 0.075, wide, 0.85)), extend=beyond(image))
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(f"grey: {grey}", fontsize=9)
     axes.set_xticks([])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rgbd_planes.colours import MISSING
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.plotting.tiles import (
+    PANEL_INCHES,
     depth_limits,
     draw_fitted_depth,
     draw_legend_of_statuses,
@@ -32,6 +33,7 @@ OUTLINES = {
     TileStatus.ROUGH: "#3d7bff",
 }
 _SHADE = 0.55
+_PANEL_POINTS = 72.0 * PANEL_INCHES
 
 
 def plot_quadtree(
@@ -68,17 +70,22 @@ def plot_quadtree(
     picture = (1.0 - share) * base + share * palette[labels][..., :3]
     panels[1].imshow(np.where(np.isnan(picture), MISSING, picture), interpolation="nearest")
     counts = {status: int(np.count_nonzero(elements.status == status)) for status in OUTLINES}
+    points = _PANEL_POINTS / elements.camera.width  # of a pixel on paper
     for status, colour in OUTLINES.items():
+        of_status = elements.windows[elements.status == status]
+        widest = 0.9 if status == TileStatus.OK else 1.4
+        # Thinner around small squares, which lines would hide, and inset by half a line and as much between neighbours.
+        lines = np.minimum(widest, 0.06 * points * of_status[:, 3])
+        inset = lines / points
         panels[1].add_collection(
             PatchCollection(
-                # Inset by a pixel, so that neighbours' outlines do not cover each other.
                 [
-                    Rectangle((left + 0.5, top + 0.5), across - 2.0, down - 2.0)
-                    for top, left, down, across in elements.windows[elements.status == status]
+                    Rectangle((left - 0.5 + by, top - 0.5 + by), across - 2.0 * by, down - 2.0 * by)
+                    for (top, left, down, across), by in zip(of_status, inset, strict=True)
                 ],
                 facecolor="none",
                 edgecolor=colour,
-                linewidth=0.9 if status == TileStatus.OK else 1.4,
+                linewidth=lines,
             )
         )
     panels[1].set_title(f"{counts[TileStatus.OK]} squares fitted, {len(segmentation.planes)} clusters")

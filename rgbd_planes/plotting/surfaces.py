@@ -55,9 +55,9 @@ def plot_surfaces(
     norm = LogNorm(low, high, clip=True)
     image = panels[2].imshow(curvature, cmap=magma, norm=norm, interpolation="nearest")
     panels[2].set_title("Curvature (surface variation)")
-    label = "share of the points' variance across the plane\n(noise looks curved, too, if the window is small"
+    label = "share of the points' variance across the plane\n(noise looks curved if windows are small"
     # A plane across an edge runs along the rays, on which the points spread far.
-    label += ")" if avoid_edges else "; depth edges look flat)"
+    label += ")" if avoid_edges else "; edges look flat)"
     bar = draw_scale(legends[2], image, label)
     # Few enough to be legible, whatever the range: matplotlib's own overlap, or are missing.
     ticks = _round_numbers(low, high)

@@ -36,7 +36,7 @@ STATUS_MEANINGS = {
     TileStatus.ROUGH: "residual too large",
 }
 _LIGHT = np.array([-0.35, -0.65, -0.67])  # from above, over the camera's left shoulder
-PANEL_INCHES = 5.2  # wide
+PANEL_INCHES = 4.5  # wide
 _LEGEND_INCHES = 0.85
 
 
@@ -137,15 +137,20 @@ def _draw_depth(panel: Axes, legend: Axes, shown: Floats, label: str) -> None:
     nearest, farthest = depth_limits(shown)
     colours = colormaps["viridis_r"].with_extremes(bad=MISSING)
     image = panel.imshow(shown, cmap=colours, vmin=nearest, vmax=farthest)
-    beyond = bool(np.nanmin(shown, initial=nearest) < nearest), bool(np.nanmax(shown, initial=farthest) > farthest)
-    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(beyond, "neither")
-    draw_scale(legend, image, label, extend).ax.ticklabel_format(useOffset=False)
+    draw_scale(legend, image, label).ax.ticklabel_format(useOffset=False)
 
 
-def draw_scale(legend: Axes, image: AxesImage, label: str, extend: str = "neither") -> Colorbar:
-    """Draw the scale of an image's colours into the place for a legend; with arrows where colours ``extend``."""
+def beyond(image: Any) -> str:
+    """Where an image's values are beyond its colours, which arrows at their scale tell."""
+    (low, high), values = image.get_clim(), image.get_array()
+    below, above = bool((values < low).any()), bool((values > high).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
+def draw_scale(legend: Axes, image: AxesImage, label: str) -> Colorbar:
+    """Draw the scale of an image's colours into the place for a legend."""
     place = legend.inset_axes((0.1, 0.72, 0.8, 0.16))
-    bar = legend.figure.colorbar(image, cax=place, orientation="horizontal", extend=extend)
+    bar = legend.figure.colorbar(image, cax=place, orientation="horizontal", extend=beyond(image))
     bar.ax.tick_params(labelsize=9, length=2)
     bar.ax.set_xlabel(label, fontsize=9)
     return bar
