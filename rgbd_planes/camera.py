@@ -410,6 +410,11 @@ class Camera:
         ------
         TypeError, ValueError
             Naming the keys that are unknown or missing, or the invalid value.
+
+        Warns
+        -----
+        UserWarning
+            As `Camera`, of which that of a part of an image may lack the principal point.
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
@@ -446,6 +451,11 @@ class Camera:
         ------
         OSError, ValueError, TypeError
             Naming the file.
+
+        Warns
+        -----
+        UserWarning
+            As `from_dict`.
         """
         values = camera_formats.read_json(path)
         with naming(path):

@@ -218,11 +218,11 @@ def depth_scale_of(depth_units: float) -> float:
 
 def _realsense_model(model: Any) -> str:
     """The model's name, from librealsense's enum, its number, or one of the ways in which tools print it."""
-    if isinstance(model, int) and 0 <= model < len(_REALSENSE_MODELS):
+    if isinstance(model, (int, np.integer)) and not isinstance(model, bool) and 0 <= model < len(_REALSENSE_MODELS):
         return _REALSENSE_MODELS[model]
     name = str(getattr(model, "name", model)).lower().split(".")[-1].replace(" ", "_").replace("-", "_")
     name = name.removeprefix("rs2_distortion_")
-    if name not in _REALSENSE_MODELS:
+    if model is None or name not in _REALSENSE_MODELS:  # JSON's null is not the model called none
         raise ValueError(f"expected a RealSense model, one of {', '.join(_REALSENSE_MODELS)}, got {model!r}")
     return name
 

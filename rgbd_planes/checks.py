@@ -41,6 +41,9 @@ class FixedArguments:
                 )
             object.__setattr__(self, name, value)
 
+        def __delattr__(self, name: str) -> None:
+            raise AttributeError(f"expected no change of a {type(self).__name__}, got {name} deleted")
+
 
 def check_figure(figure: Any) -> None:
     """Raise TypeError unless it is a Matplotlib figure, or None for a new one."""
@@ -97,10 +100,14 @@ def check_max_error(max_error: float | None) -> float:
     return metres
 
 
+def _is_masked(values: Any) -> bool:
+    # Without their module, which takes time to import, there are no masked arrays.
+    return "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray)
+
+
 def plain_array(name: str, values: Any) -> NDArray[Any]:
     """Return anything but a masked array as an array: masked entries would otherwise be used as data."""
-    # Without their module, which takes time to import, there are no masked arrays.
-    if "numpy.ma" in sys.modules and isinstance(values, np.ma.MaskedArray):
+    if _is_masked(values):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
     try:
         return np.asarray(values)
@@ -192,9 +199,13 @@ def check_not_a_maker(noise: Any) -> None:
         raise TypeError(f"expected noise as a NoiseModel, got the function {name}: {name}(...) makes one")
 
 
+_NO_NUMBERS = (bool, str, bytes, bytearray, memoryview)  # most of which float takes
+
+
 def number(name: str, value: Any, *, finite: bool = True) -> float:
     """Return a number as a float."""
-    if isinstance(value, (bool, str, bytes)):
+    kind = getattr(getattr(value, "dtype", None), "kind", None)
+    if isinstance(value, _NO_NUMBERS) or kind in ("b", "c") or _is_masked(value):
         raise TypeError(f"expected {name} as a number, got {value!r}")
     try:
         made = float(value)
@@ -209,7 +220,9 @@ def number(name: str, value: Any, *, finite: bool = True) -> float:
 
 def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:
     """Return a sequence of numbers as floats."""
+    if isinstance(values, np.ndarray):
+        values = plain_array(name, values)
     listed = isinstance(values, Sequence) or (isinstance(values, np.ndarray) and values.ndim == 1)
-    if not listed or isinstance(values, (str, bytes)) or any(value is None for value in values):
+    if not listed or isinstance(values, _NO_NUMBERS) or any(value is None for value in values):
         raise TypeError(f"expected {name} as a sequence of numbers, got {values!r}")
     return tuple(number(name, value, finite=finite) for value in values)

@@ -80,7 +80,7 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
         raise ValueError(f"{path}: expected a path that ends in .png")
     image = plain_array("image", image)
     native = image.dtype.newbyteorder("=")
-    if image.ndim != 2 or native not in (np.uint8, np.uint16):
+    if image.ndim != 2 or not image.size or native not in (np.uint8, np.uint16):
         raise ValueError(f"expected an (H, W) image of uint8 or uint16, got {image.shape} of {image.dtype}")
     with write_beside(path) as beside:
         # Noise does not repeat: to look for more than runs takes up to nine times as long, and saves a seventh at most.

@@ -212,7 +212,7 @@ class PlaneFits:
         columns |= {name: planes[:, i] for i, name in enumerate(("nx", "ny", "nz", "d"))}
         uncertain = () if self.camera.noise is None else ("p_value", "angle_std", "offset_std")
         columns |= {name: getattr(self, name).ravel() for name in ("rmse", "rmse_metric", *uncertain)}
-        return self._places() | columns
+        return {name: np.array(column) for name, column in (self._places() | columns).items()}
 
     def _places(self) -> dict[str, npt.NDArray[Any]]:
         """The columns of a table that say which part of the frame a row is."""

@@ -222,7 +222,7 @@ def _polygon(
     tolerance: float,
     min_part: float,
 ) -> PlanePolygon:
-    plane = segmentation.planes[label - 1]
+    plane = segmentation.planes[label - 1].copy()
     normal, d = plane[:3], plane[3]
     origin = -d * normal
     # To the right in the image, as far as the plane allows; for a plane seen along the rows that is into the image, or

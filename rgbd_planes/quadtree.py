@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from rgbd_planes.kernels.merging import merge_by_four
 from rgbd_planes.merging import merge
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import TileStatus, allocate
+from rgbd_planes.saved import check_alike
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_windows
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.window_moments import WindowMoments
@@ -49,6 +50,20 @@ class QuadtreePlanes(WindowPlanes):
 
     def _places(self) -> dict[str, npt.NDArray[Any]]:
         return super()._places() | {"level": self.level}
+
+    @classmethod
+    def _kind(cls) -> str:
+        return WindowPlanes._kind()  # whose `load` reads these, too
+
+    def _content(self) -> tuple[dict[str, Any], Arrays]:
+        about, arrays = super()._content()
+        return about, {**arrays, "level": self.level}
+
+    @classmethod
+    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
+        windows, level = WindowPlanes._from_content(about, arrays), arrays["level"]
+        check_alike({"level": level}, {"level": np.empty(len(windows.windows), np.int64)})
+        return cls(level=level, **{f.name: getattr(windows, f.name) for f in fields(windows)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -96,7 +96,7 @@ class Scene:
         if motion.shape != (4, 4):
             raise ValueError(f"expected camera_to_scene of shape (4, 4), got {motion.shape}")
         object.__setattr__(self, "surfaces", surfaces)
-        object.__setattr__(self, "camera_to_scene", as_motion("camera_to_scene", motion))
+        object.__setattr__(self, "camera_to_scene", as_motion("camera_to_scene", motion).copy())
 
     def __repr__(self) -> str:
         return f"<Scene: {counted(len(self.surfaces), 'surface')}>"
@@ -263,15 +263,15 @@ class Rendering:
 
 
 def plane(normal: ArrayLike, distance: float) -> Scene:
-    """One infinite plane in front of the camera, given in camera coordinates.
+    """One infinite plane, given in camera coordinates.
 
     Parameters
     ----------
     normal : (3,) float
-        Any length, either direction.
+        Of any length, towards the camera, so with z below 0 for what the middle of the image sees. The opposite is
+        that of a plane behind the camera.
     distance : float
-        Of the plane from the camera centre, in metres; the plane is on the side that `normal` does not
-        point to: n·X + distance = 0.
+        Of the plane from the camera centre, in metres: n·X + distance = 0.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def polygon(name: str, vertices: ArrayLike) -> Surface:
     return Surface(name, np.append(normal, -normal @ points[0]), sides)
 
 
-def box(name: str, foot: Sequence[float], size: Sequence[float], turn: float = 0.0) -> tuple[Surface, ...]:
+def box(name: str, foot: ArrayLike, size: ArrayLike, turn: float = 0.0) -> tuple[Surface, ...]:
     """Six faces of a box that stands upright (y points down).
 
     Parameters
@@ -363,7 +363,7 @@ def box(name: str, foot: Sequence[float], size: Sequence[float], turn: float = 0
     )
 
 
-def room(eye: Sequence[float] = (0.35, -1.5, -0.2), target: Sequence[float] = (-0.12, -0.8, 2.6)) -> Scene:
+def room(eye: ArrayLike = (0.35, -1.5, -0.2), target: ArrayLike = (-0.12, -0.8, 2.6)) -> Scene:
     """A furnished room: the scene of the demo, the tests and the benchmarks.
 
     Floor, ceiling, three walls, a desk with a screen, a cabinet, cartons and a leaning board, all within
@@ -401,7 +401,7 @@ def room(eye: Sequence[float] = (0.35, -1.5, -0.2), target: Sequence[float] = (-
     return Scene(shell + furniture, look_at(eye, target))
 
 
-def look_at(eye: Sequence[float], target: Sequence[float]) -> Floats:
+def look_at(eye: ArrayLike, target: ArrayLike) -> Floats:
     """The (4, 4) motion from camera to scene coordinates of a camera held level (scene y points down).
 
     Parameters
@@ -418,7 +418,7 @@ def look_at(eye: Sequence[float], target: Sequence[float]) -> Floats:
     forward = _three("target", target) - position
     right = np.cross((0.0, 1.0, 0.0), forward)
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
-        raise ValueError(f"the camera must look somewhere, not straight up or down, got eye {eye}, target {target}")
+        raise ValueError(f"the camera must look somewhere, not straight up or down, got eye {eye!r}, target {target!r}")
     forward /= np.linalg.norm(forward)
     right /= np.linalg.norm(right)
     motion = np.eye(4)

@@ -217,8 +217,8 @@ def to_ros_planes(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
 
     Raises
     ------
-    TypeError
-        It is neither a `Segmentation` nor a `LabelPlanes`.
+    TypeError, ValueError
+        It is neither a `Segmentation` nor a `LabelPlanes`, or `frame_id` or `stamp` is none.
     """
     _check(segmentation)
     return ros_planes(segmentation.planes[_fitted(segmentation)], frame_id, stamp)
@@ -253,8 +253,8 @@ def to_ros_labels(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
 
     Raises
     ------
-    TypeError
-        It is neither a `Segmentation` nor a `LabelPlanes`.
+    TypeError, ValueError
+        It is neither a `Segmentation` nor a `LabelPlanes`, or `frame_id` or `stamp` is none.
     """
     _check(segmentation)
     labels = segmentation.labels.astype("<i4")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -87,6 +87,8 @@ class TilePlanes(Savable, PlacedFits):
         ------
         TypeError
             The planes are those of a single frame, or it is no whole number and no slice.
+        IndexError
+            There are not so many frames.
         """
         if len(self.shape) != 3:
             raise TypeError(
@@ -132,6 +134,9 @@ class TilePlanes(Savable, PlacedFits):
         if len(self.shape) != 3:
             raise TypeError("the planes of a single frame have no length; see .shape")
         return self.shape[0]
+
+    def __iter__(self) -> Iterator[TilePlanes]:
+        return (self[i] for i in range(len(self)))
 
     def __repr__(self) -> str:
         *frames, rows, columns = self.shape

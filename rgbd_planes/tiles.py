@@ -8,7 +8,7 @@ import math
 import operator
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -201,7 +201,7 @@ class TileFitter(FixedArguments):
         UserWarning
             As `fit_tiles`, for each frame.
         """
-        if not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
+        if isinstance(frames, Mapping) or not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
             raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any")
         if len(frames) == 0:
             raise ValueError("expected at least one frame, got none")
@@ -442,7 +442,7 @@ def fit_tiles(
     Warns
     -----
     UserWarning
-        Most likely something is not meant as it is, which a `TileFitter` says once:
+        Most likely something is not meant as it is:
 
         - The unit of the frame: its typical depth is above 50 m, or all of its depths are below 2 cm, or it has 8 bits
           and ends before 1 m, as a picture does. A ``depth_range`` that reaches beyond 50 m, or ends below those
@@ -453,7 +453,7 @@ def fit_tiles(
           largest of 16 bits; one beyond 50 m and more than three times as far as all else in the frame, such as the
           1e10 of a renderer's sky, unless the ``depth_range`` reaches beyond 50 m; a disparity of 0 or less.
         - The direction of z: all depths are negative.
-        - The unit of the camera's noise model: it says more than a fifth of 1/Z.
+        - The unit of the camera's noise model: it says more than a fifth of 1/Z. A `TileFitter` asks one frame for it.
     """
     fitter = TileFitter(
         camera,

@@ -160,7 +160,7 @@ def angle_between(
     first, second = _planes("planes", planes)[..., :3], _planes("other_planes", other_planes)[..., :3]
     first_covariance = _covariance("plane_covariance", plane_covariance)[..., :3, :3]
     second_covariance = _covariance("other_covariance", other_covariance)[..., :3, :3]
-    _leading(
+    leading = _leading(
         planes=first.shape[:-1],
         plane_covariance=first_covariance.shape[:-2],
         other_planes=second.shape[:-1],
@@ -180,7 +180,8 @@ def angle_between(
         both = np.broadcast_to(np.where(np.isfinite(both), both, 0.0), (*alike.shape, 3, 3))
         variance = np.array(variance)
         variance[alike] = np.linalg.eigvalsh(both[alike])[:, -1]
-    return np.degrees(angle), np.degrees(np.sqrt(np.maximum(variance, 0.0)))
+    std = np.sqrt(np.maximum(variance, 0.0))
+    return np.broadcast_to(np.degrees(angle), leading).copy(), np.broadcast_to(np.degrees(std), leading).copy()
 
 
 def transform_planes(
@@ -220,7 +221,7 @@ def transform_planes(
     motion = as_motion("transform", shaped_array("transform", transform, (4, 4)))
     rotation, translation = motion[..., :3, :3], motion[..., :3, 3]
     pose = None if transform_covariance is None else shaped_array("transform_covariance", transform_covariance, (6, 6))
-    _leading(
+    leading = _leading(
         planes=plane.shape[:-1],
         plane_covariance=covariance.shape[:-2],
         transform=motion.shape[:-2],
@@ -245,7 +246,7 @@ def transform_planes(
         slope[..., 3, :3] = -np.sum(slope[..., :3, :3] * translation[..., :, None], axis=-2)
         slope[..., 3, 3:] = -normal
         moved_covariance = moved_covariance + slope @ pose @ np.swapaxes(slope, -1, -2)
-    return moved, moved_covariance
+    return np.broadcast_to(moved, (*leading, 4)).copy(), np.broadcast_to(moved_covariance, (*leading, 4, 4)).copy()
 
 
 def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple[Floats, Floats]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_bool, check_camera, check_choice
 from rgbd_planes.fitting import METHODS
@@ -49,7 +50,7 @@ def warmup(
     """
     given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
     check_camera(given)
-    # For frames of ones: a metre in every dtype, so that there is nothing to warn of.
+    # For frames of ones.
     small = Camera(
         8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
         depth_scale=1.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
@@ -57,13 +58,14 @@ def warmup(
     segment = check_bool("segment", segment)
     several = dtypes if isinstance(dtypes, Iterable) and not isinstance(dtypes, (str, type)) else [dtypes]
     several = [np.dtype(dtype) for dtype in several]
-    for method in methods if isinstance(methods, Iterable) and not isinstance(methods, str) else [methods]:
-        check_choice("method", method, METHODS)
-        fitter = TileFitter(small, 4, method, num_threads=1)
-        for dtype in several:
-            fitter.fit(np.ones(small.shape, dtype))
-    if segment:
-        _segment(small, several)
+    with collected_warnings([]):  # of a metre by this camera there may be something to warn of
+        for method in methods if isinstance(methods, Iterable) and not isinstance(methods, str) else [methods]:
+            check_choice("method", method, METHODS)
+            fitter = TileFitter(small, 4, method, num_threads=1)
+            for dtype in several:
+                fitter.fit(np.ones(small.shape, dtype))
+        if segment:
+            _segment(small, several)
 
 
 def _segment(small: Camera, dtypes: Sequence[DType]) -> None:

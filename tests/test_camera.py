@@ -682,6 +682,7 @@ def test_from_realsense():
         ("RS2_DISTORTION_BROWN_CONRADY", "brown_conrady"),
         (2, "inverse_brown_conrady"),
         (4, "brown_conrady"),
+        (np.int64(4), "brown_conrady"),
     ],
 )
 def test_from_realsense_models(model, expected):
@@ -697,7 +698,7 @@ def test_from_realsense_of_a_fisheye():
 
 def test_from_realsense_without_a_lens():
     assert Camera.from_realsense(realsense(model=0)) == Camera.from_realsense(realsense())  # RS2_DISTORTION_NONE
-    for unknown in (-1, 6):
+    for unknown in (-1, 6, None, False, np.int64(6)):
         with pytest.raises(ValueError, match="model"):
             Camera.from_realsense(realsense(model=unknown))
 

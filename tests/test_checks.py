@@ -347,6 +347,27 @@ def test_what_is_prepared_from_its_arguments_refuses_others(made, name, value):
     assert vars(made) == before
 
 
+@pytest.mark.parametrize(
+    "value", [np.True_, np.array(True), np.complex64(0.5), bytearray(b"0.5"), memoryview(b"0.5"), np.ma.masked]
+)
+def test_what_python_takes_for_a_number(value):
+    with pytest.raises(TypeError, match="max_missing as a number"):
+        rp.fit_tiles(DEPTH, CAMERA, max_missing=value)
+    with pytest.raises(TypeError, match="expected fx as a number"):
+        replace(CAMERA, fx=value)
+
+
+@pytest.mark.parametrize("values", [np.ma.array([65535, 7], mask=[True, False]), np.array([7 + 1j]), b"77"])
+def test_what_numpy_takes_for_numbers(values):
+    with pytest.raises(TypeError, match=r"invalid_values|masked array"):
+        replace(CAMERA, invalid_values=values)
+
+
+def test_two_bytes_are_no_size_of_a_tile():
+    with pytest.raises(TypeError, match="tile must be a whole number of pixels or"):
+        rp.fit_tiles(DEPTH, CAMERA, b"88")
+
+
 def test_faces_of_points_that_are_not_there(tmp_path):
     for faces in ([[0, 1, 3]], [[0, 1, -1]], [[0, 1]], [[0.0, 1.0, 2.0]], [[0] * 256]):
         with pytest.raises(ValueError, match="faces must be"):
@@ -373,6 +394,17 @@ def test_frames_need_a_camera():
         sequences.FrameSequence([sequences.FrameEntry("a", 0.0, "camera", 0)], np.zeros)
     with pytest.raises(TypeError, match="expected the name of a FrameEntry as a string, got 7"):
         sequences.FrameSequence([sequences.FrameEntry(7, 0.0, CAMERA, 0)], np.zeros)
+    with pytest.raises(TypeError, match="expected the timestamp of a FrameEntry as a number, got None"):
+        sequences.FrameSequence([sequences.FrameEntry("7", None, CAMERA, 0)], np.zeros)
+    with pytest.raises(TypeError, match="expected frames, as an iterable, got int"):
+        sequences.FrameSequence(5, np.zeros)
+    for use in (rp.FitSettings().rows_of_frame, rp.FitSettings(segments=True).check):
+        with pytest.raises(TypeError, match="expected a Camera, got str"):
+            use("camera.json")
+    with pytest.raises(TypeError, match="expected a sequence of frames, got dict"):
+        rp.TileFitter(CAMERA).fit_batch({"a": DEPTH})
+    with pytest.raises(ValueError, match="expected the scheduler's address as tcp://host:port, got 5"):
+        rp.fit_sequence(FRAMES, "out", scheduler=5)
     with pytest.raises(TypeError, match="expected progress as a function of a Progress, got 3"):
         rp.fit_sequence(FRAMES, "out", progress=3)
 
@@ -388,6 +420,7 @@ def test_frames_of_another_camera_are_refused(change):
         lambda frames: rp.TileFitter(camera).fit_batch(frames),
         lambda frames: list(rp.TileFitter(camera).fit_stream(frames)),
         lambda frames: rp.estimate_noise(frames, camera),
+        lambda frames: next(rp.segment_sequence(frames, camera)),
     ):
         with pytest.raises(ValueError, match=message):
             use([frame])

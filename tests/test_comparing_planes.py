@@ -120,6 +120,29 @@ def test_propagation_against_draws(two_planes, rng):
             rp.uncertainty.transform_planes(plane, covariance, no_motion)
 
 
+def test_shapes_are_those_that_all_arguments_broadcast_to():
+    """So that planes and their covariances are as many, whatever is one for all; and what comes is the caller's own."""
+    planes, covariances = np.tile(UNIT, (5, 1)), np.tile(1e-6 * np.eye(4), (5, 1, 1))
+    poses = np.tile(1e-6 * np.eye(6), (5, 1, 1))
+    for arguments in (
+        (planes, None, np.eye(4)),
+        (UNIT, covariances, np.eye(4)),
+        (UNIT, covariances[0], np.tile(np.eye(4), (5, 1, 1))),
+        (UNIT, covariances[0], np.eye(4), poses),
+        (planes[:, None], covariances[:1], np.eye(4)),
+    ):
+        moved, covariance = rp.uncertainty.transform_planes(*arguments)
+        shape = (5, 1) if len(moved.shape) == 3 else (5,)
+        assert (moved.shape, covariance.shape) == ((*shape, 4), (*shape, 4, 4))
+        moved[0], covariance[0] = 7.0, 7.0
+        assert (moved.reshape(-1, 4)[1] == UNIT).all()
+    for arguments in ((UNIT, covariances, UNIT, None), (UNIT, None, planes, None), (planes, covariances, UNIT, None)):
+        angle, std = rp.uncertainty.angle_between(*arguments)
+        assert angle.shape == std.shape == (5,)
+    angle, std = rp.uncertainty.angle_between(UNIT, covariances[0], UNIT, covariances[0])
+    assert angle.shape == std.shape == ()
+
+
 def test_a_turn_about_a_point_of_the_plane_leaves_its_distance_certain():
     """A pose's rotation and translation may err together."""
     motion = np.eye(4)

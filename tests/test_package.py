@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -208,6 +209,15 @@ for scene in (scenes.room(), scenes.room((0.1, -1.5, 0.0)), scenes.plane((0.0, 0
 print({k: v for k, v in compiled().items() if v != before[k]})
 """
     assert printed_by(code).strip() == "{}"
+
+
+def test_warmup_does_not_doubt_a_camera():
+    """Whatever the noise would be at the depth that its frames happen to have."""
+    disparity = (1.0 / (16.0 * 500.0 * 0.1), 0.0)
+    camera = make_camera(depth_scale=None, disparity=disparity, noise=rp.noise.stereo(0.1, 500.0, 0.25))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rp.warmup(camera)
 
 
 @pytest.mark.parametrize("many", ["fit", "fit_batch", "fit_stream"])

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,10 @@ def of_windows(depth, camera):
     return rp.fit_windows(depth, camera, WINDOWS, "standard_pca")
 
 
+def of_elements(depth, camera):
+    return rp.segment_quadtree(depth, camera, 8, max_subdivisions=2).elements
+
+
 def of_labels(depth, camera):
     return rp.fit_labels(depth, camera, np.arange(depth.size).reshape(depth.shape) // 1000 * (depth > 1.6))
 
@@ -84,7 +89,7 @@ def of_unions_of_windows(depth, camera):
     return rp.merge(of_windows(depth, camera), [1, 1, 0, 2])
 
 
-@pytest.mark.parametrize("fit", [of_windows, of_labels, of_unions, of_unions_of_windows])
+@pytest.mark.parametrize("fit", [of_windows, of_elements, of_labels, of_unions, of_unions_of_windows])
 @pytest.mark.parametrize(
     "noise",
     [
@@ -103,7 +108,7 @@ def test_fits_of_all_kinds_are_saved(fit, noise, tmp_path, rng):
     loaded = type(made).load(tmp_path / "planes.npz")
     assert (loaded.camera, loaded.method, repr(loaded)) == (made.camera, made.method, repr(made))
     every = ["planes", "alpha", "rmse", "rmse_metric", "valid_count", "status", "_moments", "_reference", "_footprint"]
-    every += ["windows"] if fit is of_windows else ["labels"]
+    every += {of_windows: ["windows"], of_elements: ["windows", "level"]}.get(fit, ["labels"])
     every += ["p_value", "plane_covariance", "angle_std"] if noise is not None else []
     for name in every:
         np.testing.assert_array_equal(getattr(loaded, name), getattr(made, name))
@@ -120,9 +125,34 @@ def test_fits_of_all_kinds_are_saved(fit, noise, tmp_path, rng):
     np.testing.assert_array_equal(type(made).load(tmp_path / "other.npz").p_value, changed[1].p_value)
 
 
+def test_elements_of_a_quadtree_are_windows(tmp_path, rng):
+    camera = make_camera()
+    depth = make_depth(camera, rng)
+    elements, windows = of_elements(depth, camera), of_windows(depth, camera)
+    elements.save(tmp_path / "planes.npz")
+    loaded = rp.WindowPlanes.load(tmp_path / "planes.npz")
+    np.testing.assert_array_equal(loaded.windows, elements.windows)
+    windows.save(tmp_path / "windows.npz")
+    with pytest.raises(ValueError, match=r"windows\.npz: not a file that QuadtreePlanes\.save wrote"):
+        type(elements).load(tmp_path / "windows.npz")
+
+
+@pytest.mark.parametrize("fit", [rp.fit_tiles, of_windows, of_elements, of_labels, of_unions, rp.segment])
+def test_tables_are_the_caller_s_own(fit, rng):
+    camera = make_camera(noise=rp.noise.kinect_v1())
+    made = fit(make_depth(camera, rng), camera)
+    table, again = made.to_table(), made.to_table()
+    for column in table.values():
+        column[...] = column[-1]
+    for name, column in made.to_table().items():
+        np.testing.assert_array_equal(column, again[name])
+
+
 @pytest.mark.parametrize(
     ("fit", "name", "change"),
     [
+        (of_elements, "level", lambda of: of[1:]),
+        (of_elements, "level", lambda of: of.astype(float)),
         (of_windows, "windows", lambda of: of + np.array([0, 0, 100, 0])),
         (of_windows, "windows", lambda of: of[1:]),
         (of_windows, "windows", lambda of: of.astype(float)),
@@ -282,6 +312,8 @@ def test_batch_is_indexed_by_frame(rng):
     assert repr(stack).startswith("<TilePlanes: 3 frames of 3 x 4 tiles")
     assert list(stack.to_table()["frame"]) == [0] * 12 + [1] * 12 + [2] * 12
     np.testing.assert_array_equal(stack[-1].planes, stack.planes[2])
+    assert isinstance(stack, Iterable)
+    assert all(np.array_equal(one.planes, own) for one, own in zip(stack, stack.planes, strict=True))
     assert repr(stack[:1]).startswith("<TilePlanes: 1 frame of 3 x 4 tiles")
     with pytest.raises(TypeError, match=r"batch of frames can be indexed, by a frame; .* such as \.planes"):
         stack[0][0, 0]

@@ -94,6 +94,7 @@ def test_coordinates_are_in_the_plane() -> None:
     found = segment(board(CAMERA)[0].depth, CAMERA)
     assert len(found) == 2
     for own in plane_polygons(found):
+        assert not np.shares_memory(own.plane, found.planes)
         assert own.axes @ own.axes.T == pytest.approx(np.eye(2), abs=1e-12)
         assert own.axes @ own.plane[:3] == pytest.approx([0.0, 0.0], abs=1e-12)
         assert own.axes[0, 0] > 0

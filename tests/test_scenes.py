@@ -317,6 +317,10 @@ def test_a_scene_of_a_list_and_a_pose_of_lists():
     given = scenes.Scene(list(room.surfaces), room.camera_to_scene.tolist())
     assert given.surfaces == room.surfaces
     assert np.array_equal(given.render(small_camera()).depth, room.render(small_camera()).depth)
+    pose = np.eye(4)
+    scene = scenes.Scene([SHEET], pose)
+    pose[0, 3] = 7.0
+    assert np.array_equal(scene.camera_to_scene, np.eye(4))
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,18 @@ def test_noise_in_other_units_is_doubted(room, noise, warns):
     assert [("most likely it is not in 1/m" in str(one.message)) for one in told] == [True] * warns
 
 
+def test_a_function_of_noise_may_work_in_place(room):
+    def in_place(q):
+        q *= 1e-3
+        return q
+
+    _, depth = room
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = segment(depth, CAMERA, noise=in_place)
+    assert np.array_equal(found.labels, segment(depth, CAMERA, noise=lambda q: 1e-3 * q).labels)
+
+
 def test_noise_can_be_given():
     rng = np.random.default_rng(10)
     q, _ = two_planes(CAMERA, 0.01)

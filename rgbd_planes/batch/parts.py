@@ -15,7 +15,7 @@ from rgbd_planes.batch.digest import of_files, stamps
 from rgbd_planes.batch.rows import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_bool, check_choice, check_max_error, check_share
+from rgbd_planes.checks import check_bool, check_camera, check_choice, check_max_error, check_share
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import write_beside
@@ -89,11 +89,13 @@ class FitSettings:
         ]
         if of_others:
             raise ValueError(f"{fitted} take no options of {others}, got {', '.join(of_others)}")
+        check_camera(camera)
         if not self.segments:
             _fitter.__wrapped__(camera, self)  # what is no camera may not be hashable
 
     def rows_of_frame(self, camera: Camera) -> int:
         """Number of tiles of a frame; 1 for segments, of which there are few."""
+        check_camera(camera)
         if self.segments:
             return 1
         rows, columns = grid_shape(camera, check_tile(self.tile, camera.shape))

@@ -412,7 +412,7 @@ def _workers(scheduler: str | None, num_threads: int | None, settings: FitSettin
     if scheduler is None:
         yield _Threads(num_threads, settings)
         return
-    if not re.fullmatch(r"\w+://.+:\d+", scheduler):
+    if not (isinstance(scheduler, str) and re.fullmatch(r"\w+://.+:\d+", scheduler)):
         raise ValueError(f"expected the scheduler's address as tcp://host:port, got {scheduler!r}")
     with needs("distributed", "dask"):
         from distributed import Client

@@ -241,7 +241,17 @@ class NoiseModel:
         size : (..., 2) array_like, optional
             Height and width of the rectangles among whose pixels these lie. Where some are missing, they may be missing
             in one piece, which leaves a rectangle of these proportions, or here and there: the case with larger errors
-            counts. Without it the pixels are full squares.
+            counts. Without it the pixels are full squares. The shapes broadcast.
+
+        Returns
+        -------
+        ResidualStatistics
+            Of arrays of the shape that `count` and `size` broadcast to.
+
+        Raises
+        ------
+        TypeError, ValueError
+            They are no numbers, or have shapes that do not broadcast.
         """
         n = np.asarray(count, np.float64)
         if self.is_independent:
@@ -299,7 +309,7 @@ class NoiseModel:
         if not isinstance(values, Mapping) or not set(values) <= known:
             raise ValueError(f"expected a noise model with the keys {', '.join(sorted(known))}, got {values!r}")
         model = cls(**values)
-        if not {"coefficients", "samples"} & set(values):
+        if values.get("coefficients") is None and values.get("samples") is None:
             raise ValueError(f"expected a noise model with coefficients or samples, got {dict(values)!r}")
         return model
 

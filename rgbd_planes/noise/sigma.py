@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.caller_warnings import warn_caller
+from rgbd_planes.checks import real_array
 
 # Share of 1/Z that no sensor's noise reaches, between what is nearest in a frame and twice as far away.
 TOO_LARGE = 0.2
@@ -27,7 +28,7 @@ def check_noise(sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool 
 
 def for_each(sigma: Any, inverse_depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what a function gave for inverse depths as floats, one for each; a single number counts for all."""
-    made = np.asarray(sigma, np.float64)
+    made = real_array("noise", sigma)
     try:
         return np.broadcast_to(made, inverse_depth.shape)
     except ValueError:

@@ -123,7 +123,7 @@ def _table(given: Given, nearest: float) -> Floats:
     q = np.linspace(0.0, nearest, ENTRIES)
     flattest = FLATNESS * q
     q = np.maximum(q, max(0.5 * q[1], min(SMALLEST, nearest) if given.at_large else 0.0))  # no function need know 0
-    table = np.maximum(check_noise(given.sigma(q), q, finite=False), flattest)
+    table = np.maximum(check_noise(given.sigma(q.copy()), q, finite=False), flattest)
     result = "standard deviations are far too large" if given.at_large else "nearly all things are one plane, or none"
     warn_of_large_noise(table[MIDDLE], q[MIDDLE], result)
     return table

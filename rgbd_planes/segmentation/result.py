@@ -199,12 +199,9 @@ class Segmentation(Savable):
         """
         return {
             "label": np.arange(1, len(self) + 1),
-            "size": self.sizes,
-            "nx": self.planes[:, 0],
-            "ny": self.planes[:, 1],
-            "nz": self.planes[:, 2],
-            "d": self.planes[:, 3],
-            "rmse": self.rmse,
+            "size": self.sizes.copy(),
+            **dict(zip(("nx", "ny", "nz", "d"), self.planes.T.copy(), strict=True)),
+            "rmse": self.rmse.copy(),
             "rmse_metric": self.rmse_metric,
             "angle_std": self.angle_std,
             "offset_std": self.offset_std,

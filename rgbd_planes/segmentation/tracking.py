@@ -90,7 +90,8 @@ def segment_sequence(
     frames : iterable of (H, W) array_like, or of Frame
         Read one at a time; see `segment`. A sequence of `open_sequence` gives frames with their cameras.
     camera : Camera, optional
-        Of all frames. Frames that bring their own camera need none.
+        Of all frames; that of a frame which brings its own must have the same rays and unit. Without it, each frame
+        must bring its own.
     noise, min_size
         See `segment`.
     memory : int
@@ -110,20 +111,17 @@ def segment_sequence(
     tracker = PlaneTracker(memory)
 
     def follow(number: int, frame: Any) -> TrackedSegmentation:
-        depth, own = _with_camera(frame, camera)
+        own = _camera_of(frame) if camera is None else camera
         given, least = check_settings(own, noise, min_size)
-        return tracker.follow(segment_frame(as_numbered_frame(number, depth, own), own, given, least))
+        return tracker.follow(segment_frame(as_numbered_frame(number, frame, own), own, given, least))
 
     return (follow(number, frame) for number, frame in enumerate(each_of(frames)))
 
 
-def _with_camera(frame: Any, camera: Camera | None) -> tuple[Any, Camera]:
-    """Return a frame's depth and its camera."""
-    if isinstance(frame, Frame):
-        return frame.depth, frame.camera if camera is None else camera
-    if camera is None:
+def _camera_of(frame: Any) -> Camera:
+    if not isinstance(frame, Frame):
         raise TypeError(f"segment_sequence needs a camera, or frames of a sequence, got {type(frame).__name__}")
-    return frame, camera
+    return frame.camera
 
 
 class PlaneTracker(FixedArguments):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera
+from rgbd_planes.checks import check_camera, each_of, number
 from rgbd_planes.files import MissingFolderError
 from rgbd_planes.images import read_depth
 from rgbd_planes.noise.model import NoiseModel
@@ -81,17 +81,19 @@ class FrameSequence(Sequence[Frame]):
     Raises
     ------
     TypeError
-        An entry is not a `FrameEntry`, its name not a string, its camera not a `Camera`, or `read` not a function.
+        An entry is not a `FrameEntry`, its name not a string, its timestamp not a number, its camera not a `Camera`, or
+        `read` not a function.
     """
 
     def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
-        self.entries = tuple(entries)
+        self.entries: tuple[FrameEntry, ...] = tuple(each_of(entries))
         self._read = read
         for entry in self.entries:
             if not isinstance(entry, FrameEntry):
                 raise TypeError(f"expected entries as FrameEntry(...), got {type(entry).__name__}")
             if not isinstance(entry.name, str):
                 raise TypeError(f"expected the name of a FrameEntry as a string, got {entry.name!r}")
+            number("the timestamp of a FrameEntry", entry.timestamp, finite=False)
         if not callable(read):
             raise TypeError(f"expected read as a function of a location, got {type(read).__name__}")
         for camera in {id(entry.camera): entry.camera for entry in self.entries}.values():
