@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -132,10 +133,20 @@ def test_what_is_wrong_with_a_recording(tmp_path, frames):
 def test_a_recording_that_ends_early_has_the_frames_before(tmp_path, frames):
     write_recording(tmp_path / "a.mkv", {"DEPTH": timed(frames)}, {"calibration.json": calibration()})
     whole = (tmp_path / "a.mkv").read_bytes()
-    (tmp_path / "a.mkv").write_bytes(whole[: -frames[0].nbytes // 2])
-    sequence = rp.open_sequence(tmp_path / "a.mkv")
+    missing = frames[0].nbytes // 2
+    (tmp_path / "a.mkv").write_bytes(whole[:-missing])
+    message = rf"a\.mkv: the recording lacks its last {missing} bytes: its first 3 frames can be read"
+    with pytest.warns(UserWarning, match=message) as told:
+        sequence = rp.open_sequence(tmp_path / "a.mkv")
+    assert told[0].filename == __file__
     for frame, expected in zip(sequence, frames[:3], strict=True):
         assert np.array_equal(frame.depth, expected)
+    segment = whole.index(bytes.fromhex("18538067")) + 4
+    unclosed = whole[:segment] + b"\x01" + 7 * b"\xff" + whole[segment + 8 :]  # by a recorder that was killed
+    (tmp_path / "a.mkv").write_bytes(unclosed[:-missing])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(rp.open_sequence(tmp_path / "a.mkv")) == 3
 
 
 def test_a_recording_in_the_place_of_another(tmp_path, frames):

@@ -9,13 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.extras import needs
 from rgbd_planes.files import existing_file, identity, naming, readable
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
+from rgbd_planes.wording import counted
 
 _RECORDING = "a Matroska recording"
 _TRACK = "DEPTH"
+_EBML, _SEGMENT = bytes.fromhex("1A45DFA3"), bytes.fromhex("18538067")  # the elements of a file, by their names
 _CALIBRATION = "calibration.json"
 # For each size (width, height) of a depth frame: side in pixels of the whole sensor, a square, and where in it the
 # frame begins, as in the Azure Kinect's SDK.
@@ -45,6 +48,11 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
         There is no such file.
     ValueError
         It is not a recording, or damaged; it has no depth, or several tracks of it; it has no calibration.
+
+    Warns
+    -----
+    UserWarning
+        Its end is missing, as after an incomplete copy, and the frames there.
     """
     source = existing_file(path).absolute()
     recording = _OpenRecording(source)
@@ -58,7 +66,26 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
         recording.close()
     if not entries:
         raise ValueError(f"{path}: expected depth frames, found none")
+    if missing := _missing_bytes(source):
+        left = counted(len(entries), "frame")
+        warn_caller(f"{path}: the recording lacks its last {counted(missing, 'byte')}: its first {left} can be read")
     return FrameSequence(entries, _read_frame)
+
+
+def _missing_bytes(path: Path) -> int:
+    """How much shorter a file is than its header says; 0 if that does not tell."""
+    with path.open("rb") as file:
+        end = 0
+        for name in (_EBML, _SEGMENT):  # the second element holds all but the first
+            file.seek(end)
+            found, first = file.read(4), file.read(1)
+            if found != name or not first:
+                return 0
+            length = 9 - first[0].bit_length()  # bytes of the element's size, of which the first bit that is set tells
+            size = int.from_bytes(first + file.read(length - 1), "big") & ((1 << 7 * length) - 1)
+            end = file.tell() + size
+    is_open = size == (1 << 7 * length) - 1  # of a recording that was never closed it is not known
+    return 0 if is_open else max(end - path.stat().st_size, 0)
 
 
 class _Location(NamedTuple):
