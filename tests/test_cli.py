@@ -1,5 +1,6 @@
 """The command line: what it prints and writes, and one line on stderr for whatever goes wrong."""
 
+import importlib
 import json
 import os
 import re
@@ -101,9 +102,11 @@ def test_demo_compares_tiles_that_end_before_their_middle_with_the_truth(tmp_pat
 
 def test_demo_says_what_can_be_pasted(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["demo", "--out", "d\u00e9mo dir", "--tile", "40"]) == 0
-    command = capsys.readouterr().out.splitlines()[-1]
-    assert cli.main(shlex.split(command)[1:]) == 0
+    assert cli.main(["demo", "--out", "d\u00e9mo dir", "--tile", "40x80"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert cli.main(shlex.split(said[-1])[1:]) == 0
+    (tiles,) = (line for line in said if "tiles of 40 x 80 pixels" in line)
+    assert capsys.readouterr().out.splitlines()[0] == tiles  # the same tiles
 
 
 def test_demo_with_tiles_as_large_as_the_frame(tmp_path, capsys):
@@ -126,6 +129,7 @@ def test_fit_writes_what_fit_tiles_returns(folder, capsys, method):
     assert np.array_equal(loaded.status, expected.status)
     assert len(np.unique(loaded.status)) > 1
     out = capsys.readouterr().out
+    assert out.startswith(f"25 tiles of 12 x 16 pixels by {method}: ")
     for status in rp.TileStatus:
         count = (expected.status == status).sum()
         assert (f"{count} {status.name}" in out) == (count > 0)
@@ -240,7 +244,8 @@ def test_noise_writes_over_no_file_of_the_folder_that_it_reads(folder, capsys, l
 def test_noise_is_a_name_or_a_number(folder, capsys):
     arguments = ["fit", "depth.png", "--camera", "camera.json", "--out", "p.npz", "--noise"]
     depth = images.read_depth("depth.png")
-    for given, model in [("kinect_v1", rp.noise.kinect_v1()), ("2e-3", rp.noise.NoiseModel((2e-3,)))]:
+    models = {"kinect_v1": rp.noise.kinect_v1(), "kinect_v1_nguyen": rp.noise.kinect_v1_nguyen()}
+    for given, model in (models | {"2e-3": rp.noise.NoiseModel((2e-3,))}).items():
         assert cli.main([*arguments, given]) == 0
         wanted = rp.fit_tiles(depth, replace(CAMERA, noise=model))
         np.testing.assert_array_equal(rp.TilePlanes.load("p.npz").p_value, wanted.p_value)
@@ -250,7 +255,7 @@ def test_noise_is_a_name_or_a_number(folder, capsys):
         assert [plane["plane"] for plane in json.loads((folder / "p.json").read_text())["planes"]] == wanted_planes
     capsys.readouterr()
     for command in (["fit", "depth.png"], ["segment", "depth.png"], ["batch", "here", "--out", "table"]):
-        for given in ("kinect", "-1", "0", "nan"):
+        for given in ("kinect", "-1", "0", "nan", "inf"):
             message = fails(capsys, *command, "--camera", "camera.json", "--noise", given)
             assert f"expected kinect_v1, kinect_v1_nguyen or a positive number in 1/m, got '{given}'" in message
     message = fails(capsys, "fit", "depth.png", "--camera", "camera.json", "--noise", "1e300")
@@ -299,6 +304,31 @@ def test_fit_draws(folder, suffix):
     start = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
     assert (folder / figure).read_bytes().startswith(start)
     assert sorted(os.listdir()) == ["camera.json", "depth.png", figure]
+
+
+def test_fit_draws_the_depth_as_measured(folder, monkeypatch):
+    figures = []
+    command = importlib.import_module("rgbd_planes.commands.fit")
+    monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--figure", "p.png"]) == 0
+    panel = figures[0].axes[0]
+    assert panel.get_title() == "Measured depth"
+    depth = images.read_depth("depth.png")
+    np.testing.assert_allclose(panel.get_images()[0].get_array()[depth > 0], depth[depth > 0] / 1000.0)
+
+
+def test_names_of_outputs_may_end_in_capitals(folder, capsys):
+    """Whatever the format is known by."""
+    camera = ["--camera", "camera.json"]
+    assert cli.main(["fit", "depth.png", *camera, "--out", "P.JSON", "--figure", "P.PNG"]) == 0
+    assert json.loads((folder / "P.JSON").read_text())["method"] == "range_explicit"
+    assert (folder / "P.PNG").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["segment", "depth.png", *camera, "--out", "S.NPZ", "--labels", "L.PNG"]) == 0
+    labels = rp.Segmentation.load("S.NPZ").labels
+    assert np.array_equal(np.asarray(Image.open("L.PNG")), labels)
+    capsys.readouterr()
+    os.rename("depth.png", "DEPTH.PNG")
+    assert "depth images need --camera" in fails(capsys, "noise", "DEPTH.PNG")
 
 
 def cut(name, share=0.5):
@@ -381,6 +411,10 @@ def test_a_frame_without_any_measurement_is_fitted_and_drawn(folder, capsys):
     np.save("depth.npy", some)
     assert cli.main(["fit", "depth.npy", "--camera", "camera.json"]) == 1
     assert capsys.readouterr().err.endswith("no pixel is a measurement: the values are -9 to -9\n")
+    some[:, ::10] = 1.5
+    np.save("depth.npy", some)
+    assert cli.main(["fit", "depth.npy", "--camera", "camera.json"]) == 0
+    assert "20 TOO_FEW; 10.0 % of the pixels are measured." in capsys.readouterr().out
     replace(CAMERA, depth_range=(20.0, 30.0)).save("far.json")
     for command in ("segment", "normals"):
         assert cli.main([command, "depth.png", "--camera", "far.json"]) == 1

@@ -1,6 +1,7 @@
 """Segmentations as files, and the command that writes them."""
 
 import base64
+import importlib
 import io
 import json
 import re
@@ -29,6 +30,7 @@ from rgbd_planes import (
 )
 from rgbd_planes.colours import NO_PLANE, label_colours
 from rgbd_planes.noise import kinect_v1
+from rgbd_planes.plotting.segments import label_image
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
 from rgbd_planes.sequences import FrameEntry, FrameSequence
@@ -265,6 +267,17 @@ def test_command_shows_the_largest_planes(folder, capsys, depth):
     assert all(len(line) == len(header) < 80 for line in lines)
     assert cli.main(["segment", "depth.png", "--camera", "camera.json", "--min-size", "100000"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def test_command_draws_planes_over_the_relief_of_the_depth(folder, depth, monkeypatch):
+    figures = []
+    command = importlib.import_module("rgbd_planes.commands.segment")
+    monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
+    assert cli.main(["segment", "depth.png", "--camera", "camera.json", "--figure", "planes.png"]) == 0
+    (image,) = figures[0].axes[0].get_images()
+    found = segment(depth, CAMERA)
+    np.testing.assert_allclose(image.get_array(), label_image(found, depth))
+    assert (label_image(found, depth) != label_image(found)).any()
 
 
 @pytest.mark.filterwarnings("default:the noise that is given")
