@@ -2,6 +2,7 @@
 
 import errno
 import functools
+import itertools
 import json
 import os
 import pickle
@@ -242,8 +243,11 @@ def test_one_row_a_segment(recording, tmp_path):
         assert list(rows.label) == list(range(1, len(expected) + 1))
         assert np.array_equal(rows[["nx", "ny", "nz", "d"]], narrow(expected.planes))
         assert np.array_equal(rows.valid_count, expected.sizes)
+        assert np.array_equal(rows.rmse, narrow(expected.rmse))
         assert np.array_equal(rows.rmse_metric, narrow(expected.rmse_metric))
-        assert np.array_equal(rows.cov_nz_d, narrow(expected.plane_covariance[:, 2, 3]))
+        for (i, a), (j, b) in itertools.combinations_with_replacement(enumerate(("nx", "ny", "nz", "d")), 2):
+            assert np.array_equal(rows[f"cov_{a}_{b}"], narrow(expected.plane_covariance[:, i, j]))
+        assert set(rows.status) == {"OK"}
         for row in rows.itertuples():
             y, x = np.nonzero(expected.labels == row.label)
             assert (row.top, row.left) == (y.min(), x.min())
@@ -527,6 +531,11 @@ def test_a_file_that_was_written_again_has_another_stamp(tmp_path):
     path.write_bytes(b"two")
     os.utime(path, ns=(0, path.stat().st_mtime_ns + 1_000_000))
     assert stamps(path) != first
+    stamp = path.stat()
+    earlier = stamps(path)
+    path.write_bytes(b"three")  # a copy that kept its time
+    os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert stamps(path) != earlier
 
 
 def test_rows_are_used_again_for_the_same_columns_only():
