@@ -156,6 +156,19 @@ def test_a_recording_in_the_place_of_another(tmp_path, frames):
         assert np.array_equal(rp.open_sequence(tmp_path / "a.mkv")[0].depth, these[0])
 
 
+def test_a_frame_that_another_recording_does_not_have_is_gone(tmp_path, frames):
+    """Whether there is one later or none."""
+    attached = {"calibration.json": calibration()}
+    write_recording(tmp_path / "a.mkv", {"DEPTH": timed(frames)}, attached)
+    sequence = rp.open_sequence(tmp_path / "a.mkv")
+    for left in ([0, 3], [0]):
+        write_recording(tmp_path / "b.mkv", {"DEPTH": [timed(frames)[i] for i in left]}, attached)
+        (tmp_path / "b.mkv").replace(tmp_path / "a.mkv")
+        assert np.array_equal(sequence[0].depth, frames[0])
+        with pytest.raises(ValueError, match=r"a\.mkv: the frame of 0\.133333 s is gone$"):
+            sequence[1]
+
+
 def test_without_the_library(tmp_path, monkeypatch):
     (tmp_path / "a.mkv").touch()
     monkeypatch.setitem(sys.modules, "av", None)

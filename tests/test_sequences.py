@@ -1,5 +1,6 @@
 """Readers of data sets and recordings: each on a small file of exactly its format, made here."""
 
+import io
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,8 +24,9 @@ from PIL import Image
 
 import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
-from rgbd_planes.sequences.bag import _decode_compressed, _OpenBag
-from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered
+from rgbd_planes.commands.arguments import read_sequence
+from rgbd_planes.sequences.bag import _decode, _decode_compressed, _OpenBag
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered, reason_to_skip
 from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
@@ -600,8 +603,6 @@ def test_rosbag_of_any_topic_that_can_be_read(tmp_path, frames):
 @pytest.mark.parametrize("name", ["ros1.bag", "ros2"])
 def test_rosbag_of_compressed_depth(tmp_path, frames, name):
     pytest.importorskip("rosbags")
-    import io
-
     path = tmp_path / name
     store, _ = type_store(path)
     frames = frames.copy()
@@ -854,3 +855,134 @@ def test_names_may_end_in_capitals(tmp_path, frames):
     with open(tmp_path / "3.NPY", "wb") as file:
         np.save(file, frames[2])
     same(sequences.folder(tmp_path, CAMERA), frames, CAMERA, ["1.PNG", "2.Tiff", "3.NPY"])
+
+
+def test_a_folder_with_a_camera_file_is_a_plain_folder(tmp_path, frames):
+    """Whatever else it looks like."""
+    write_tum(tmp_path / "freiburg1", frames)
+    CAMERA.save(tmp_path / "freiburg1" / "camera.json")
+    assert rp.open_sequence(tmp_path / "freiburg1").camera == CAMERA
+    for i, frame in enumerate(frames):
+        images.write_png(tmp_path / f"frame-{i:06d}.depth.png", frame)
+    (tmp_path / "a.gt.freiburg").touch()
+    CAMERA.save(tmp_path / "camera.json")
+    same(rp.open_sequence(tmp_path), frames, CAMERA)
+
+
+def test_commands_read_the_format_topic_and_camera_that_they_are_given(tmp_path, frames):
+    root = tmp_path / "freiburg1"
+    write_tum(root, frames)
+    CAMERA.save(root / "camera.json")
+    given = Namespace(camera=None, format="tum", topic=None)
+    assert read_sequence(given, root).camera == presets.tum_freiburg1()
+    given = Namespace(camera=root / "camera.json", format="tum", topic=None)
+    assert read_sequence(given, root).camera == CAMERA
+    pytest.importorskip("rosbags")
+    bag = tmp_path / "a.bag"
+    depth, _ = messages(type_store(bag)[0], frames)
+    other, _ = messages(type_store(bag)[0], frames[::-1])
+    times = range(1, len(frames) + 1)
+    write_bag(bag, {"/a/depth": list(zip(times, depth, strict=True)), "/b/depth": list(zip(times, other, strict=True))})
+    for format in (None, "rosbag"):
+        given = Namespace(camera=root / "camera.json", format=format, topic="/b/depth")
+        same(read_sequence(given, bag), frames[::-1], CAMERA, times=[100.5, 101.5, 3e-9])
+
+
+@pytest.mark.parametrize("suffix", ["pgm", "png"])
+def test_images_of_scannet_are_of_either_kind(tmp_path, frames, suffix):
+    """As either tool writes them; colour images beside them have other suffixes."""
+    (tmp_path / "python" / "depth").mkdir(parents=True)
+    (tmp_path / "cpp").mkdir()
+    for i, frame in enumerate(frames):
+        for file in (
+            tmp_path / "python" / "depth" / f"{i}.{suffix}",
+            tmp_path / "cpp" / f"frame-{i:06d}.depth.{suffix}",
+        ):
+            if suffix == "png":
+                images.write_png(file, frame)
+            else:
+                file.write_bytes(b"P5\n8 6\n65535\n" + frame.astype(">u2").tobytes())
+            file.with_suffix(".txt").touch()
+    for name in ("python", "cpp"):
+        same(sequences.scannet(tmp_path / name, CAMERA), frames, CAMERA)
+        with pytest.raises(ValueError, match=r"expected (intrinsic/intrinsic_depth|_info)\.txt, or a camera"):
+            sequences.scannet(tmp_path / name)
+
+
+@pytest.mark.parametrize("other", ["Image", "CameraInfo"])
+@pytest.mark.parametrize("name", ["a.bag", "ros2", "mcap"])
+def test_a_topic_of_a_type_that_ros_does_not_have_so_is_refused(tmp_path, frames, monkeypatch, name, other):
+    """Its bytes would be read as something else. Of a CameraInfo only where it is read."""
+    pytest.importorskip("rosbags")
+    path, kind = tmp_path / name, f"sensor_msgs/msg/{other}"
+    store, _ = type_store(path)
+    depth, info = messages(store, frames)
+    define, digest_of = type(store).generate_msgdef, type(store).hash_rihs01
+
+    def defined(self, typename, *arguments, **options):
+        text, digest = define(self, typename, *arguments, **options)
+        return text, "0" * 32 if typename == kind else digest
+
+    def digested(self, typename):
+        return "RIHS01_" + "0" * 64 if typename == kind else digest_of(self, typename)
+
+    monkeypatch.setattr(type(store), "generate_msgdef", defined)
+    monkeypatch.setattr(type(store), "hash_rihs01", digested)
+    write_bag(
+        path, {"/depth/image": [(i, message) for i, message in enumerate(depth)], "/depth/camera_info": [(0, info)]}
+    )
+    monkeypatch.undo()
+    topic = "/depth/image" if other == "Image" else "/depth/camera_info"
+    with pytest.raises(ValueError, match=rf"{name}: {topic}: expected {kind} as ROS defines it, got another$"):
+        rp.open_sequence(path)
+    if other == "CameraInfo":
+        assert np.array_equal(rp.open_sequence(path, CAMERA)[0].depth, frames[0])
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "mcap"])
+def test_a_message_that_another_bag_does_not_have_is_gone(tmp_path, frames, name):
+    """Where it has taken the place of the one that was opened."""
+    pytest.importorskip("rosbags")
+    depth, _ = messages(type_store(tmp_path / name)[0], frames)
+    for folder, count in (("long", 3), ("short", 2)):
+        (tmp_path / folder).mkdir()
+        write_bag(tmp_path / folder / name, {"/depth": [(10**9 * (i + 1), depth[i]) for i in range(count)]})
+    (tmp_path / "long" / name).rename(tmp_path / name)
+    sequence = rp.open_sequence(tmp_path / name, CAMERA)
+    assert len(sequence) == 3
+    (tmp_path / name).rename(tmp_path / "earlier")
+    (tmp_path / "short" / name).rename(tmp_path / name)
+    assert np.array_equal(sequence[1].depth, frames[1])
+    with pytest.raises(ValueError, match=rf"{name}: the message of 3\.000000 s is gone$"):
+        sequence[2]
+
+
+def test_an_image_of_a_bag_that_is_no_depth(tmp_path, frames):
+    """As one of colour among those of depth."""
+    with pytest.raises(ValueError, match=r"^expected the encoding 16UC1, mono16, 32FC1, got 'bgr8'$"):
+        _decode(SimpleNamespace(encoding="bgr8"))
+    png = io.BytesIO()
+    Image.fromarray(np.zeros((6, 8, 3), np.uint8)).save(png, "PNG")
+    colour = bytes(12) + png.getvalue()
+    for format, data, message in (
+        ("8UC1; compressedDepth png", colour, "expected depth compressed as PNG, 16UC1 or 32FC1, got '8UC1; comp"),
+        ("16UC1; compressedDepth RVL", colour, "expected depth compressed as PNG, 16UC1 or 32FC1, got '16UC1; comp"),
+        ("16UC1; compressedDepth png", colour, r"expected a depth image of one channel, got shape \(6, 8, 3\)"),
+        ("16UC1; compressedDepth png", colour[:5], "damaged compressed image"),
+    ):
+        with pytest.raises(ValueError, match=f"^{message}"):
+            _decode_compressed(SimpleNamespace(format=format, data=data))
+
+
+def test_of_no_frames_a_sequence_says_so(frames):
+    assert repr(FrameSequence([], frames.__getitem__)) == "<FrameSequence: no frames>"
+
+
+def test_the_name_of_a_frame_is_left_out_of_its_reason_but_not_half_of_another():
+    for words, reason in (
+        ("/data/1.png: truncated", "truncated"),
+        ("1.png: truncated", "truncated"),
+        ("/data/11.png: truncated", "/data/11.png: truncated"),
+        ("1.png: ", "1.png: "),
+    ):
+        assert reason_to_skip(ValueError(words), "1.png").strip() == reason.strip()
