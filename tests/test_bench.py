@@ -1,7 +1,9 @@
 """The benchmark counts what it says it counts, and its report holds what it measured. No time is asserted."""
 
+import dataclasses
 import json
 from collections import Counter
+from functools import partial
 
 import monte_carlo
 import numpy as np
@@ -11,15 +13,20 @@ from scipy import stats
 import rgbd_planes as rp
 from bench import (
     batch_throughput,
+    figures,
     first_call,
+    fitting,
     limits,
     measured,
     methods,
     operations,
     readme,
+    real_sensors,
     report,
     roofline,
+    segmentation,
     sequence,
+    timing,
     tracking,
     uncertainty_real,
 )
@@ -112,6 +119,10 @@ def test_report_holds_every_claim(quick_run):
         assert f"({name}.png)" in text
         assert (folder / f"{name}.png").stat().st_size > 5000
     assert result["segmentation"]["source"] == "rendered frames of a furnished room"
+    seconds, frames = (result["segmentation"][name] for name in ("seconds", "frames"))
+    for form in ("implicit", "explicit"):  # of a flight of five minutes, 30 frames a second
+        saved = (seconds[f"standard_{form}"] - seconds[f"range_{form}"]) / frames * 9000
+        assert result["time"][f"flight_seconds_saved_{form}"]["measured"] == pytest.approx(saved)
     assert result["machine"]["quick"] is True
 
 
@@ -259,7 +270,7 @@ def test_changes_of_ids_are_counted(monkeypatch):
     row = tracking.changes(views)
     assert row["frames"] == 4
     assert row["seen"] > row["large"] > 30
-    assert row["changed"] <= 2
+    assert row["large_changed"] <= row["changed"] <= 2
 
     def with_new_ids(frames, camera):
         for i, tracked in enumerate(rp.segment_sequence(frames, camera)):
@@ -268,6 +279,7 @@ def test_changes_of_ids_are_counted(monkeypatch):
     monkeypatch.setattr(tracking, "segment_sequence", with_new_ids)
     every = tracking.changes(views)
     assert every["changed"] == row["seen"] - row["surfaces"]
+    assert 0 < every["large_changed"] < row["large"] < every["changed"]
 
 
 def test_a_batch_is_measured():
@@ -277,6 +289,10 @@ def test_a_batch_is_measured():
     assert set(result["throughput"]) == {"fit_batch", "out", "memory", "long", "png", "bare"}
     assert result["work"]["memory"]["write"] + result["work"]["memory"]["fit"] > 0.5
     assert 30_000 < result["bytes_per_frame"] < 50_000
+    taken = result["milliseconds"]  # of one round, so that the median is what it took
+    for which, quartiles in result["throughput"].items():
+        assert quartiles == pytest.approx(3 * [taken["fit_batch"] / taken[which]])
+    assert result["bare_share"] == pytest.approx(taken["bare"] / taken["fit_batch"] / result["threads"])
     assert "256 frames" in batch_throughput.table(result)
 
 
@@ -293,3 +309,139 @@ def test_a_first_call_is_measured():
     for name in first_call.CALLS:
         assert 0.0 < result[name]["import"][0] < result[name]["first call"][0]
     assert "1 processes each" in first_call.table(result)
+
+
+@pytest.mark.parametrize("flushed", [False, True])
+def test_work_is_timed_once_a_round_after_two_runs_that_are_not(flushed):
+    """Or after what flushes the caches."""
+    calls = []
+    work = {name: partial(calls.append, name) for name in ("a", "b")}
+    times = timing.in_turns(work, 5, partial(calls.append, "before") if flushed else None)
+    round_ = ["before", "a", "before", "b"] if flushed else [*"aaabbb"]
+    assert calls == [*"ab", *(5 * round_)]
+    assert all(taken.fastest <= taken.median for taken in times.values())
+
+
+def test_times_of_parts_and_of_sums():
+    whole = timing.Times(2.0, 3.0)
+    assert whole.shared_by(4) == (0.5, 0.75)
+    assert whole.plus(timing.Times(1.0, 0.5)) == (3.0, 3.5)
+    assert timing.change(1.0, 4.0) == -75.0
+
+
+def test_times_are_written_in_units_that_fit_them():
+    written = {2.0: "2 s", 1.0: "1 s", 0.01234: "12.3 ms", 4.5e-5: "45 µs", 3e-8: "30 ns"}
+    assert {seconds: report._duration(seconds) for seconds in written} == written
+    assert [report._percent(value) for value in (-45.2, 15.0, None)] == ["−45 %", "+15 %", ""]
+
+
+def test_the_papers_figure_shows_how_much_less_time_range_space_takes():
+    seconds = {
+        "standard_implicit_integral": [2.0, 4.0], "range_implicit_integral": [1.5, 1.0],
+        "standard_explicit_integral": [1.0, 1.0], "range_explicit_integral": [0.5, 0.9],
+    }  # fmt: skip
+    series = {"runtime_comparison": {"planes": [1, 200], "seconds": seconds}}
+    (panel,) = figures.integral_percent_faster_vs_iterations({"series": series}).axes
+    shown = {line.get_label(): line.get_data() for line in panel.get_lines()}
+    for form, expected in (("implicit", [25.0, 75.0]), ("explicit", [50.0, 10.0])):
+        np.testing.assert_allclose(shown[form], ([1, 200], expected))
+
+
+@pytest.mark.parametrize(
+    ("form", "method"), [("pca", "standard_pca"), ("z", "standard_explicit"), ("1/z", "range_explicit")]
+)
+def test_what_fits_are_compared_with_gives_their_planes(form, method):
+    """Of whole tiles, of which all is there that a plane needs."""
+    camera = rp.Camera(90, 70, 80.0, 75.0, 44.0, 35.0, depth_scale=1000.0)
+    depth = rp.scenes.room().render(camera).measure(holes=0.1, seed=1)
+    found = fitting.numpy_fit(depth, camera, 20, form)()
+    expected = rp.fit_tiles(depth, camera, 20, method).planes[:3, :4].reshape(-1, 4)
+    assert np.isfinite(expected).all()
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_angles_are_those_to_the_true_planes():
+    frame = fitting.case(160, 120, holes=0.0)
+    labels = frame.labels.reshape(12, 10, 16, 10)
+    truth = frame.planes[np.maximum(labels[:, 0, :, 0], 1) - 1].reshape(-1, 4)
+    assert fitting.median_angle(truth, frame, 10) == pytest.approx(0.0, abs=1e-6)
+    across = np.cross(truth[:, :3], [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    turned = np.cos(0.02) * truth[:, :3] + np.sin(0.02) * across
+    assert fitting.median_angle(np.column_stack([turned, truth[:, 3]]), frame, 10) == pytest.approx(np.degrees(0.02))
+
+
+def test_tiles_of_a_labelled_plane_are_compared_with_all_of_it(tmp_path):
+    """Those that lie wholly inside; of planes that are large enough."""
+    camera = rp.Camera(80, 60, 65.0, 65.0, 39.5, 29.5, depth_scale=10_000.0)
+    camera.save(tmp_path / "camera.json")
+    q = 0.4 + 0.1 * camera.tan_x + 0.2 * camera.tan_y
+    labels = np.ones(camera.shape, np.uint8)
+    labels[:, 45:] = 2
+    labels[50:, :15] = 3  # 150 pixels
+    labels[:5] = 0
+    depth = np.rint(10_000.0 / np.where(labels == 2, q + 0.3 * camera.tan_x, q)).astype(np.uint16)
+    for name, image in (("depth", depth), ("labels", labels)):
+        (tmp_path / name).mkdir()
+        rp.images.write_png(tmp_path / name / "0.png", image)
+    found = real_sensors.angles(tmp_path, 10)
+    assert found.shape == (4 * 5 - 2 + 3 * 5, 3)
+    assert found.max() < 0.1
+
+
+def test_moved_frames_see_the_same_points():
+    camera = rp.Camera(12, 9, 10.0, 11.0, 5.0, 4.5, depth_scale=1000.0)
+    rng = np.random.default_rng(1)
+    depth = rng.integers(500, 5000, camera.shape).astype(np.uint16)
+    frame = segmentation.Frame("a", depth, camera, rng.integers(0, 9, camera.shape).astype(np.int32))
+
+    def points(x, y, one):
+        return set(zip(*(a.ravel().tolist() for a in (x.round(9), y.round(9), one.depth, one.truth)), strict=True))
+
+    whole, found = points(camera.tan_x, camera.tan_y, frame), list(segmentation.moved([frame]))
+    assert len(found) == 12
+    for i, one in enumerate(found):
+        x, y = one.camera.tan_x, one.camera.tan_y
+        seen = points(*((x, y), (-x, y), (y, x))[i % 3], one)
+        assert seen <= whole
+        assert len(seen) == one.depth.size == (12 - i // 3) * (9 - i // 3)
+
+
+def scores(regions, correct, noise=0.0):
+    zeros = dict.fromkeys((field.name for field in dataclasses.fields(segmentation.Scores)), 0.0)
+    counts = {"regions": regions, "correct_80": correct, "correct_90": correct / 2, "noise": noise}
+    return segmentation.Scores(**zeros | counts)
+
+
+def test_shares_are_of_all_regions():
+    """However many of them a frame has; the other scores are means of frames."""
+    row = segmentation.summary("a", [scores(10, 9.0, 1.0), scores(30, 15.0, 2.0)])
+    assert (row["frames"], row["regions"], row["noise"]) == (2, 20.0, 1.5)
+    assert (row["correct_80"], row["correct_90"]) == (24 / 40, 12 / 40)
+
+
+def test_settings_are_chosen_on_other_frames_than_they_are_scored_on(monkeypatch, capsys):
+    """Of eight frames each is best by a setting that is useless for the others."""
+    camera = rp.Camera(8, 8, 8.0, 8.0, 3.5, 3.5, depth_scale=1000.0)
+    frame = segmentation.Frame("a", np.ones((8, 8), np.uint16), camera, np.ones((8, 8), np.int32))
+    frames = [dataclasses.replace(frame, name=str(i)) for i in range(8)]
+    settings = [segmentation.Rules(region_floor=float(i)) for i in range(9)]
+    monkeypatch.setattr(segmentation, "SETTINGS", settings)
+    monkeypatch.setattr(segmentation, "PARTITIONS", 20)
+
+    def by_rules(of, rules):
+        own, for_all = float(of.name) == rules.region_floor, rules.region_floor == 8.0
+        return scores(10, 10.0 if own else 6.0 if for_all else 0.0)
+
+    monkeypatch.setattr(segmentation, "_by_rules", by_rules)
+    assert [row.correct_80 for row in segmentation.cross_validate(frames)] == pytest.approx([6.0] * 8)
+    assert "60.0% to 60.0%" in capsys.readouterr().out
+
+
+def test_a_peer_is_scored_by_its_best_setting():
+    truth = np.ones((20, 20), np.int32)
+    truth[:, 10:] = 2
+    frame = segmentation.Frame("a", np.ones((20, 20)), methods.sensor()[1], truth)
+    peers = [lambda of: np.ones_like(of.truth), lambda of: of.truth, lambda of: 0 * of.truth]
+    (row,) = segmentation.best_of(peers, [frame])
+    assert (row.correct_80, row.correct_90, row.missed) == (2, 2, 0)
