@@ -370,6 +370,8 @@ def test_outlines_are_between_the_pixels_of_their_parts():
     assert np.array_equal(np.array(across)[:, 1], [15.5, 31.5, 47.5])
     camera = rp.Camera(width=640, height=80, fx=525.0, fy=525.0, cx=319.5, cy=39.5)
     assert not rp.fit_tiles(np.ones(camera.shape), camera, (2, 40)).plot().axes[2].collections  # they would hide all
+    wide = rp.Camera(width=1280, height=80, fx=525.0, fy=525.0, cx=639.5, cy=39.5)  # drawn as wide as one of 640
+    assert [len(rp.fit_tiles(np.ones(c.shape), c, 8).plot().axes[2].collections) for c in (camera, wide)] == [2, 0]
     windows = [[3, 5, 20, 30], [0, 0, 50, 68]]
     (outlines,) = rp.fit_windows(depth, tiles.camera, windows).plot(depth).axes[2].collections
     boxes = [path.get_extents().extents.tolist() for path in outlines.get_paths()]
@@ -503,3 +505,41 @@ def test_windows_are_drawn_where_they_are_and_the_smallest_on_top():
     own = image_of(fits.plot().axes[0])
     assert np.array_equal(np.isfinite(own), np.isfinite(normals[..., 0]) & (normals != plotting.MISSING).any(-1))
     rp.fit_windows(depth, tiles.camera, []).plot(depth).canvas.draw()
+
+
+def test_evidence_lies_inside_of_its_panels():
+    """Whichever of the measured and the model is higher."""
+    evidence = some_evidence(maps=(3, 4), cells=(5, 6))
+    for scale in (0.2, 5.0):
+        other = replace(evidence, sigma=scale * evidence.sigma, residuals=scale * evidence.residuals)
+        for axes in other.plot().axes[:2]:
+            low, high = axes.get_ylim()
+            values = np.concatenate([line.get_ydata() for line in axes.get_lines()])
+            assert low <= values.min() <= values.max() < high <= 2.0 * values.max()
+
+
+def test_evidence_without_a_large_plane_has_no_bias():
+    evidence = some_evidence(maps=(3, 4), cells=(5, 6))
+    figure = replace(evidence, flatness_count=np.full((5, 6), 15), edge_growth=1.0).plot()
+    noise, bias = (axes for axes in figure.axes if axes.get_xlabel().startswith("grey"))
+    assert np.ma.getmaskarray(bias.get_images()[0].get_array()).all()
+    assert (noise.get_xlabel(), bias.get_xlabel()) == ("grey: nothing flat there", "grey: no large plane")
+    figure.draw_without_rendering()
+
+
+def test_pixels_on_no_plane_are_grey_and_missing_ones_white():
+    camera = rp.Camera(64, 48, 52.5, 52.5, 31.5, 23.5)
+    depth = np.full(camera.shape, 2.0)
+    depth[:10] = np.random.default_rng(1).uniform(1.0, 4.0, (10, 64))
+    depth[30:35, 20:30] = np.nan
+    found = rp.segment(depth, camera, noise=1e-3)
+    shown = segments.label_image(found)
+    missing = found.reason == rp.Reason.MISSING
+    assert np.array_equal(missing, np.isnan(depth))
+    assert (shown[missing] == 1.0).all()
+    on_none = (found.labels == 0) & ~missing
+    assert np.count_nonzero(on_none) > 300
+    assert (shown[on_none] == segments.NO_PLANE).all()
+    for label in range(1, len(found) + 1):
+        assert (shown[found.labels == label] == segments.label_colours(len(found))[label - 1]).all()
+    assert (segments.label_image(found, depth)[missing] == 1.0).all()

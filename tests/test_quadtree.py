@@ -250,6 +250,7 @@ def test_figure_outlines_elements_where_they_are_and_fills_them_by_cluster(camer
     # What is left without the grey of the depth is the cluster's colour.
     nearest, farthest = np.percentile(frame[seen] / camera.depth_scale, [0.5, 99.5])
     far = np.clip((frame / camera.depth_scale - nearest) / (farthest - nearest), 0.0, 1.0)
+    np.testing.assert_allclose(plain[:, 0], 0.75 - 0.55 * far[seen & (labels == 0)])
     tint = picture - 0.45 * (0.75 - 0.55 * far)[..., None]
     tints = [tint[seen & (labels == i)] for i in range(1, len(segmentation.planes) + 1)]
     assert all(np.ptp(own, axis=0).max() < 1e-9 for own in tints)
