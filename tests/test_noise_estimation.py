@@ -609,3 +609,32 @@ def test_real_kinect_frames():
         naive.append(plain.p_value[flat & tiles.fitted] < 0.01)
     assert 0.001 < np.mean(np.concatenate(rejected)) < 0.03
     assert np.mean(np.concatenate(naive)) > 0.1
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.4])
+def test_a_plane_with_independent_errors_is_bent_by_what_its_tiles_take_in(missing, rng):
+    """Three coefficients for each tile of 256 pixels, and no more where some of these are missing."""
+    camera = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, noise=rp.noise.NoiseModel((1e-3,)))
+    seen = []
+    for _ in range(4):
+        q = 0.5 + 0.05 * camera.tan_x + 0.03 * camera.tan_y + 1e-3 * rng.standard_normal(camera.shape)
+        q[rng.random(q.shape) < missing] = np.nan
+        seen.append(1.0 / q)
+    found = large_planes(seen, camera)
+    assert all((of.labels == 1).mean() > 0.97 for of in found)
+    assert np.concatenate([of.bend for of in found]).mean() == pytest.approx(3.0 / 256.0, abs=0.002)
+    assert np.concatenate([of.side for of in found]) == pytest.approx(np.sqrt(320 * 240), rel=0.02)
+
+
+def test_few_large_planes_tell_of_bends_too():
+    """Then by the median of all; of many by those of similar sides."""
+
+    def planes(side):
+        return large.LargePlanes(np.zeros((1, 1), np.int64), np.zeros((len(side), 3)), side, 1e-3 * side)
+
+    side = np.array([100.0, 60.0, 90.0])
+    assert [of.tolist() for of in large.bends_by_side([planes(side[:2]), planes(side[2:])])] == [[90.0], [0.09], [3.0]]
+    assert [len(of) for of in large.bends_by_side([planes(side[:0])])] == [0, 0, 0]
+    sides, bends, counts = large.bends_by_side([planes(np.arange(50.0, 66.0)[::-1])])
+    assert (sides.tolist(), counts.tolist()) == ([53.5, 61.5], [8.0, 8.0])
+    assert bends == pytest.approx(1e-3 * sides)

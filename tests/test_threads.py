@@ -18,6 +18,7 @@ from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 import rgbd_planes as rp
 from rgbd_planes import threads, tiles
 from rgbd_planes.batch import sequence as batch
+from rgbd_planes.caller_warnings import warn_caller
 
 ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
@@ -342,6 +343,21 @@ def test_threads_warn_at_the_line_that_called(many):
         assert all(tiles.fitted.all() for tiles in getattr(fitter, many)(frames))
     assert {warning.filename for warning in caught} == {__file__}
     assert len({str(warning.message) for warning in caught}) == 2
+
+
+def test_work_that_fails_in_a_thread_has_warned_before():
+    taken = threading.Event()
+
+    def work():
+        taken.set()
+        warn_caller("this frame is odd")
+        raise ValueError("and cannot be fitted")
+
+    result = threads.submit(work, 1)
+    assert taken.wait(60)
+    with pytest.warns(UserWarning, match="odd") as caught, pytest.raises(ValueError, match="cannot be fitted"):
+        result()
+    assert [warning.filename for warning in caught] == [__file__]
 
 
 @pytest.mark.parametrize("num_threads", [1, 2, 3, 5])
