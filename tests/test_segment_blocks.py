@@ -12,7 +12,8 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
 from rgbd_planes.kernels.segments.inside import inside_moments
 from rgbd_planes.kernels.segments.joining import join_blocks
-from rgbd_planes.kernels.segments.labels import settle_strays
+from rgbd_planes.kernels.segments.labels import is_lone, leave_out, settle_strays
+from rgbd_planes.kernels.segments.merge import number_regions
 from rgbd_planes.kernels.segments.pixels import take_over
 from rgbd_planes.kernels.segments.records import Owners, Planes, Rays, Rules, Runs, Shares
 from rgbd_planes.kernels.segments.search import read_frame
@@ -189,3 +190,62 @@ def test_pixels_at_the_rim_of_the_image_get_no_label_from_its_other_side():
     assert label.flat[loose].tolist() == [0, 0, 0, 0, 1]
     assert reason.flat[loose].tolist() == [2, 2, 2, 2, 0]
     assert sizes[1] == 92
+
+
+def test_a_pixel_gets_the_label_that_five_of_the_eight_around_it_have():
+    """One after the other, but no more than two in a row: what is loose in the open stays."""
+    label = np.zeros((12, 16), np.int32)
+    label[1, 1:4] = label[2, 1] = label[3, 1] = 1  # five around (2, 2)
+    label[1, 7:10] = label[2, 7] = 1  # four around (2, 8)
+    label[7, 3:8] = label[8, 3] = label[9, 5] = 2  # five around (8, 4), and four around the two pixels beside it
+    reason = np.where(label > 0, 0, 2).astype(np.uint8)
+    sizes = np.bincount(label.ravel()).astype(np.int32)
+    loose = np.ravel_multi_index(([2, 2, 8, 8, 8], [2, 8, 4, 5, 6]), label.shape).astype(np.int32)
+    runs = Runs(np.zeros(4, np.int32), *[np.empty(0, np.int32)] * 11)
+    settle_strays(runs, np.ones(label.shape, np.float32), np.uint8(2), 3, loose, 5, label, reason, sizes)
+    assert label.flat[loose].tolist() == [1, 0, 2, 2, 0]
+    assert reason.flat[loose].tolist() == [0, 2, 0, 0, 2]
+    assert sizes[1:].tolist() == [10, 9]
+
+
+@pytest.mark.parametrize(
+    ("around", "lone"),
+    [
+        ("aaa bbb bbb", True),
+        ("aaa aaa bbb", False),
+        ("aab bab bbb", True),
+        ("aab aab bbb", False),
+        ("--a -a- -ab", False),  # of one label there are more than of others
+        ("--a -ab -ab", False),
+        ("-ba -ab -ab", True),
+    ],
+)
+def test_pixels_stand_alone_among_few_of_their_label_and_as_many_others(around, lone):
+    seen = np.array([list(line) for line in around.split()])
+    labels, q = np.zeros((5, 6), np.int32), np.zeros((5, 6), np.float32)
+    labels[1:4, 2:5], q[1:4, 2:5] = np.where(seen == "a", 3, 1), seen != "-"
+    assert is_lone(labels.ravel(), q, np.int32(2 * 6 + 3), np.int32(3)) == lone
+
+
+def test_planes_that_are_left_keep_what_is_theirs():
+    """When smaller ones before them are left out, of which some have several parts."""
+    moments, deviation = np.arange(40.0).reshape(4, 10), np.array([0.1, 0.2, 0.3, 0.4])
+    moments[:, 0] = 50.0, 10.0, 30.0, 29.0
+    before = moments.copy()
+    number, why = np.array([2, 1, 3, 0, 2, 4], np.int32), np.array([0, 0, 0, 5, 0, 0], np.uint8)
+    runs = Runs(np.zeros(4, np.int32), *[np.empty(0, np.int32)] * 11)
+    assert leave_out(4, 30, np.uint8(7), runs, number, why, moments, deviation) == 2
+    assert number.tolist() == [0, 1, 2, 0, 0, 0]
+    assert why.tolist() == [7, 0, 0, 5, 7, 7]
+    np.testing.assert_array_equal(moments[:2], before[[0, 2]])
+    assert deviation[:2].tolist() == [0.1, 0.3]
+
+
+def test_regions_are_numbered_by_the_one_that_they_went_into():
+    """Without those of too few pixels, and whatever those have become."""
+    parent, number, moments = np.array([0, 0, 2, 3, 3, 5]), np.empty(6, np.int64), np.arange(60.0).reshape(6, 10)
+    moments[:, 0] = 20.0, 99.0, 9.0, 10.0, 99.0, 30.0
+    before = moments.copy()
+    assert number_regions(parent, moments, 10.0, number) == 3
+    assert number.tolist() == [0, 0, -1, 1, 1, 2]
+    np.testing.assert_array_equal(moments[:3], before[[0, 3, 5]])
