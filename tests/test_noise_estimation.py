@@ -638,3 +638,19 @@ def test_few_large_planes_tell_of_bends_too():
     sides, bends, counts = large.bends_by_side([planes(np.arange(50.0, 66.0)[::-1])])
     assert (sides.tolist(), counts.tolist()) == ([53.5, 61.5], [8.0, 8.0])
     assert bends == pytest.approx(1e-3 * sides)
+
+
+def test_what_lies_apart_is_told_from_what_is_wavy(rng):
+    """By two groups with a step between them, or by few tiles that are far off; NaN is another plane's."""
+    errors = 0.1 * rng.standard_normal((12, 20))
+    y, x = np.indices(errors.shape)
+    half = np.where(x < 10, -1.5, 1.5)
+    board = np.where((x < 4) & (y < 6), 8.0, 0.0)
+    bent = 10.0 * np.exp(-((x - 10.0) ** 2 + (y - 6.0) ** 2) / 18.0)  # without a step
+    wavy = (0.15 * x, np.sin(x / 3.0))
+    for off, apart in (*((off, True) for off in (half, half.T, board, bent)), *((off, False) for off in wavy)):
+        seen = off + (errors.T if off.shape != errors.shape else errors)
+        assert large._is_in_two(seen) == apart
+        around = np.full((20, 30), np.nan)
+        around[: seen.shape[0], : seen.shape[1]] = seen
+        assert large._is_in_two(around) == apart
