@@ -268,7 +268,7 @@ def test_is_found_again(falloff, length, rng):
     assert evidence.edge_growth == pytest.approx(farthest ** (0.5 * model.falloff), rel=0.2)
     figure = evidence.plot()
     (noise_map,) = (axes for axes in figure.axes if axes.get_title().startswith("Noise over"))
-    assert "times towards the edge" in noise_map.get_xlabel()
+    assert "-fold towards the edge" in noise_map.get_xlabel()
     map_ = evidence.noise_map
     ring = away(SEEING, *(12 * np.indices(map_.shape) + 6))
     for i in range(3):

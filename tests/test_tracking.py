@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rgbd_planes import Camera, scenes, segment
+from rgbd_planes import Camera, noise, scenes, segment
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.known_planes import LARGEST, KnownPlanes, Points, View, _is_hidden, same_planes
@@ -456,8 +456,9 @@ def test_frames_of_a_sequence_bring_their_cameras() -> None:
     for frame, tracked in zip(frames, segment_sequence(frames), strict=True):
         assert tracked.segmentation.camera is frame.camera
         np.testing.assert_array_equal(tracked.segmentation.planes, segment(frame.depth, frame.camera).planes)
-    (tracked,) = segment_sequence(frames[:1], CAMERA)
-    assert tracked.segmentation.camera is CAMERA
+    noisy = frames[0].camera.with_noise(noise.kinect_v1())
+    (tracked,) = segment_sequence(frames[:1], noisy)
+    assert tracked.segmentation.camera is noisy
     with pytest.raises(TypeError, match="needs a camera, or frames of a sequence, got ndarray"):
         next(segment_sequence([wall_and_board(True)]))
     with pytest.raises(ValueError, match="positive standard deviation"):
