@@ -12,6 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..disjoint_sets import root_of, unite
 from .behind import gap_between, may_cross
+from .breaks import main_bend, two_planes
 from .facets import find_faceted, turn_of_groups
 from .moments import angle_between, jump_at
 from .noise import about_plane, sensor_variance
@@ -49,7 +50,9 @@ def breadth(window):
 
 @kernel()
 def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent):
-    """How far the normals of each region turn within it, see `own_turn`, and whether a sensor bends planes less.
+    """How far the normals of each region turn within it, see `own_turn`, and whether sensors bend planes less.
+
+    What two planes, side by side, fit better than one quadric is not bent.
 
     ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
     """
@@ -63,9 +66,15 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         waves = waviness_square[a]
-        by, bending[a], gain, _ = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
-        if breadth(box[a]) >= FEWEST_ACROSS:
-            turned[a], bent[a] = by, gain > rules.bent * waves
+        by, bending[a], gain, rest, h = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
+        if breadth(box[a]) < FEWEST_ACROSS:
+            continue
+        turned[a], bent[a] = by, gain > rules.bent * waves
+        if bent[a] and by > math.radians(rules.sharp) ** 2:
+            pixels, step = products[0, 0], step_of(box[a])
+            two = two_planes(region, means, a, box, m, alpha[a], math.sqrt(variance), main_bend(h)) / pixels
+            sure = rules.region_spread * waves / (pixels * step * step)
+            bent[a] = not rest - two > max(MARGIN * (gain + rest - two), sure)
 
 
 @kernel()
@@ -86,7 +95,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[:, 0])
-        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
+        turned, _, gain, rest, _ = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
 
