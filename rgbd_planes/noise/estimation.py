@@ -28,7 +28,7 @@ from rgbd_planes.files import naming
 from rgbd_planes.noise import NoiseModel, quantised, table
 from rgbd_planes.noise.evidence import evidence_of
 from rgbd_planes.noise.large_planes import TILE, LargePlanes, bends_by_side, large_planes
-from rgbd_planes.noise.residuals import ratio_at
+from rgbd_planes.noise.residuals import ResidualStatistics, ratio_at
 from rgbd_planes.noise.samples import (
     EXACT,
     FEWEST_WINDOWS,
@@ -69,6 +69,8 @@ _UNEVEN = 3.0  # most unevenness of windows that are flat: 1.1 to 1.6 with real 
 _STRAYS = 1.5  # most `outlying` of windows that are flat: 0.9 to 1.02 with real sensors, 8 with outliers
 _BENT = 2.0  # times what random errors make of it: a bend of large planes that shows a floor by itself
 _WAVES = 0.7  # relative deviation, by chance, of a large plane's bend: it has room for few waves only
+_UNSURE = 0.05  # relative deviation of what random errors make of it, as tiles tell
+_FILLED, _FEWEST_TILES = 0.6, 60.0  # share of its square that a large plane fills, and the fewest tiles that it has
 _PARTS = 5  # of the image along either side: a falloff must show without each of them
 _STARTS = 0.0, 0.25, 0.5, 0.75  # where the first part begins, in parts: where it does must not decide
 _FRAMES = 4  # with this many or more, it must show without each of them, too
@@ -255,8 +257,12 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     _, lateral, variance = best
     sigma = np.sqrt(variance)
     spread = np.log(q) - np.log(q).mean()
-    # As if a power of 0 had been seen before, give or take 1: where all is at about one depth, chance makes any.
-    power = float(np.clip(spread @ np.log(sigma) / (float(spread @ spread) + _INEXACT**2), 0.0, 2.0))
+    total = max(float(spread @ spread), 1e-12)
+    power = float(np.clip(spread @ np.log(sigma) / total, 0.0, 2.0))
+    # Of medians of logarithms of variances, which are twice those of deviations.
+    of_bins = [0.5 * 1.25 * np.std(np.log(seen / growth)[some]) / math.sqrt(len(seen[some])) for some in bins]
+    if not power > _SURE * float(np.median(of_bins)) / math.sqrt(total):
+        power = 0.0  # where hardly different depths are seen, chance makes any
     farther, nearer = np.array([0.25, 0.35, 0.5, 0.7]), np.array([1.4, 2.0, 2.8, 4.0])
     along = table(
         np.concatenate([q[0] * farther, q, q[-1] * nearer]),
@@ -321,19 +327,21 @@ def _alone(part: tuple[float, float]) -> NoiseModel:
     return NoiseModel(correlation=(part,) if part[1] else ())
 
 
-def _per_pixel(part: tuple[float, float], sizes: npt.ArrayLike, counts: npt.ArrayLike | None = None) -> Floats:
-    """Expected mean square residual of tiles of these sizes if all errors had this correlation.
-
-    Where pixels are missing, tiles of ``counts`` pixels absorb more of independent errors, but hardly of others.
-    """
-    count = np.square(sizes) if part[1] or counts is None else np.asarray(counts)
-    return np.asarray(_alone(part).statistics(count).expected / count)
+def _of_squares(part: tuple[float, float], sizes: npt.ArrayLike, filled: Floats | float) -> ResidualStatistics:
+    """What such errors do to squares of which this share of the pixels is measured."""
+    sides = np.asarray(sizes, np.float64)
+    return _alone(part).statistics(filled * sides**2, np.stack([sides, sides], axis=-1))
 
 
-def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int) -> Floats:
+def _per_pixel(part: tuple[float, float], sizes: npt.ArrayLike, filled: Floats | float = 1.0) -> Floats:
+    """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
+    return np.asarray(_of_squares(part, sizes, filled).expected / (filled * np.square(sizes)))
+
+
+def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int, filled: Floats) -> Floats:
     """Expected variance of slopes about those of the window that the tiles are part of."""
-    shared = (sizes / window) ** 4 * float(_alone(part).statistics(window**2).tilt_x)
-    return np.asarray(_alone(part).statistics(sizes**2).tilt_x - shared)
+    shared = (sizes / window) ** 4 * _of_squares(part, np.full(len(sizes), window), filled).tilt_x
+    return np.asarray(_of_squares(part, sizes, filled).tilt_x - shared)
 
 
 def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[LargePlanes] = ()) -> NoiseModel:
@@ -355,35 +363,39 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     # For medians of residuals, and of squared slopes, which are distributed as χ²(2). The spread is the same for all
     # sizes.
     counts = np.array([len(some.count) for some in samples.values()])
-    pixels = np.array([np.median(some.count) for some in samples.values()])
+    filled = np.array([np.mean(some.count) / size**2 for size, some in samples.items()])
     freedom = [max(float(np.median(some.expected(model)[1])), _FEWEST_FREE) for some in samples.values()]
     of_one = np.append(1.25 * np.sqrt(2.0 / np.array(freedom)), np.full(len(small), 1.0 / np.log(2.0)))
     chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
     sides, bends, planes = bends_by_side(large)
     values = np.append(values, bends)
-    # Independent errors alone make almost 3 / TILE² of it.
-    scale = np.append(scale, np.maximum(bends, 3.0 / TILE**2) * np.hypot(_WAVES / np.sqrt(planes), _INEXACT))
 
     def bent(part: tuple[float, float]) -> Floats:
         return _per_pixel(part, sides) - _per_pixel(part, TILE)
 
     def terms(part: tuple[float, float]) -> Floats:
-        return np.concatenate([_per_pixel(part, sizes, pixels), _tilts(part, small, window), bent(part)])
+        tilts = _tilts(part, small, window, filled[: len(small)])
+        return np.concatenate([_per_pixel(part, sizes, filled), tilts, bent(part)])
 
-    def shared_out(of_parts: list[Floats]) -> tuple[float, Floats]:
-        shares, distance = nnls(np.stack(of_parts, axis=1) / scale[:, None], values / scale, maxiter=1000)
+    def shared_out(of_parts: list[Floats], scale: Floats) -> tuple[float, Floats]:
+        """Of the first values, as many as there are of the scale: how far off they are, and the shares."""
+        first = slice(len(scale))
+        of_values = np.stack(of_parts, axis=1)[first]
+        shares, distance = nnls(of_values / scale[:, None], values[first] / scale, maxiter=1000)
         return distance**2, np.asarray(shares)
 
     random_parts = [terms(part) for part in ((0.0, 0.0), *((1.0, length) for length in LENGTHS))]
-    error, shares = shared_out(random_parts)
-    of_random = np.array([of_part[len(values) - len(bends) :] for of_part in random_parts]).T @ shares
-    if planes.sum() < 2 or not (bends > _BENT * of_random).any():  # one may be a wall with a board before it
+    _, of_tiles = shared_out(random_parts, scale)
+    usual = np.maximum(np.array(random_parts)[:, len(scale) :].T @ of_tiles, 3.0 / TILE**2)
+    scale = np.append(scale, _chance_of_bends(bends, usual, sides, planes))
+    error, shares = shared_out(random_parts, scale)
+    if planes.sum() < 2 or not (bends > _BENT * usual).any():  # one may be a wall with a board before it
         error -= _EVIDENT
     shares, floor_length = np.append(shares, 0.0), FLOOR_LENGTHS[0]
     for length in FLOOR_LENGTHS:
         if 2 * length <= max(*sizes, *sides, 2 * FLOOR_LENGTHS[0]):
-            with_floor, candidate = shared_out([*random_parts, terms((1.0, length))])
+            with_floor, candidate = shared_out([*random_parts, terms((1.0, length))], scale)
             if with_floor < error:
                 error, shares, floor_length = with_floor, candidate, length
     shares[0] += 1e-9  # where all is lateral error and rounding
@@ -404,11 +416,22 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     )
 
 
+def _chance_of_bends(bends: Floats, usual: Floats, sides: Floats, planes: Floats) -> Floats:
+    """Standard deviations of how far large planes are bent, of which ``usual`` is what random errors make of it.
+
+    That, of three coefficients a tile, varies little; what waves add has room for few, and varies by `_WAVES`.
+    """
+    tiles = np.maximum(_FILLED * (sides / TILE) ** 2, _FEWEST_TILES)
+    of_random = 1.25 * np.sqrt(2.0 / (3.0 * tiles)) * usual
+    of_waves = _WAVES * np.maximum(bends - usual, 0.0)
+    return np.hypot(np.hypot(of_random, of_waves) / np.sqrt(planes), _UNSURE * usual)
+
+
 def _fit_scale(samples: Samples, model: NoiseModel) -> NoiseModel:
     """Make half of the residuals of tiles larger than the model's."""
     pixels = np.median(samples.count)
     typical = max(samples.typical(model)[0], 0.01)
-    scale = np.sqrt(typical * pixels / float(model.statistics(pixels).expected))
+    scale = np.sqrt(typical * pixels / float(model.statistics(pixels, (samples.size, samples.size)).expected))
     return replace(model, samples=tuple((q, scale * s) for q, s in model.samples or ()))
 
 

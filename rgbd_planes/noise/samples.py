@@ -58,6 +58,8 @@ class Samples:
         Inverse depth there.
     place : three (T,) arrays of int
         Frame, row and column of the tile.
+    size : int
+        Side of the tiles in pixels.
     """
 
     q: Floats
@@ -69,6 +71,7 @@ class Samples:
     rays: Floats
     depths: Floats
     place: tuple[npt.NDArray[np.intp], ...]
+    size: int
 
     @classmethod
     def of(cls, planes: TilePlanes, flat: npt.NDArray[np.bool_], windows: TilePlanes, most_missing: float) -> "Samples":
@@ -115,6 +118,7 @@ class Samples:
             rays,
             depths,
             place,
+            size,
         )
 
     # For large tiles take means: the value at the centre is up to a fifth lower, which would pass for errors that reach
@@ -149,7 +153,8 @@ class Samples:
 
     def _expected(self, model: NoiseModel, along: Floats, independent: Floats) -> tuple[Floats, Floats]:
         counts, which = self._counts
-        return model.statistics(counts).at(which).with_independent(along, independent, self.count)
+        statistics = model.statistics(counts, (self.size, self.size))
+        return statistics.at(which).with_independent(along, independent, self.count)
 
     @property
     @kept
