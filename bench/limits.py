@@ -30,6 +30,7 @@ SHARED = (
 UNEVEN = (rp.noise.time_of_flight(0.005), rp.noise.time_of_flight(0.002, 0.001), rp.noise.kinect_v1_nguyen())
 STANDARD = ("standard_explicit", "standard_implicit", "standard_pca")
 TAILS = Noise(correlation=((0.6, 2.0),))
+FLOORS = (Noise(floor=1.0, floor_length=60.0), Noise(floor=1.0, floor_length=32.0), SHARED[-2])
 APART = "two tiles of 16 x 16, 320 pixels apart"
 
 
@@ -222,6 +223,13 @@ def report(runs: int) -> Iterator[str]:
     for side in (8, 16, 24):
         p = p_values(TAILS, np.ones((side, side), bool), runs)
         yield f"  tiles of {side} pixels, 60 % correlated over 2: {np.mean(p < 0.01):.1%}, {np.mean(p < 0.001):.2%}"
+    for height, width in ((64, 64), (16, 128)):
+        found = [p_values(noise, np.ones((height, width), bool), runs // 10) for noise in FLOORS]
+        percent, permille = ([np.mean(p < level) for p in found] for level in (0.01, 0.001))
+        yield (
+            f"  windows of {height} x {width}, with a floor: {min(percent):.1%} to {max(percent):.1%}, "
+            f"{min(permille):.2%} to {max(permille):.2%}"
+        )
     for name, mask in masks().items():
         shares = [np.mean(p_values(noise, mask, runs // 100) < 0.01) for noise in SHARED]
         yield f"  {name}: {min(shares):.1%} to {max(shares):.1%} below 0.01"

@@ -245,8 +245,9 @@ def test_limits_of_uncertainties_are_those_that_the_page_states():
     assert limits.of_lateral_errors(2)[0] == pytest.approx(0.45, rel=0.15)
     assert limits.of_lateral_errors(8)[1] == pytest.approx(0.013, abs=0.003)
     assert limits.of_neighbours(4) == pytest.approx((0.01, 0.08), rel=0.2)
-    *_, tiles, _, _, _, _, last = limits.report(400)
+    *_, tiles, _, long, _, _, _, _, last = limits.report(400)
     assert tiles.startswith("  tiles of 24 pixels, 60 % correlated over 2: ")
+    assert long.startswith("  windows of 16 x 128, with a floor: ")
     assert last.startswith("  two tiles of 16 x 16, 320 pixels apart: ")
 
 
