@@ -260,7 +260,7 @@ def figure(points: dict[str, list[tuple[Any, float]]], path: Path) -> None:
 
 def spread(values: tuple[float, float, float]) -> str:
     """Median and quartiles."""
-    low, middle, high = (f"{value:.0f}" if value >= 100.0 else f"{value:.3g}" for value in values)
+    low, middle, high = (f"{value:.0f}" if value >= 100.0 else f"{value:#.3g}" for value in values)
     return f"{middle} ({low}–{high})"
 
 
