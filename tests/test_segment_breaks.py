@@ -5,7 +5,10 @@ import pytest
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.kernels.segments.breaks import STRIPS, main_bend, two_planes
+from rgbd_planes.kernels.segments.planes import fit_regions
 from rgbd_planes.kernels.segments.quadrics import boxes, step_of
+from rgbd_planes.kernels.segments.records import Noise, Planes, Rules
+from rgbd_planes.kernels.segments.shape import find_turns
 from rgbd_planes.segmentation.result import Reason
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=5000.0)
@@ -56,21 +59,45 @@ def test_two_planes_are_those_that_fit_best_on_both_sides_of_a_line(shape, rng):
     t = along[0] * x + along[1] * y
     strip = np.minimum(STRIPS * (t - t.min()) / (t.max() - t.min()), STRIPS - 1).astype(int)
 
-    def left(some):
-        terms = np.column_stack([x, y, np.ones(len(x))])[some] * np.sqrt(weight[some])[:, None]
+    def left(some, terms):
+        terms = terms[some] * np.sqrt(weight[some])[:, None]
         rest = (z * np.sqrt(weight))[some]
         return np.sum((rest - terms @ np.linalg.lstsq(terms, rest, rcond=None)[0]) ** 2) / deviation**2
 
-    expected = min(left(strip < split) + left(strip >= split) for split in range(1, STRIPS))
+    plane = np.column_stack([x, y, np.ones(len(x))])
+    planes, split = min((left(strip < i, plane) + left(strip >= i, plane), i) for i in range(1, STRIPS))
+    quadric = np.column_stack([plane, x * x, x * y, y * y])
+    quadrics = left(strip < split, quadric) + left(strip >= split, quadric)
     moments = np.zeros(10)
     for i, (a, b) in enumerate([(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)]):
         columns = np.column_stack([np.ones(len(x)), x, y, z])
         moments[i] = np.sum(weight * columns[:, a] * columns[:, b])
-    assert two_planes(region, means, 0, box, moments, alpha, deviation, along) == pytest.approx(expected, rel=1e-6)
+    found = two_planes(region, means, 0, box, moments, alpha, deviation, along)
+    assert found == pytest.approx((planes, quadrics), rel=1e-6)
 
 
 def test_what_does_not_extend_is_not_two_planes():
     region, box = np.zeros((1, 1), np.int32), np.array([[0, 1, 0, 1]])
     means = np.array([16.0, 0.1, 0.2, 0.5], np.float32).reshape(4, 1, 1)
     moments = np.array([16.0, 1.6, 3.2, 8.0, 0.16, 0.32, 0.8, 0.64, 1.6, 4.0])
-    assert two_planes(region, means, 0, box, moments, np.array([0.0, 0.0, 0.5]), 1e-3, (1.0, 0.0)) == np.inf
+    assert two_planes(region, means, 0, box, moments, np.array([0.0, 0.0, 0.5]), 1e-3, (1.0, 0.0)) == (np.inf, np.inf)
+
+
+@pytest.mark.parametrize(("curvature", "is_bent"), [(0.0, False), (-1.0, False), (-5.0, True), (1.0, True)])
+def test_two_halves_are_planes_if_they_are_flat(curvature, is_bent, rng):
+    """A fold of two flat sides, of two sides that bend less than it folds, or more; and a valley, without a fold."""
+    v, u = 0.25 * np.mgrid[-1:1:24j, -1:1:24j]
+    x = u / 0.25
+    q = 0.5 + 0.05 * v + 0.07 * ((1.0 - curvature) * np.abs(x) + curvature * x * x)
+    q += rng.normal(0.0, 2.5e-4, q.shape)  # of blocks of 16 pixels
+    region, rows = np.zeros(q.shape, np.int32), np.stack([np.ones_like(q), u, v, q])
+    means = np.stack([np.full_like(q, 16.0), u, v, q]).astype(np.float32)
+    sums = 16.0 * np.einsum("ayx,byx->ab", rows, rows)
+    moments = sums[np.triu_indices(4)][None]
+    planes = Planes(np.empty((1, 3)), np.empty(1), np.empty(1), np.empty(1), np.ones(1))
+    noise = Noise(np.full(2, 1e-6), 0.0, 0.0, 0.0, np.empty((2, 0)), np.zeros(3), 1.0)
+    fit_regions(moments, noise, planes)
+    turned, bending, bent = np.empty(1), np.empty(1), np.empty(1, np.bool_)
+    find_turns(region, means, moments, planes, noise.sigma, Rules(), np.array([[0, 24, 0, 24]]), turned, bending, bent)
+    assert np.degrees(np.sqrt(turned[0])) > Rules().sharp
+    assert bent[0] == is_bent

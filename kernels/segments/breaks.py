@@ -25,7 +25,7 @@ def main_bend(h):
 
 @kernel()
 def two_planes(region, means, a, box, m, alpha, deviation, along):
-    """The least sum of squares that two planes leave of the blocks of region ``a``, on both sides of a line.
+    """What two planes, on both sides of a line, leave of the blocks of region ``a``; the line is the best of some.
 
     Parameters
     ----------
@@ -37,6 +37,11 @@ def two_planes(region, means, a, box, m, alpha, deviation, along):
         Unit of residuals, 1/m.
     along : (float, float)
         Across the line, in (u, v).
+
+    Returns
+    -------
+    planes, quadrics : float
+        Sums of squares that two planes leave, and, on both sides of the same line, two quadrics.
     """
     centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), step_of(box[a])
     of_n, of_u, of_v = means[0], means[1], means[2]
@@ -54,8 +59,8 @@ def two_planes(region, means, a, box, m, alpha, deviation, along):
                 else:
                     low, high = min(low, t), max(high, t)
         if not high > low:
-            return math.inf
-    best = math.inf
+            return math.inf, math.inf
+    best, bent = math.inf, math.inf  # what is left by planes, and there by quadrics
     for split in range(1, STRIPS):
         lower, upper = np.zeros((2, TERMS + 1, TERMS + 1))
         for k in range(STRIPS):
@@ -63,5 +68,8 @@ def two_planes(region, means, a, box, m, alpha, deviation, along):
                 lower += strips[k]
             else:
                 upper += strips[k]
-        best = min(best, eliminate(lower, 0, PLANE_TERMS) + eliminate(upper, 0, PLANE_TERMS))
-    return best
+        planes = eliminate(lower, 0, PLANE_TERMS) + eliminate(upper, 0, PLANE_TERMS)
+        if planes < best:
+            best = planes
+            bent = eliminate(lower, PLANE_TERMS, TERMS) + eliminate(upper, PLANE_TERMS, TERMS)
+    return best, bent

@@ -52,7 +52,7 @@ def breadth(window):
 def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent):
     """How far the normals of each region turn within it, see `own_turn`, and whether sensors bend planes less.
 
-    What two planes, side by side, fit better than one quadric is not bent.
+    What two planes, side by side, fit better than one quadric is not bent, if they are not bent themselves.
 
     ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
     """
@@ -72,9 +72,12 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
         turned[a], bent[a] = by, gain > rules.bent * waves
         if bent[a] and by > math.radians(rules.sharp) ** 2:
             pixels, step = products[0, 0], step_of(box[a])
-            two = two_planes(region, means, a, box, m, alpha[a], math.sqrt(variance), main_bend(h)) / pixels
+            two, quadrics = two_planes(region, means, a, box, m, alpha[a], math.sqrt(variance), main_bend(h))
+            two, quadrics = two / pixels, quadrics / pixels
             sure = rules.region_spread * waves / (pixels * step * step)
-            bent[a] = not rest - two > max(MARGIN * (gain + rest - two), sure)
+            better = rest - two
+            is_broken = better > max(MARGIN * (gain + better), sure) and two - quadrics < better
+            bent[a] = not is_broken
 
 
 @kernel()
