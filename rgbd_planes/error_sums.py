@@ -9,10 +9,11 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.statistics.label_variances import label_variances
-from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns, runs_of_labels
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.pixel_runs import runs_of_labels
 from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def pixels_of_labels(
     noise, alpha = camera.noise, arrays["alpha"]
     runs = shared = sums = None
     if shares_errors(noise):
-        runs = runs_of_labels(labels, *frame.values[:3], len(alpha))
+        runs = runs_of_labels(labels, frame, len(alpha))
         counts, rays, q = mean_rays(method, arrays["_moments"], arrays["_reference"])
         shared = covariances_by_shape(runs, camera, counts, rays, alpha)
         sums = _sums_of_rays(camera, counts, rays, q, alpha)

@@ -1,9 +1,29 @@
-"""Where the pixels of windows, and of unions of parts, lie."""
+"""Where the pixels of labels, of windows, and of unions of parts, lie."""
+
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.depth import DepthFrame
+from rgbd_planes.kernels.statistics import pixel_runs
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
+
+
+def runs_of_labels(labels: npt.NDArray[np.int32], frame: DepthFrame, count: int) -> PixelRuns:
+    """The measured pixels of labels 1 to ``count``."""
+    measured = frame.values[:3]
+    return runs_found(lambda found: pixel_runs.runs_of_labels(labels, *measured, found), labels.size, count)
+
+
+def runs_found(find: Callable[[npt.NDArray[np.int32]], int], pixels: int, count: int) -> PixelRuns:
+    """The runs of labels 1 to ``count`` that a kernel writes, as `kernels.statistics.pixel_runs.add_row` does."""
+    found = np.empty((4, pixels), np.int32)
+    number = find(found)
+    first = np.empty(count + 1, np.int64)
+    row, start, stop = np.empty((3, number), np.int32)
+    pixel_runs.by_label(found, number, first, row, start, stop)
+    return PixelRuns(first, row, start, stop, np.ones(number))
 
 
 def runs_of_windows(windows: npt.NDArray[np.int64], counts: npt.NDArray[np.int32]) -> PixelRuns:

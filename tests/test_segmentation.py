@@ -388,30 +388,44 @@ INTERRUPTED = """
 import signal, time
 import rgbd_planes as rp
 
-camera = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
+camera = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0, noise={noise})
 depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
-wanted = rp.segment(depth, camera).labels.tobytes()
+labels = rp.segment(depth, camera).labels
+
+def work():
+    return {work}
+
+wanted = work().planes.tobytes()
 durations, interrupts = [], 0
 for _ in range(5):
     start = time.perf_counter()
-    rp.segment(depth, camera)
+    work()
     durations.append(time.perf_counter() - start)
 signal.signal(signal.SIGALRM, signal.default_int_handler)
 for i in range(1, 60):
     try:
         signal.setitimer(signal.ITIMER_REAL, min(durations) * i / 60)
-        rp.segment(depth, camera)
+        work()
         signal.setitimer(signal.ITIMER_REAL, 0)
     except KeyboardInterrupt:
         interrupts += 1
-print(interrupts > 20, rp.segment(depth, camera).labels.tobytes() == wanted)
+print(interrupts > 20, work().planes.tobytes() == wanted)
 """
+OF_NEIGHBOURS = "rp.noise.NoiseModel((1.4e-3,), correlation=((0.5, 3.0),), floor=0.5)"
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
-def test_an_interrupt_at_any_time_is_one():
+@pytest.mark.parametrize(
+    ("work", "noise"),
+    [
+        ("rp.segment(depth, camera)", None),
+        ("rp.segment(depth, camera)", OF_NEIGHBOURS),
+        ("rp.fit_labels(depth, camera, labels)", OF_NEIGHBOURS),
+    ],
+)
+def test_an_interrupt_at_any_time_is_one(work, noise):
     """Numba does not expect one where it calls Python, to make an array or a tuple: the process would crash."""
-    assert printed_by(INTERRUPTED, timeout=600.0).split() == ["True", "True"]
+    assert printed_by(INTERRUPTED.format(work=work, noise=noise), timeout=600.0).split() == ["True", "True"]
 
 
 def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):

@@ -12,10 +12,10 @@ from scipy import stats
 from scipy.ndimage import minimum_filter
 
 import rgbd_planes as rp
+from rgbd_planes.depth import DepthFrame
 from rgbd_planes.kernels.segments.inside import runs_inside
-from rgbd_planes.kernels.statistics.pixel_runs import runs_of_labels
 from rgbd_planes.kernels.statistics.room import EXPECTED, FREEDOM
-from rgbd_planes.pixel_runs import joined, runs_of_windows
+from rgbd_planes.pixel_runs import joined, runs_found, runs_of_labels, runs_of_windows
 
 FAR = rp.noise.NoiseModel((1e-3,), correlation=((0.6, 9.0),), floor=1.2, floor_length=40.0)
 NOISES = {
@@ -286,7 +286,7 @@ def test_runs_are_the_pixels_of_labels(data):
     labels = np.repeat(labels, data.draw(st.integers(1, 3)), axis=1)
     raw = rng.integers(0, data.draw(st.integers(2, 9)), labels.shape).astype(np.uint16)
     count = int(labels.max()) + data.draw(st.integers(0, 2))
-    runs = runs_of_labels(labels, raw, np.uint16(1), np.uint16(7), count)
+    runs = runs_of_labels(labels, DepthFrame(raw, np.uint16(1), np.uint16(7), 1.0, 0.0, False, 1.0), count)
     wanted = (labels == np.arange(1, count + 1)[:, None, None]) & (raw >= 1) & (raw <= 7)
     np.testing.assert_array_equal(runs_as_labels(runs, labels.shape), wanted)
     unions = rng.integers(0, 3, count).astype(np.int32)
@@ -321,7 +321,8 @@ def test_runs_inside_are_those_that_planes_are_fitted_to(holes, rng):
     inverse_depth = np.where(rng.random(labels.shape) < holes, 0.0, 1.0).astype(np.float32)
     moments, inside = np.ones((3, 10)), np.zeros((3, 10))
     inside[2] = 1.0  # fitted to all its pixels
-    made = runs_as_labels(runs_inside(labels, inverse_depth, moments, inside), labels.shape)
+    found = runs_found(lambda found: runs_inside(labels, inverse_depth, moments, inside, found), labels.size, 3)
+    made = runs_as_labels(found, labels.shape)
     measured = inverse_depth > 0.0
     for i in (1, 2):
         alike = minimum_filter(((labels == i) | ~measured).astype(int), 3, mode="nearest") == 1

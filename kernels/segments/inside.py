@@ -10,7 +10,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..marked import in_words, list_marked
-from ..statistics.pixel_runs import add_row, by_label
+from ..statistics.pixel_runs import add_row
 from .moments import add, ray_of, residual
 from .planes import fit_planes
 from .unevenness import weigh_rays
@@ -80,12 +80,15 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
 
 
 @kernel()
-def runs_inside(label, inverse_depth, moments, inside):
-    """`PixelRuns` of the pixels that planes are fitted to: see `inside_moments`."""
+def runs_inside(label, inverse_depth, moments, inside, found):
+    """Write the runs of the pixels that planes are fitted to, see `inside_moments`, to ``found``; returns how many.
+
+    ``found`` is that of `statistics.pixel_runs.add_row`, with room for as many runs as there are pixels.
+    """
     height, width = label.shape
     most, least = np.full(width + 2, BELOW), np.full(width + 2, ABOVE)
     edge, line, change = np.empty(width, np.bool_), np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    columns, found = np.empty(len(change) + 1, np.uint32), np.empty((4, label.size), np.int32)
+    columns = np.empty(len(change) + 1, np.uint32)
     whole = np.empty(len(moments) + 1, np.bool_)
     for k in range(len(moments)):
         whole[k + 1] = inside[k, 0] == moments[k, 0]
@@ -99,7 +102,7 @@ def runs_inside(label, inverse_depth, moments, inside):
             if edge[x] and whole[of[x]]:
                 line[x] = of[x] if q[x] > 0.0 else 0
         number = add_row(line, y, change, columns, found, number)
-    return by_label(found, number, len(moments))
+    return number
 
 
 @kernel()

@@ -51,35 +51,34 @@ def add_row(line, row, change, columns, found, number):
 
 
 @kernel()
-def by_label(found, number, count):
-    """`PixelRuns` of labels 1 to ``count``, from so many runs that `add_row` found."""
-    first = np.zeros(count + 1, np.int64)
+def by_label(found, number, first, row, start, stop):
+    """Write the first ``number`` runs that `add_row` found to fields of `PixelRuns`: label by label, from 1 on."""
+    first[:] = 0
     for k in range(number):
         first[found[3, k]] += 1
-    for i in range(count):
+    for i in range(len(first) - 1):
         first[i + 1] += first[i]
     position = first.copy()
-    row, start, stop = np.empty(number, np.int32), np.empty(number, np.int32), np.empty(number, np.int32)
     for k in range(number):
         to = position[found[3, k] - 1]
         row[to], start[to], stop[to] = found[0, k], found[1, k], found[2, k]
         position[found[3, k] - 1] = to + 1
-    return PixelRuns(first, row, start, stop, np.ones(number))
 
 
 @kernel()
-def runs_of_labels(labels, raw, lowest, highest, count):
-    """`PixelRuns` of the measured pixels of labels 1 to ``count``.
+def runs_of_labels(labels, raw, lowest, highest, found):
+    """Write the runs of the measured pixels of each label to ``found``, as `add_row` does; returns how many.
 
-    ``labels`` is (H, W) int32, 0 for none; pixels of ``raw`` from ``lowest`` to ``highest`` are measured.
+    ``labels`` is (H, W) int32, 0 for none; pixels of ``raw`` from ``lowest`` to ``highest`` are measured. ``found`` has
+    room for as many runs as there are pixels.
     """
-    height, width = labels.shape
+    width = labels.shape[1]
     line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    columns, found = np.empty(len(change) + 1, np.uint32), np.empty((4, labels.size), np.int32)
+    columns = np.empty(len(change) + 1, np.uint32)
     number = 0
-    for row in range(height):
+    for row in range(len(labels)):
         label, values = labels[row], raw[row]
         for x in range(width):
             line[x] = label[x] if (lowest <= values[x]) & (values[x] <= highest) else 0
         number = add_row(line, row, change, columns, found, number)
-    return by_label(found, number, count)
+    return number

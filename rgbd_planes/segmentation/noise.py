@@ -15,6 +15,7 @@ from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
 from rgbd_planes.kernels.statistics.room import COLUMNS, EXPECTED
 from rgbd_planes.noise.model import SMALLEST, NoiseModel
 from rgbd_planes.noise.sigma import check_noise, warn_of_large_noise
+from rgbd_planes.pixel_runs import runs_found
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.workspace import Workspace
 from rgbd_planes.shared_errors import covariances_by_shape
@@ -56,7 +57,8 @@ class Given(NamedTuple):
         shared, alone = np.zeros((count, COLUMNS)), np.zeros(count)
         pixels = moments[:, 0]
         if self.model is not None:
-            runs = runs_inside(labels, work.inverse_depth, work.found.moments[:count], moments)
+            of_pixels = labels, work.inverse_depth, work.found.moments[:count], moments
+            runs = runs_found(lambda found: runs_inside(*of_pixels, found), labels.size, count)
             counts, rays, q = mean_rays("range_explicit", moments.T.copy(), np.zeros((3, count)))
             shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)
             shared[np.isnan(shared[:, EXPECTED])] = 0.0  # without a plane of these pixels: then the frame tells
