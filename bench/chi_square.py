@@ -1,4 +1,4 @@
-"""Fit the constants of `kernels.chi_square`: ``python -m bench.chi_square`` prints them and how good they are.
+"""Fit the constants of `kernels.statistics.chi_square`: ``python -m bench.chi_square`` prints them and their errors.
 
 C(η, 1/a) is taken from SciPy's incomplete gamma functions wherever the deviate z is between -5.6 and 7.2, and from the
 saddlepoint approximation, with next to no weight, beyond, so that the polynomial stays small there. Weights make the

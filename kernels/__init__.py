@@ -2,7 +2,7 @@
 
 What calls what:
 
-- tiles: `grid` from raw depth to planes, with `strips`, `range_moments` and `camera_terms` or `standard_moments`, then
+- tiles: `grid` from raw depth to planes, with `strips`, `camera_terms`, `range_moments` or `standard_moments`, then
   `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` sums those of any pixels
 - windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
 - normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges

@@ -32,7 +32,7 @@ def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
         Each tile has ``span`` columns.
     u, step_u, v
         tanθx of the columns, its step, and tanθy of the rows, relative to their tile's centre.
-    counts, last_u : (3, TILES) uint64 and (TILES,) float64
+    counts, last_u : (3, TILES or more) uint64 and (TILES or more,) float64
         Room.
     """
     v_0 = v[0]

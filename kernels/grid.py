@@ -1,4 +1,4 @@
-"""The tiles of frames from raw depth to planes in one call: moments, then the solve, strip by strip.
+"""The tiles of frames from raw depth to planes in one call: moments, strip by strip, and the solve, block by block.
 
 Everything between the frame and the planes stays in the nearest caches.
 """

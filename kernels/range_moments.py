@@ -7,8 +7,9 @@ cancels later. Without lens distortion only those with q come from the frame; th
 For a camera without lens distortion tanθx depends on the column alone and tanθy on the row alone: columns are
 multiplied by tanθx once, when they are folded into tiles. Four rows are read at a time, two at the end: the
 accumulators' loads and stores would otherwise cost more than the arithmetic, and one division gives the inverse of
-two depths, 1/a = b/(ab) and 1/b = a/(ab). The four are a quarter of the tile apart, so that each of them goes on where
-the one before it ended and the processor prefetches it from memory, as it would not for neighbours.
+two depths, 1/a = b/(ab) and 1/b = a/(ab). The four are a quarter of the tile, or of a band of its rows, apart, so that
+each of them goes on where the one before it ended and the processor prefetches it from memory, as it would not for
+neighbours.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
-"""From moments to planes: the five methods' solves, for a strip of tiles at a time.
+"""From moments to planes: the five methods' solves, for a block of tiles at a time.
 
-A strip is up to `strips.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
+A block is up to `strips.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
 which ``count`` columns are filled. The loops run over the tiles and vectorise. A status says why a tile has no
 plane; its numbers are then NaN.
 """
@@ -29,7 +29,7 @@ MOMENT_ROUNDING = 128 * 2.0**-53
 # The methods in (X, Y, Z) by number.
 STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(3)
 
-# Rows of room that a strip's solve needs: its own, and those of the eigenvectors of 4x4 matrices, which need most.
+# Rows of room that a block's solve needs: its own, and those of the eigenvectors of 4x4 matrices, which need most.
 OWN = 17
 WORK = OWN + eigen4.WORK
 

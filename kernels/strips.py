@@ -11,7 +11,7 @@ from ._jit import kernel
 # Columns of a strip: their accumulators stay in the first-level cache. A multiple of 8, for whole vectors, but not
 # of 512, or all accumulators of a column would compete for the same few lines of that cache.
 COLUMNS = 648
-# Tiles of a block: no fewer than a strip can have.
+# Tiles of a block, which is solved at once: no fewer than a strip can have.
 TILES = 328
 
 

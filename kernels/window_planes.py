@@ -69,7 +69,7 @@ def surface_row(
     tan_x, tan_y : (N,) float64
         Its ray.
     normals, variance, variation : (3 N,), (N,), (N,) float32, written
-        Variance of q about the plane in 1/m², with N - 3 degrees of freedom.
+        Variance of q about the plane in 1/m²: of the squared residuals of n pixels with n - 3 degrees of freedom.
     """
     inverse_fx = 1.0 / fx
     inverse_fy = 1.0 / fy

@@ -32,8 +32,8 @@ class Pixels(NamedTuple):
         Their number, missing ones included, Σx, Σy, Σx² and Σy².
     noise : NoiseModel, optional
     error_sums : (N, 8) float64, optional
-        By that noise, over the valid ones: see `kernels.label_variances`. None where all pixels have one variance and
-        share no errors.
+        By that noise, over the valid ones: see `kernels.statistics.label_variances`. None where all pixels have one
+        variance and share no errors.
     shared : (N, COLUMNS) float64, optional
         By that noise, if neighbours share errors: see `shared_errors.covariances_by_shape`.
     runs : PixelRuns, optional
@@ -100,7 +100,7 @@ def pixels_of_labels(
 
 
 def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
-    """`kernels.label_variances` for the parts of one frame: what was kept, or from each part's moments.
+    """`kernels.statistics.label_variances` for the parts of one frame: what was kept, or from each part's moments.
 
     ``alpha`` (N, 3) are the planes at whose depths the parts' pixels are; where it is NaN, at their mean depth. None
     where moments tell the errors: all pixels have one variance, and share none.

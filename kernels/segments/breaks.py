@@ -24,7 +24,7 @@ def main_bend(h):
 
 
 @kernel()
-def two_planes(region, means, a, box, m, alpha, deviation, along):
+def two_planes(region, means, a, box, m, alpha, deviation, across):
     """What two planes, on both sides of a line, leave of the blocks of region ``a``; the line is the best of some.
 
     Parameters
@@ -35,8 +35,8 @@ def two_planes(region, means, a, box, m, alpha, deviation, along):
         Moments and plane of the region.
     deviation : float
         Unit of residuals, 1/m.
-    along : (float, float)
-        Across the line, in (u, v).
+    across : (float, float)
+        Unit vector across the line, in (u, v).
 
     Returns
     -------
@@ -52,7 +52,7 @@ def two_planes(region, means, a, box, m, alpha, deviation, along):
             for column in range(box[a, 2], box[a, 3], step):
                 if region[row, column] != a or not of_n[row, column] > 0.0:
                     continue
-                t = along[0] * of_u[row, column] + along[1] * of_v[row, column]
+                t = across[0] * of_u[row, column] + across[1] * of_v[row, column]
                 if is_known:
                     k = min(int(STRIPS * (t - low) / (high - low)), STRIPS - 1)
                     add_products(means[:, row, column : column + 1], 1, alpha, deviation, centre, scale, strips[k])

@@ -68,8 +68,8 @@ def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, co
     """Mark the facets of what is meant to be round, such as a rendered ball or a lampshade of strips.
 
     Planes that meet at less than ``blunt`` radians and bend the same way form groups. A group is round if it has FACETS
-    or more, none of which is half of it, and turns by more than ``sharp`` radians, root mean square. The other
-    arguments are those of `shape.find_curved`.
+    or more, none of which is half of it, and turns by more than ``sharp`` radians, root mean square.
+    ``turned`` is that of `turn_of_groups`, and the other arguments are those of `shape.find_curved`.
     """
     pairs, where, _ = contacts
     regions = len(alpha)

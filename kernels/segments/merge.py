@@ -157,7 +157,7 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
     floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
     crest = tolerance * rules.region_crest
     waves, wave_pixels = rules.region_waves, rules.wave_pixels
-    # Joint moments; smaller, touch, step, rss, variance, squared waviness; the result.
+    # Joint moments; smaller, touch, step, rss, variance, the smaller and the larger squared waviness; the result.
     m = np.empty((18, TOGETHER))
     for start in range(0, count, TOGETHER):
         number = min(TOGETHER, count - start)

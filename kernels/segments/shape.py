@@ -155,7 +155,10 @@ def turns_as_an_arc(bending, a, b, angle):
 
 @kernel()
 def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent):
-    """Unite the regions that are one arc behind something thin in front of them; the arguments are `find_curved`'s."""
+    """Unite the regions that are one arc behind something thin in front of them.
+
+    ``parent`` (N,) and ``bent`` (N,) bool are changed; the other arguments are those of `find_curved` and `find_turns`.
+    """
     alpha, regions = planes.alpha, len(parent)
     where = np.empty(3)
     for a in range(regions):

@@ -61,10 +61,10 @@ def assess(
     counts : (F, N) integers
         Which row of ``tables`` belongs to a tile.
     tables : (K, TABLE_COLUMNS) float64
-        By number of pixels. With the covariance C of errors that neighbours share, of variance 1, and the projection P
-        on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x, on the covariance of
-        the slopes, on the variance of the slope along y and on that of the mean inverse depth. Without rows, pixels are
-        independent.
+        By number of pixels, or one for each tile. With the covariance C of errors that neighbours share, of variance 1,
+        and the projection P on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x,
+        on the covariance of the slopes, on the variance of the slope along y and on that of the mean inverse depth.
+        Without rows, pixels are independent.
     noise : (8 or more,) float64
         See `variances.LATERAL_X`.
     growth : (2, N) float64, or (2, 0)
@@ -75,7 +75,7 @@ def assess(
     limits : (LIMITS,) float64
         The largest permitted sum of squared residuals over its expected value, as a polynomial in 1/√(degrees of
         freedom); with a spread of the variance, the normal deviate of the level; empty for no test.
-    status : (F, N) uint8, written
+    status : (F, N) uint8, changed
     results : (F, RESULTS, N) float64, written
         P-values of the residuals, covariances of α and of (n, d), and deviations, from row P_VALUE, ALPHA_COVARIANCE,
         PLANE_COVARIANCE, ANGLE_STD (degrees) and OFFSET_STD (metres). NaN where there is no plane. Without rows, only

@@ -27,7 +27,7 @@ ROWS = 58
 # shape, the covariances that errors along the ray have in all: see `shared_errors.shared_covariances`.
 OF_LENS, OF_DEPTHS, OF_SHAPE = 3, 11, 17
 
-# Columns of what `shared_errors.shared_covariances` writes.
+# Columns of what `shared_errors.shared_covariances` writes: here, since that takes longer to import.
 SLOPES, WITH_MEAN, MEAN, EXPECTED, FREEDOM, COLUMNS = 0, 3, 5, 6, 7, 8
 
 # Rows of the results.

@@ -214,7 +214,7 @@ class NoiseModel:
     @property
     @kept
     def _variances(self) -> Floats:
-        """σq² before rounding, on the axis, as `kernels.statistics.pixel_variances` takes it."""
+        """σq² before rounding, on the axis, as `kernels.statistics.variances` has it: a scale, and a table."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
             return np.array([1.0, self.coefficients[0] ** 2])
         table = self._table() ** 2
