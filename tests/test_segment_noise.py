@@ -366,11 +366,11 @@ def test_the_noise_of_a_frame_is_what_is_given_and_what_it_shows(noise, disparit
     table, known = None, np.empty(0)
     if given.sigma is not None:
         table = np.maximum(given.sigma(np.maximum(inverse_depth, 0.5 * step)), flattest)
-        known = np.concatenate([[step], table]) if given.at_large else known
+        known = np.concatenate([[step], table]) if given.is_sensors else known
     typical, lateral, by_32, together = estimate_frame_noise(pyramid, known, growth, reach_table())
     if table is None:
         table = np.maximum(np.minimum(typical**0.5, 0.03 * np.maximum(inverse_depth, step)), rounding)
-    elif given.at_large:
+    elif given.is_sensors:
         table = np.minimum(np.maximum(typical**0.5 * table, rounding), table)
     sigma = np.maximum(table, flattest)
     shown = typical**0.5 * (known[17] if len(known) else 1.0)

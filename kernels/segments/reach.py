@@ -193,13 +193,13 @@ def go_together(pyramid, sigma, typical, growth, reach):
 
 
 @kernel()
-def as_planes_show(together, is_modelled, pyramid, label, inverse_depth):
-    """How many pixels go together: ``together``, but 1 if there is a noise model and squares in planes may show chance.
+def as_planes_show(together, is_sensors, pyramid, label, inverse_depth):
+    """How many pixels go together: ``together``, or 1 if the noise is a sensor's and squares in planes may show chance.
 
     Where there are many edges, a little of another surface is in many flat squares, and looks like shared errors. With
     ``label`` (H, W) int32, 0 for none, these are left out, and no residual is too large.
     """
-    if not is_modelled or together <= 1.0:
+    if not is_sensors or together <= 1.0:
         return together
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
     for size in range(SIZES - 1, -1, -1):

@@ -27,7 +27,7 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
 
 @kernel()
 def find_planes(
-    inverse_depth, rays, pyramid, noise, is_modelled, rules, least, min_size, reasons, owners, contended, contacts,
+    inverse_depth, rays, pyramid, noise, is_sensors, rules, least, min_size, reasons, owners, contended, contacts,
     region_moments, runs, loose, found, label, reason,
 ):  # fmt: skip
     """Find the regions of a frame, and those of their parts that are planes; fit these, and label their pixels.
@@ -39,7 +39,7 @@ def find_planes(
     rays : Rays
     pyramid : Pyramid
     noise : Noise
-    is_modelled : bool
+    is_sensors : bool
         See `reach.as_planes_show`.
     rules : Rules
     least, min_size : int
@@ -89,7 +89,7 @@ def find_planes(
         label, inverse_depth, rays, pyramid, moments, found.inside[:planes], found.alpha[:planes], found.rss[:planes],
         found.weighted[:planes],
     )  # fmt: skip
-    together = as_planes_show(noise.together, is_modelled, pyramid, label, inverse_depth)
+    together = as_planes_show(noise.together, is_sensors, pyramid, label, inverse_depth)
     for k in range(planes):
         found.size[k + 1] = moments[k, 0]
     settle_strays(runs, inverse_depth, reasons.unclaimed, min_size, loose, loose_count, label, reason, found.size)

@@ -34,7 +34,7 @@ class Given(NamedTuple):
         The sensor's standard deviation of inverse depth.
     lateral : float
         Standard deviation, in pixels, of where within its pixel a measurement lies; 0 if it is not known.
-    at_large : bool
+    is_sensors : bool
         ``sigma`` is a sensor's: some of it may be errors that neighbours share.
     model : NoiseModel, optional
         The same sensor's, if it says how neighbours share errors.
@@ -42,7 +42,7 @@ class Given(NamedTuple):
 
     sigma: Callable[[Floats], Floats] | None = None
     lateral: float = 0.0
-    at_large: bool = False
+    is_sensors: bool = False
     model: NoiseModel | None = None
 
     def of_planes(
@@ -66,7 +66,7 @@ class Given(NamedTuple):
             return Modelled(
                 shared, alone, alone + shared[:, EXPECTED] / np.maximum(pixels - 3.0, 1.0), self.lateral > 0.0, True
             )
-        if self.at_large and together == 1.0 and self.sigma is not None:
+        if self.is_sensors and together == 1.0 and self.sigma is not None:
             alone = self.sigma(moments[:, 3] / pixels) ** 2
             return Modelled(shared, alone, alone, self.lateral > 0.0, True)
         return Modelled(shared, alone, alone, False, False)
@@ -101,7 +101,7 @@ def noise_of(
     nearest = nearest or 1.0
     growth, sigma = np.empty(3), np.empty(ENTRIES + 1)
     told = find_noise(
-        pyramid, nearest, _table(given, nearest), given.at_large, step_of_raw, frame.scale, frame.is_disparity,
+        pyramid, nearest, _table(given, nearest), given.is_sensors, step_of_raw, frame.scale, frame.is_disparity,
         reach_table(), growth, sigma,
     )  # fmt: skip
     found = FrameNoise(*told)
@@ -124,8 +124,8 @@ def _table(given: Given, nearest: float) -> Floats:
         return _UNKNOWN
     q = np.linspace(0.0, nearest, ENTRIES)
     flattest = FLATNESS * q
-    q = np.maximum(q, max(0.5 * q[1], min(SMALLEST, nearest) if given.at_large else 0.0))  # no function need know 0
+    q = np.maximum(q, max(0.5 * q[1], min(SMALLEST, nearest) if given.is_sensors else 0.0))  # no function need know 0
     table = np.maximum(check_noise(given.sigma(q.copy()), q, finite=False), flattest)
-    result = "standard deviations are far too large" if given.at_large else "nearly all things are one plane, or none"
+    result = "standard deviations are far too large" if given.is_sensors else "nearly all things are one plane, or none"
     warn_of_large_noise(table[MIDDLE], q[MIDDLE], result)
     return table

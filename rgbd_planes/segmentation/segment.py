@@ -112,7 +112,7 @@ def _given(noise: Any) -> Given:
         lateral = number("noise.lateral", getattr(noise, "lateral", 0.0))
         if lateral < 0.0:
             raise ValueError(f"expected noise.lateral of 0 pixels or more, got {lateral!r}")
-        return Given(noise.sigma, lateral, at_large=True, model=model)
+        return Given(noise.sigma, lateral, is_sensors=True, model=model)
     check_not_a_maker(noise)
     if callable(noise):
         return Given(noise)
@@ -146,7 +146,7 @@ def _segment(
     labels, reason = aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8)
     while True:
         runs, count, together = find_planes(
-            work.inverse_depth, rays, work.pyramid, noise, given.at_large, rules, min(min_size, SMALLEST), min_size,
+            work.inverse_depth, rays, work.pyramid, noise, given.is_sensors, rules, min(min_size, SMALLEST), min_size,
             _REASONS, work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose,
             work.found, labels, reason,
         )  # fmt: skip
