@@ -69,7 +69,7 @@ def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y
         upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
         upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
         above = tables[max(row, 0)]
-        middle = tables[max(row + 1, 0)]
+        middle = tables[row + 1]
         below = tables[row + 2]
         middle[0] = 0.0
         below[0] = 0.0
@@ -125,7 +125,7 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
         upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
         upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
         above = tables[max(row, 0)]
-        middle = tables[max(row + 1, 0)]
+        middle = tables[row + 1]
         below = tables[row + 2]
         middle[0] = 0.0
         below[0] = 0.0

@@ -70,7 +70,7 @@ def _draw_depth(axes: "Axes", evidence: "NoiseEvidence") -> None:
     order = np.argsort(depth)
     axes.plot(depth[order], 1e3 * evidence.sigma_fit[order], color=_MODEL, label="model")
     axes.set_ylim(0.0, 1.15e3 * max(evidence.sigma.max(), evidence.sigma_fit.max()))
-    _finish(axes, "Residual of 1/Z in tiles of 12 x 12 pixels", "depth, m", "rms residual, 1e-3 / m")
+    _finish(axes, f"Residual of 1/Z in tiles of {REFERENCE} x {REFERENCE} pixels", "depth, m", "rms residual, 1e-3 / m")
 
 
 def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
