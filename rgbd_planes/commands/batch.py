@@ -44,7 +44,6 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler, to use its workers: tcp://host:port"
     )
-
     parser.add_argument("--retry", action="store_true", help="try the frames again that were skipped before")
 
     def run(arguments: argparse.Namespace) -> int:

@@ -28,8 +28,6 @@ Floats = NDArray[np.float64]
 
 SMALLEST = 60  # pixels of a region, unless the caller says otherwise
 _RULES = Rules()
-
-
 _REASONS = Reasons(*(np.uint8(Reason[name.upper()]) for name in Reasons._fields))
 
 
