@@ -172,3 +172,52 @@ print(status)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_fork_while_a_thread_compiles():
     assert printed_by(FORK_WHILE_A_THREAD_COMPILES, PYTHONWARNINGS="ignore").split() == ["0"]
+
+
+RETURNED_TO_PYTHON = """
+import ast, importlib, numba, types
+from pathlib import Path
+import numpy as np
+import rgbd_planes as rp
+
+noise = rp.noise.NoiseModel((1.4e-3,), correlation=((0.5, 3.0),), floor=0.5, lateral=0.3)
+camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0, noise=noise)
+depth = rp.scenes.room().render(camera).measure(holes=0.05, seed=1)
+tiles, segments = rp.fit_tiles(depth, camera, 8), rp.segment(depth, camera)
+for fits in (tiles, rp.fit_windows(depth, camera, [[0, 0, 30, 40]]), rp.fit_labels(depth, camera, segments.labels)):
+    fits.p_value, fits.plane_covariance, rp.merge(fits, np.ones(fits.shape, np.int32)).angle_std
+segments.angle_std, rp.normals(depth, camera), rp.segment_quadtree(depth, camera)
+called = {}
+for path in Path(rp.__file__).parent.rglob("*.py"):
+    if "kernels" in path.relative_to(Path(rp.__file__).parent).parts:
+        continue
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("rgbd_planes.kernels"):
+            for name in node.names:
+                try:
+                    found = getattr(importlib.import_module(node.module), name.name)
+                except AttributeError:
+                    found = importlib.import_module(f"{node.module}.{name.name}")
+                of = vars(found) if isinstance(found, types.ModuleType) else {name.name: found}
+                used = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)} | {name.name}
+                called |= {f"{found.__name__}.{k}": v for k, v in of.items() if k in used and hasattr(v, "signatures")}
+print(len(called), sum(bool(kernel.signatures) for kernel in called.values()))
+plain = numba.types.Number, numba.types.Boolean, numba.types.NoneType
+for name, kernel in called.items():
+    for made in kernel.overloads.values():
+        result = made.signature.return_type
+        parts = result if isinstance(result, (numba.types.Tuple, numba.types.UniTuple)) else [result]
+        if not all(isinstance(part, plain) for part in parts):
+            print(name, result)
+"""
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_kernels_that_python_calls_return_numbers():
+    """To make an array, or a named tuple, Numba calls Python; an interrupt there would end the process."""
+    first, *others = printed_by(RETURNED_TO_PYTHON, timeout=600.0).splitlines()
+    kernels, compiled = map(int, first.split())
+    assert kernels > 30
+    assert compiled > 15
+    assert others == []
