@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rgbd_planes.batch.parts import Problem, in_words
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.colours import in_image, label_colours, normal_colours
@@ -19,7 +18,8 @@ from rgbd_planes.files import write_beside
 from rgbd_planes.polygons import plane_polygons
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker
-from rgbd_planes.sequences.frames import Frame, FrameSequence, check_sequence, reason_to_skip
+from rgbd_planes.sequences.frames import Frame, FrameSequence, check_sequence
+from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
 from rgbd_planes.tiles import TileFitter
 
 Fit = TypeVar("Fit")

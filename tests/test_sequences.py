@@ -26,7 +26,8 @@ import rgbd_planes as rp
 from rgbd_planes import images, presets, sequences
 from rgbd_planes.commands.arguments import read_sequence
 from rgbd_planes.sequences.bag import _decode, _decode_compressed, _OpenBag
-from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered, reason_to_skip
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered
+from rgbd_planes.sequences.problems import reason_to_skip
 from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)

@@ -3,7 +3,7 @@
 import json
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import lru_cache, partial
 from pathlib import Path
@@ -23,11 +23,11 @@ from rgbd_planes.fit_statistics import check_level
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
-from rgbd_planes.sequences.frames import Frame, FrameSequence, reason_to_skip
+from rgbd_planes.sequences.frames import Frame, FrameSequence
+from rgbd_planes.sequences.problems import Problem, reason_to_skip
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
-from rgbd_planes.wording import ranges
 
 
 @dataclass(frozen=True)
@@ -100,37 +100,6 @@ class FitSettings:
             return 1
         rows, columns = grid_shape(camera, check_tile(self.tile, camera.shape))
         return rows * columns
-
-
-class Problem(NamedTuple):
-    """A frame that was skipped, and why.
-
-    Attributes
-    ----------
-    frame : int
-        Its number in the sequence, from 0.
-    name : str
-        Its name in the data set.
-    reason : str
-        What was wrong with it, in one line.
-    """
-
-    frame: int
-    name: str
-    reason: str
-
-
-def in_words(problems: Iterable[Problem]) -> list[str]:
-    """A line for each reason, with the frames that it is about."""
-    frames: dict[str, list[Problem]] = {}
-    for problem in problems:
-        frames.setdefault(problem.reason, []).append(problem)
-    return [
-        f"frame {some[0].frame}, {some[0].name}: {reason}"
-        if len(some) == 1
-        else f"{len(some)} frames, {ranges([problem.frame for problem in some])}: {reason}"
-        for reason, some in frames.items()
-    ]
 
 
 class Part(NamedTuple):

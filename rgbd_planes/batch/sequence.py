@@ -25,7 +25,7 @@ import numpy as np
 
 from rgbd_planes import __version__
 from rgbd_planes.batch.digest import UNKNOWN, digests, of_files, stamps
-from rgbd_planes.batch.parts import FitSettings, Part, Problem, fit_part, in_words
+from rgbd_planes.batch.parts import FitSettings, Part, fit_part
 from rgbd_planes.batch.rows import Columns
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
@@ -33,7 +33,8 @@ from rgbd_planes.checks import check_bool, check_num_threads, check_whole
 from rgbd_planes.depth import check_unit
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, check_folder_name, naming, write_beside
-from rgbd_planes.sequences.frames import FrameSequence, check_sequence, reason_to_skip
+from rgbd_planes.sequences.frames import FrameSequence, check_sequence
+from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
 from rgbd_planes.threads import num_cores
 from rgbd_planes.wording import counted
 

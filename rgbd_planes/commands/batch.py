@@ -48,9 +48,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import FitSettings, fit_sequence
-        from rgbd_planes.batch.parts import in_words
         from rgbd_planes.batch.sequence import Progress
         from rgbd_planes.extras import needs
+        from rgbd_planes.sequences.problems import in_words
 
         with needs("tqdm", "batch" if arguments.scheduler is None else "dask"):
             from tqdm import tqdm

@@ -87,7 +87,7 @@ def noise(parser: argparse.ArgumentParser) -> Run:
 def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
     """The chosen frames, without those that cannot be read or are not the camera's, which are reported."""
     from rgbd_planes.depth import as_depth_frame
-    from rgbd_planes.sequences.frames import reason_to_skip
+    from rgbd_planes.sequences.problems import reason_to_skip
 
     frames, skipped = [], []
     for index in chosen:

@@ -1,6 +1,5 @@
 """What every format is reduced to: a list that describes the frames, and a function that reads one of them."""
 
-import errno
 import math
 import os
 import re
@@ -15,20 +14,9 @@ from numpy.typing import NDArray
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, each_of, number
-from rgbd_planes.files import MissingFolderError
 from rgbd_planes.images import read_depth
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.wording import counted, reason_of
-
-# What the system says where nothing is wrong with a file: files or memory are short, or a disk, near or far, does not
-# answer. Not every system knows all of them.
-_OF_THE_MACHINE = {
-    getattr(errno, name, errno.EIO)
-    for name in (
-        *("EMFILE", "ENFILE", "ENOMEM", "EIO", "ESTALE", "ETIMEDOUT", "ENODEV", "ENXIO", "EREMOTEIO", "ENOTCONN"),
-        *("ECONNREFUSED", "ECONNRESET", "ECONNABORTED", "EHOSTDOWN", "EHOSTUNREACH", "ENETDOWN", "ENETUNREACH"),
-    )
-}
+from rgbd_planes.wording import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,27 +175,6 @@ def check_sequence(sequence: Any) -> None:
         raise TypeError(f"expected a FrameSequence, which open_sequence makes, got {type(sequence).__name__}")
     if len(sequence) == 0:
         raise ValueError("expected a sequence with frames, got none")
-
-
-def reason_to_skip(error: Exception, name: str) -> str:
-    """What is wrong with the frame of a name, in one line, if that is why it could not be read or fitted.
-
-    Where something else is, as where a library is missing, memory is short, or a disk does not answer or is gone, that
-    error is raised: the frame would be left out for good.
-    """
-    if isinstance(error, (ImportError, MemoryError)):
-        raise error
-    cause: BaseException | None = error
-    while cause is not None:  # readers take it for damage to the file
-        if isinstance(cause, MissingFolderError):
-            raise cause
-        if isinstance(cause, TimeoutError) or (isinstance(cause, OSError) and cause.errno in _OF_THE_MACHINE):
-            cause.filename = cause.filename or name
-            raise cause
-        cause = cause.__cause__ or cause.__context__
-    text = reason_of(error)
-    folder, _, rest = text.partition(f"{name}: ")  # the name is given beside it
-    return rest if rest and folder[-1:] in ("", "/") else text
 
 
 def kept_open() -> threading.local:
