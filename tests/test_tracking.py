@@ -9,8 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from rgbd_planes import Camera, noise, scenes, segment
 from rgbd_planes.metrics import compare_labels
+from rgbd_planes.segmentation import known_planes
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
-from rgbd_planes.segmentation.known_planes import LARGEST, KnownPlanes, Points, View, _is_hidden, same_planes
+from rgbd_planes.segmentation.known_planes import (
+    LARGEST,
+    KnownPlanes,
+    Points,
+    View,
+    _is_hidden,
+    recognise,
+    remember,
+    same_planes,
+)
 from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation, segment_sequence
 from rgbd_planes.sequences.frames import Frame
 
@@ -484,3 +494,40 @@ def test_a_tracker_is_given_one_segmentation_after_the_other() -> None:
         tracker.follow(depth)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="memory must be at least 0, got -1"):
         PlaneTracker(-1)
+
+
+@pytest.mark.parametrize("degrees", [2.0, 6.0])
+def test_a_camera_that_stands_still_has_not_moved(degrees: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever motion planes tell that noise has bent, or of which few are in sight."""
+    found = segment(scenes.room().render(CAMERA).measure(seed=1), CAMERA)
+    view, ids = View.of(found), np.arange(1, len(found) + 1, dtype=np.int32)
+    known = remember(KnownPlanes(), view, ids, 30)
+    wrong = Motion(Rotation.from_euler("y", degrees, degrees=True).as_matrix(), np.array([0.1, 0.0, 0.0]))
+    monkeypatch.setattr(known_planes, "motion_since", lambda *whatever: wrong)
+    moved, matches = recognise(known, view)
+    np.testing.assert_array_equal(moved.planes, known.planes)
+    np.testing.assert_array_equal(matches.before, matches.now)
+    assert len(matches.now) == len(known.ids)
+    assert matches.share > 0.9
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"distortion": (0.2, -0.3, 0.002, -0.001, 0.1)},
+        {"distortion": (-0.3, 0.1, 0.0, 0.0, 0.0)},
+        {"distortion": (0.1, 0.02, -0.01, 0.0), "distortion_model": "fisheye", "fx": 60.0, "fy": 60.0},
+    ],
+)
+def test_points_are_in_the_squares_that_a_lens_puts_them_in(lens: dict[str, Any], rng: np.random.Generator) -> None:
+    """Those that none of the image's rays comes near are not looked for."""
+    camera = replace(CAMERA, **lens)
+    view = View.of(segment(scenes.plane((0.1, -0.2, -1.0), 1.5).render(camera).depth, camera))
+    xyz = rng.normal(size=(20_000, 3)) * [2.0, 2.0, 1.0]
+    row, column, inside = view.squares_of(xyz)
+    x, y = np.rint(0.5 * camera.project(xyz)).T
+    expected = (y >= 0) & (y < view.labels.shape[0]) & (x >= 0) & (x < view.labels.shape[1])
+    np.testing.assert_array_equal(inside, expected)
+    assert 300 < expected.sum() < 15_000
+    np.testing.assert_array_equal(row[inside], y[inside])
+    np.testing.assert_array_equal(column[inside], x[inside])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.camera import Camera
 from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.result import Segmentation
@@ -119,7 +121,13 @@ class View(NamedTuple):
 
     def squares_of(self, xyz: Floats) -> tuple[Indices, Indices, NDArray[np.bool_]]:
         """Row and column of the square in which each point is seen, and whether it is in the image."""
-        pixels = self.found.camera.project(xyz)
+        camera = self.found.camera
+        if camera.is_distorted:  # what none of the image's rays comes near takes a lens long
+            some = _is_near_rays(camera._lens, xyz)
+            pixels = np.full((len(xyz), 2), np.nan)
+            pixels[some] = camera.project(xyz[some])
+        else:
+            pixels = camera.project(xyz)
         column, row = np.rint(0.5 * pixels).T
         inside = (row >= 0) & (row < self.labels.shape[0]) & (column >= 0) & (column < self.labels.shape[1])
         return np.where(inside, row, 0).astype(np.intp), np.where(inside, column, 0).astype(np.intp), inside
@@ -145,6 +153,22 @@ class View(NamedTuple):
         return points.some(np.flatnonzero(q > 0.0))
 
 
+@lru_cache(maxsize=8)
+def _bounds(camera: Camera) -> tuple[tuple[float, float], ...]:
+    """Least and largest tanθx and tanθy of an image's rays, and a little beyond."""
+    ends = [(float(np.nanmin(tangent)), float(np.nanmax(tangent))) for tangent in ray_tables(camera)]
+    return tuple((low - 0.05 * (high - low), high + 0.05 * (high - low)) for low, high in ends)
+
+
+def _is_near_rays(camera: Camera, xyz: Floats) -> NDArray[np.bool_]:
+    """Whether points may be in the image: those that are not may be counted, too."""
+    x, y, z = xyz.T
+    is_near = z > 0.0
+    for along, (low, high) in zip((x, y), _bounds(camera), strict=True):
+        is_near &= (along >= low * z) & (along <= high * z)
+    return np.asarray(is_near)
+
+
 class Matches(NamedTuple):
     """Pairs of a known plane and one in sight that are the same.
 
@@ -168,6 +192,10 @@ def recognise(known: KnownPlanes, view: View) -> tuple[KnownPlanes, Matches]:
     """The known planes as the camera sees them now, and which of them are in sight."""
     moved = known.moved(motion_since(known, view))
     matches = same_planes(moved, view, close=HARDLY_MOVED)
+    # Few planes, or such as noise bends, tell a motion that may be none: what is seen again says which.
+    still = same_planes(known, view, close=HARDLY_MOVED)
+    if still.share > matches.share:
+        moved, matches = known, still
     if matches.share >= FAMILIAR:
         return moved, matches
     return known, same_planes(known, view, HARDLY_TURNED, HARDLY_MOVED, HARDLY_MOVED)
