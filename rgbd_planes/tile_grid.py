@@ -21,7 +21,8 @@ def check_tile(tile: int | tuple[int, int], frame: tuple[int, int]) -> tuple[int
 def tile_sides(tile: int | tuple[int, int]) -> tuple[int, int]:
     """Return a tile's (height, width), for frames of any size."""
     given: Any = tile.tolist() if isinstance(tile, np.ndarray) else tile
-    sides = tuple(given) if isinstance(given, Sequence) and not isinstance(given, bytes) else (given, given)
+    several = isinstance(given, Sequence) and not isinstance(given, (bytes, bytearray))  # of which ints come out
+    sides = tuple(given) if several else (given, given)
     if len(sides) != 2 or not all(isinstance(side, (int, np.integer)) for side in sides):
         raise TypeError(f"tile must be a whole number of pixels or (height, width), got {tile!r}")
     height, width = int(sides[0]), int(sides[1])

@@ -363,9 +363,10 @@ def test_what_numpy_takes_for_numbers(values):
         replace(CAMERA, invalid_values=values)
 
 
-def test_two_bytes_are_no_size_of_a_tile():
+@pytest.mark.parametrize("tile", [b"88", bytearray(b"88")])
+def test_two_bytes_are_no_size_of_a_tile(tile):
     with pytest.raises(TypeError, match="tile must be a whole number of pixels or"):
-        rp.fit_tiles(DEPTH, CAMERA, b"88")
+        rp.fit_tiles(DEPTH, CAMERA, tile)
 
 
 def test_faces_of_points_that_are_not_there(tmp_path):

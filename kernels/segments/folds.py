@@ -151,7 +151,7 @@ def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
             m = moments[a]
             fit(m, alpha)
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, _, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
+            turned, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
             ajar[a] &= not turned > TURNED**2
             chosen[a] = turned > TURNED**2 or ajar[a]
 

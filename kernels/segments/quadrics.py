@@ -351,8 +351,8 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
     variance, waviness_square : float
         Of a pixel about the plane, without the waviness.
     rules : Rules
-    products : (7, 7) float64
-        Room.
+    products : (7, 7) float64, written
+        Those of the quadric, after `eliminate`.
 
     Returns
     -------
@@ -361,18 +361,15 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
         The same, also where noise explains it.
     gain, rest : float
         By how much the quadric lowers the mean squared residual of the plane, and what it leaves, in variances.
-    h : (float, float, float)
-        Its second derivatives, see `second_derivatives`.
     """
     deviation, scale, step = math.sqrt(variance), extent(m), step_of(box[a])
     centre = m[1] / m[0], m[2] / m[0]
     products[:] = 0.0
     pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, products)
     if pixels == 0.0:
-        return 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+        return 0.0, 0.0, 0.0, 0.0
     flat = eliminate(products, 0, PLANE_TERMS)
     rest = eliminate(products, PLANE_TERMS, TERMS)
-    h = second_derivatives(products, scale, deviation)
-    bending = turn(m, alpha, h)
+    bending = turn(m, alpha, second_derivatives(products, scale, deviation))
     turned = bending if (flat - rest) * step * step > rules.region_spread * waviness_square else 0.0
-    return turned, bending, (flat - rest) / pixels, rest / pixels, h
+    return turned, bending, (flat - rest) / pixels, rest / pixels

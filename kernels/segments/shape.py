@@ -27,6 +27,7 @@ from .quadrics import (
     inner_pixels,
     own_turn,
     owned_means,
+    second_derivatives,
     step_of,
 )
 
@@ -66,13 +67,14 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         waves = waviness_square[a]
-        by, bending[a], gain, rest, h = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
+        by, bending[a], gain, rest = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
         if breadth(box[a]) < FEWEST_ACROSS:
             continue
         turned[a], bent[a] = by, gain > rules.bent * waves
         if bent[a] and by > math.radians(rules.sharp) ** 2:
-            pixels, step = products[0, 0], step_of(box[a])
-            two, quadrics = two_planes(region, means, a, box, m, alpha[a], math.sqrt(variance), main_bend(h))
+            pixels, step, deviation = products[0, 0], step_of(box[a]), math.sqrt(variance)
+            across = main_bend(second_derivatives(products, extent(m), deviation))
+            two, quadrics = two_planes(region, means, a, box, m, alpha[a], deviation, across)
             two, quadrics = two / pixels, quadrics / pixels
             sure = rules.region_spread * waves / (pixels * step * step)
             better = rest - two
@@ -98,7 +100,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[:, 0])
-        turned, _, gain, rest, _ = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
+        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
 
