@@ -58,7 +58,7 @@ def warmup(
     segment = check_bool("segment", segment)
     several = dtypes if isinstance(dtypes, Iterable) and not isinstance(dtypes, (str, type)) else [dtypes]
     several = [np.dtype(dtype) for dtype in several]
-    with collected_warnings([]):  # of a metre by this camera there may be something to warn of
+    with collected_warnings([]):  # frames of ones may be doubted, by a disparity or a noise model
         for method in methods if isinstance(methods, Iterable) and not isinstance(methods, str) else [methods]:
             check_choice("method", method, METHODS)
             fitter = TileFitter(small, 4, method, num_threads=1)

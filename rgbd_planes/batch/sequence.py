@@ -344,13 +344,11 @@ class _Threads:
                 fitted.get()
             return count
 
-        threads = [
-            Thread(target=work_off, name="rgbd_planes_batch", daemon=True) for _ in range(min(self.slots, len(tasks)))
-        ]
         started: list[Thread] = []
         try:
             with suppress(RuntimeError):  # there are no more threads, by a limit or since the main thread has ended
-                for thread in threads:
+                for _ in range(min(self.slots, len(tasks))):
+                    thread = Thread(target=work_off, name="rgbd_planes_batch", daemon=True)
                     thread.start()
                     started.append(thread)
             if not started:

@@ -241,17 +241,12 @@ class NoiseModel:
         size : (..., 2) array_like, optional
             Height and width of the rectangles among whose pixels these lie. Where some are missing, they may be missing
             in one piece, which leaves a rectangle of these proportions, or here and there: the case with larger errors
-            counts. Without it the pixels are full squares. The shapes broadcast.
+            counts. Without it the pixels are full squares.
 
         Returns
         -------
         ResidualStatistics
-            Of arrays of the shape that `count` and `size` broadcast to.
-
-        Raises
-        ------
-        TypeError, ValueError
-            They are no numbers, or have shapes that do not broadcast.
+            Of arrays of the shape of `count`, to which that of `size`, but for its last axis, is broadcast.
         """
         n = np.asarray(count, np.float64)
         if self.is_independent:
