@@ -5,6 +5,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
@@ -96,7 +97,9 @@ class FrameSequence(Sequence[Frame]):
     def __getitem__(self, index: slice) -> "FrameSequence": ...
     def __getitem__(self, index: int | slice) -> "Frame | FrameSequence":
         if isinstance(index, slice):
-            return FrameSequence(self.entries[index], self._read)
+            part = copy(self)  # whose entries are checked already: a batch takes many parts
+            part.entries = self.entries[index]
+            return part
         try:
             entry = self.entries[index]
         except TypeError:
