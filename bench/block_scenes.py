@@ -11,8 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull
 
 from rgbd_planes import Camera, scenes
-
-Floats = NDArray[np.float64]
+from rgbd_planes.array_types import Floats
 
 
 @dataclass(frozen=True)

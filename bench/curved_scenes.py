@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera, scenes
+from rgbd_planes.array_types import Floats
 from rgbd_planes.noise import KINECT_V1
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
 import rgbd_planes as rp
+from rgbd_planes.array_types import Floats
 from tests import monte_carlo
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Noise = rp.noise.NoiseModel
 

@@ -4,10 +4,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 import rgbd_planes as rp
+from rgbd_planes.array_types import Floats
 from tests import monte_carlo
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
@@ -16,8 +16,6 @@ DEPTHS = (0.5, 1.0, 2.0, 4.0, 8.0)
 TILES = (5, 10, 20, 40)
 HOLES = (0.0, 0.3)
 INSIDE = stats.norm.isf(0.005)  # of a 99 % interval, in standard errors
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

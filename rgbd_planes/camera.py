@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes import camera_formats
+from rgbd_planes.array_types import Floats
 from rgbd_planes.caller_warnings import collected_warnings, warn_caller
 from rgbd_planes.checks import check_bool, check_not_a_maker, check_whole, number, numbers, real_array
 from rgbd_planes.depth import as_depth_frame
@@ -22,7 +23,6 @@ from rgbd_planes.keeping import kept
 from rgbd_planes.lenses import distortion
 from rgbd_planes.noise.model import NoiseModel
 
-Floats = NDArray[np.float64]
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
 
 

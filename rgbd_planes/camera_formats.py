@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import check_choice, check_whole, number, real_array
 from rgbd_planes.files import no_folder
-
-Floats = NDArray[np.float64]
 
 _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
     "none",

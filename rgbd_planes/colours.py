@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.plane_fits import TileStatus
-
-Floats = NDArray[np.float64]
 
 # Green, red and blue are the paper's (its figure of a segmented room corner); the green is bluish and the red is not,
 # so that they differ for those who cannot tell green from red.

@@ -1,13 +1,11 @@
 """Whether the numbers of a frame are distances along the ray, taken for depth along the optical axis."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
-
-Floats = NDArray[np.float64]
 
 _SAMPLES, _SIDE = 100, 10  # along the longer side of the image, and of a window
 # How much flatter in one reading than in the other, and in how many windows. A ball whose radius is its distance comes

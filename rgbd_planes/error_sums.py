@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
@@ -19,8 +20,6 @@ from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 if TYPE_CHECKING:
     from rgbd_planes.fitting import Arrays
     from rgbd_planes.plane_fits import PlaneFits
-
-Floats = npt.NDArray[np.float64]
 
 
 class Pixels(NamedTuple):

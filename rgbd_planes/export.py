@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, plain_array, real_array
 from rgbd_planes.colours import in_image, normal_colours
@@ -30,8 +31,6 @@ from rgbd_planes.tile_planes import TilePlanes
 
 if TYPE_CHECKING:
     import open3d
-
-Floats = NDArray[np.float64]
 
 
 def tile_polygons(tiles: TilePlanes) -> Floats:

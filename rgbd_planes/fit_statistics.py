@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.aligned_arrays import aligned
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
 from rgbd_planes.kernels.statistics.assess import LIMITS, assess
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting import Arrays
     from rgbd_planes.plane_fits import PlaneFits
 
-Floats = npt.NDArray[np.float64]
 
 DEFAULT_SIGNIFICANCE = 0.01
 # Tables have an entry for each number of pixels up to this one, for as many sizes of tiles as a grid has.

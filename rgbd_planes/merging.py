@@ -9,9 +9,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_labels, label_array
-from rgbd_planes.error_sums import Floats, KeepsPixels, Pixels, mean_rays, sums_of_fits
+from rgbd_planes.error_sums import KeepsPixels, Pixels, mean_rays, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
 from rgbd_planes.kernels import merging

@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.extras import needs
 
 if TYPE_CHECKING:
     import open3d
-
-Floats = NDArray[np.float64]
 
 
 def triangle_mesh(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.keeping import kept
 from rgbd_planes.kernels.statistics.room import ALPHA_COVARIANCE, ANGLE_STD, OFFSET_STD, P_VALUE, PLANE_COVARIANCE
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
     from rgbd_planes.fit_statistics import FitStatistics
     from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
-
-Floats = npt.NDArray[np.float64]
 
 
 class TileStatus(enum.IntEnum):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number, shaped_array
 from rgbd_planes.extras import needs
@@ -25,7 +26,6 @@ from rgbd_planes.wording import counted
 if TYPE_CHECKING:
     from shapely import Geometry, MultiPolygon, Polygon
 
-Floats = NDArray[np.float64]
 
 _LARGEST_CHANGE = 0.25  # by simplifying, as a share of the area of a part
 _LEAST_TRIANGLE = 1e-12  # as a share of the area of the outline

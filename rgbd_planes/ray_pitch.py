@@ -6,10 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.kernels.statistics.variances import PLACES, WEIGHTS
-
-Floats = npt.NDArray[np.float64]
 
 WEIGHTS_OF_PLACES = np.outer(WEIGHTS, WEIGHTS).ravel()
 """Of Gauss's quadrature, for the nine places that two sides make."""

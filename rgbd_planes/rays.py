@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
-
-Floats = npt.NDArray[np.float64]
 
 
 def rays_through(camera: Camera, pixels: npt.ArrayLike) -> Floats:

@@ -16,7 +16,7 @@ from rgbd_planes.export import polygons_of
 from rgbd_planes.extras import needs
 from rgbd_planes.files import write_beside
 from rgbd_planes.polygons import plane_polygons
-from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
+from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker
 from rgbd_planes.sequences.frames import Frame, FrameSequence, check_sequence
 from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
@@ -92,7 +92,7 @@ def record(
             stream.log("fitted", rr.Scalars(float(np.count_nonzero(tiles.fitted))))
 
 
-def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = SMALLEST) -> None:
+def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = MIN_SIZE) -> None:
     """Segment a sequence and write a recording that rerun shows; whole or not at all.
 
     Parameters

@@ -6,11 +6,9 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import check_whole, number
-
-Floats = NDArray[np.float64]
 
 _SECOND = 1_000_000_000  # in nanoseconds
 

@@ -20,13 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import as_motion, check_bool, check_camera, check_share, check_whole, number, real_array
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 from rgbd_planes.wording import counted
-
-Floats = NDArray[np.float64]
 
 # Rays at a time, so that what is made of them stays in the cache; of more, matrix products would also share the work
 # among threads, for ten times as long.

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.colours import NO_PLANE, label_colours
-from rgbd_planes.export import Floats, finite_or_none, write_ply
+from rgbd_planes.export import finite_or_none, write_ply
 from rgbd_planes.files import write_beside
 from rgbd_planes.images import write_png
 from rgbd_planes.labels import LabelPlanes

@@ -1,15 +1,13 @@
 """What errors that neighbours share do to the planes of parts of any shape."""
 
 import numpy as np
-import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.kernels.statistics.room import COLUMNS
 from rgbd_planes.noise.model import NoiseModel
-
-Floats = npt.NDArray[np.float64]
 
 
 def shares_errors(noise: NoiseModel | None) -> bool:

@@ -13,10 +13,9 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import as_motion, shaped_array
 from rgbd_planes.kernels.statistics.same_planes import same_planes
-
-Floats = npt.NDArray[np.float64]
 
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
 # larger: the square of its width over its length.

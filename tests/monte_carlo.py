@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rgbd_planes as rp
+from rgbd_planes.array_types import Floats
 
-Floats = NDArray[np.float64]
 # Of errors that neighbours share over two lengths, and a bias.
 CORRELATED = rp.noise.NoiseModel(correlation=((0.3, 1.5), (0.2, 5.0)), floor=0.5, floor_length=20.0)
 

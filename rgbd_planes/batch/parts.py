@@ -22,7 +22,7 @@ from rgbd_planes.files import write_beside
 from rgbd_planes.fit_statistics import check_level
 from rgbd_planes.fitting import METHODS
 from rgbd_planes.noise.model import warn_of_noise
-from rgbd_planes.segmentation.segment import SMALLEST, check_min_size, segment
+from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.sequences.frames import Frame, FrameSequence
 from rgbd_planes.sequences.problems import Problem, reason_to_skip
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_sides
@@ -55,7 +55,7 @@ class FitSettings:
     max_missing: float = 0.5
     max_error: float | None = None
     significance: float | None = None
-    min_size: int = SMALLEST
+    min_size: int = MIN_SIZE
 
     def __post_init__(self) -> None:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.

@@ -17,9 +17,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.lenses.polynomials import first_zero
-
-Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-10
 """Largest error of an inverted point, in normalised coordinates."""

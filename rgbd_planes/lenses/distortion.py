@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import check_choice
 from rgbd_planes.lenses import brown_conrady, fisheye
-
-Floats = NDArray[np.float64]
 
 _COUNTS = {"brown_conrady": (0, 4, 5, 8), "inverse_brown_conrady": (0, 5), "fisheye": (0, 4)}
 

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.lenses.polynomials import first_zero
-
-Floats = NDArray[np.float64]
 
 _MAX_ITERATIONS = 60
 

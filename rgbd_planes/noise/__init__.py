@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.checks import number, real_array
 from rgbd_planes.noise.model import KINECT_V1 as KINECT_V1
-from rgbd_planes.noise.model import Floats
 from rgbd_planes.noise.model import NoiseModel as NoiseModel
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.caller_warnings import collected_warnings, warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads
@@ -50,7 +51,6 @@ from rgbd_planes.wording import counted, two_digits
 if TYPE_CHECKING:
     from rgbd_planes.sequences.frames import Frame
 
-Floats = npt.NDArray[np.float64]
 
 SIZES = (6, 8, 12, 24, 48, 96)
 """Sides of the tiles that are compared: they divide a window, or are two or four of them."""

@@ -5,11 +5,10 @@ import functools
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.ray_pitch import means_over
 from rgbd_planes.tile_grid import footprints
-
-Floats = npt.NDArray[np.float64]
 
 # Read-only, like every array here: Numba would compile the kernels again for a writable one.
 EVEN: Floats = np.empty((2, 0))

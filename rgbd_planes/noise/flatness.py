@@ -5,14 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats, Indices
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.noise.large_planes import TILE, LargePlanes
-
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 CELL = 8
 """Side in pixels of the cells of the flatness map."""

@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats, Indices
 from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
 from rgbd_planes.merging import merge
@@ -19,9 +19,6 @@ from rgbd_planes.tile_grid import tile_rays
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.tiles import TileFitter
 from rgbd_planes.uncertainty import same_plane
-
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 TILE = 16
 """Side in pixels of the tiles that large planes consist of."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import number, numbers, real_array
 from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.keeping import kept
@@ -16,12 +17,10 @@ from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlat
 from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, for_each, warn_of_large_noise
 from rgbd_planes.wording import counted, two_digits
 
-Floats = NDArray[np.float64]
-
 # Tables of the noise by inverse depth: number of entries, and the largest inverse depth in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
-SMALLEST = 0.5 / _SCALE  # 1/m: no function of inverse depth need be defined below
+SMALLEST_INVERSE_DEPTH = 0.5 / _SCALE  # 1/m: no function of inverse depth need be defined below
 _LARGEST_FALLOFF = 50.0  # that of sensors is up to 5
 _AT_30_DEGREES = 3.0**-0.5  # tangent
 
@@ -223,7 +222,7 @@ class NoiseModel:
 
     def _table(self) -> Floats:
         """σq before rounding, on the axis, at all inverse depths, 1.2e-3 to 20 1/m."""
-        q = np.maximum(np.arange(_ENTRIES + 1) / _SCALE, SMALLEST)
+        q = np.maximum(np.arange(_ENTRIES + 1) / _SCALE, SMALLEST_INVERSE_DEPTH)
         return check_noise(self._along(q), q)
 
     @property

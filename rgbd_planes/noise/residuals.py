@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rgbd_planes.array_types import Floats
+
 Components = tuple[tuple[float, float], ...]
 
 # Proportions of rectangles that are worked out: 1, √2, 2, ...; in between, values are interpolated.

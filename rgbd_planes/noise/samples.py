@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import ratio_at
 from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES, rays_in, slope_square
 from rgbd_planes.tile_planes import TilePlanes
-
-Floats = npt.NDArray[np.float64]
 
 WINDOW = 24
 """Side in pixels of the windows that are judged flat or not."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import check_figure
 from rgbd_planes.colours import NO_PLANE, label_colours
 from rgbd_planes.depth import as_depth_frame
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from rgbd_planes.camera import Camera
     from rgbd_planes.segmentation.result import Segmentation
 
-Floats = NDArray[np.float64]
 
 _NOT_MEASURED = (1.0, 1.0, 1.0)
 _NUMBERED = 400  # pixels that a plane must have for its number to be written on it, at 640 x 480

@@ -18,6 +18,7 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_figure
 from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours, status_colours
@@ -26,8 +27,6 @@ from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.tile_planes import TilePlanes
 from rgbd_planes.windows import WindowPlanes
 from rgbd_planes.wording import percent
-
-Floats = NDArray[np.float64]
 
 STATUS_MEANINGS = {
     TileStatus.OK: "plane fitted",

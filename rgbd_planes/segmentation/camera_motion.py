@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rgbd_planes.array_types import Floats
 
 # Weights of what holds without planes, no turn and no step, against 1 for all planes together: it decides what they
 # leave open, as a wall does about steps along it.

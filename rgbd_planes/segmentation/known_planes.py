@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.metrics import plane_errors
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
@@ -27,7 +28,6 @@ FAMILIAR, HARDLY_TURNED, HARDLY_MOVED = 0.3, 3.0, 0.03
 # plane about so many points are kept.
 LARGEST, ROUNDS, POINTS = 15, 3, 100
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.error_sums import mean_rays
@@ -13,14 +14,12 @@ from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, 
 from rgbd_planes.kernels.segments.inside import runs_inside
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
 from rgbd_planes.kernels.statistics.room import COLUMNS, EXPECTED
-from rgbd_planes.noise.model import SMALLEST, NoiseModel
+from rgbd_planes.noise.model import SMALLEST_INVERSE_DEPTH, NoiseModel
 from rgbd_planes.noise.sigma import check_noise, warn_of_large_noise
 from rgbd_planes.pixel_runs import runs_found
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.workspace import Workspace
 from rgbd_planes.shared_errors import covariances_by_shape
-
-Floats = NDArray[np.float64]
 
 _UNKNOWN = np.empty(0)
 
@@ -124,7 +123,8 @@ def _table(given: Given, nearest: float) -> Floats:
         return _UNKNOWN
     q = np.linspace(0.0, nearest, ENTRIES)
     flattest = FLATNESS * q
-    q = np.maximum(q, max(0.5 * q[1], min(SMALLEST, nearest) if given.is_sensors else 0.0))  # no function need know 0
+    # No function need know 0.
+    q = np.maximum(q, max(0.5 * q[1], min(SMALLEST_INVERSE_DEPTH, nearest) if given.is_sensors else 0.0))
     table = np.maximum(check_noise(given.sigma(q.copy()), q, finite=False), flattest)
     result = "standard deviations are far too large" if given.is_sensors else "nearly all things are one plane, or none"
     warn_of_large_noise(table[MIDDLE], q[MIDDLE], result)

@@ -4,12 +4,10 @@ import functools
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.kernels.segments.blocks import BLOCK
 from rgbd_planes.kernels.segments.reach import SIZES, SMALLEST
-
-Floats = NDArray[np.float64]
 
 _SHORT = 1.7
 _LENGTHS = np.concatenate([[_SHORT], np.geomspace(0.7, 24.0, 30)])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
 from rgbd_planes.tile_grid import common_labels
@@ -17,8 +18,6 @@ from rgbd_planes.wording import counted, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 
 
 class Reason(enum.IntEnum):

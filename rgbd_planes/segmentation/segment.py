@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rgbd_planes.aligned_arrays import aligned
+from rgbd_planes.array_types import Floats
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, number
@@ -24,9 +25,7 @@ from rgbd_planes.segmentation.result import Reason, Segmentation
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 from rgbd_planes.shared_errors import shares_errors
 
-Floats = NDArray[np.float64]
-
-SMALLEST = 60  # pixels of a region, unless the caller says otherwise
+MIN_SIZE = 60  # pixels of a region, unless the caller says otherwise
 _RULES = Rules()
 _REASONS = Reasons(*(np.uint8(Reason[name.upper()]) for name in Reasons._fields))
 
@@ -36,7 +35,7 @@ def segment(
     camera: Camera,
     *,
     noise: NoiseModel | float | Callable[[Floats], ArrayLike] | None = None,
-    min_size: int = SMALLEST,
+    min_size: int = MIN_SIZE,
 ) -> Segmentation:
     """Find the planes of a depth frame and the pixels that belong to each.
 
@@ -144,7 +143,7 @@ def _segment(
     labels, reason = aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8)
     while True:
         runs, count, together = find_planes(
-            work.inverse_depth, rays, work.pyramid, noise, given.is_sensors, rules, min(min_size, SMALLEST), min_size,
+            work.inverse_depth, rays, work.pyramid, noise, given.is_sensors, rules, min(min_size, MIN_SIZE), min_size,
             _REASONS, work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose,
             work.found, labels, reason,
         )  # fmt: skip

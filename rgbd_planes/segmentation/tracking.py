@@ -14,7 +14,7 @@ from rgbd_planes.checks import FixedArguments, check_whole, each_of
 from rgbd_planes.depth import as_numbered_frame
 from rgbd_planes.segmentation.known_planes import KnownPlanes, View, recognise, remember
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
-from rgbd_planes.segmentation.segment import SMALLEST, check_settings, segment_frame
+from rgbd_planes.segmentation.segment import MIN_SIZE, check_settings, segment_frame
 from rgbd_planes.sequences.frames import Frame
 from rgbd_planes.wording import counted
 
@@ -74,7 +74,7 @@ def segment_sequence(
     camera: Camera | None = None,
     *,
     noise: NoiseModel | float | Callable[[NDArray[np.float64]], ArrayLike] | None = None,
-    min_size: int = SMALLEST,
+    min_size: int = MIN_SIZE,
     memory: int = MEMORY,
 ) -> Iterator[TrackedSegmentation]:
     """Segment frame after frame, with ids that stay with their planes.
