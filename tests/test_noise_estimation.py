@@ -390,14 +390,14 @@ def test_what_is_no_sequence_of_frames_is_refused(frames, error, message):
 
 
 def test_missing_pixels_are_named():
-    depth = rendering(*VIEWS[0]).measure(holes=0.6)
+    depth = rendering(*VIEWS[0]).measure(holes=0.8)
     with pytest.raises(
-        ValueError, match="found 0 in 1 frame: of most windows more than 50 % of the pixels are missing"
+        ValueError, match="found 0 in 1 frame: of most windows more than 70 % of the pixels are missing"
     ):
         rp.estimate_noise(depth, CAMERA)
 
 
-@pytest.mark.parametrize("holes", [0.1, 0.25, 0.4])
+@pytest.mark.parametrize("holes", [0.1, 0.25, 0.4, 0.6])
 def test_frames_with_many_holes_show_the_same_noise(holes):
     whole, sparse = (
         rp.estimate_noise([rendering(*view).measure(holes=share, seed=1) for view in VIEWS[:2]], CAMERA)
@@ -409,7 +409,7 @@ def test_frames_with_many_holes_show_the_same_noise(holes):
     assert sparse.spread < 0.1
 
 
-@pytest.mark.parametrize("holes", [0.2, 0.4])
+@pytest.mark.parametrize("holes", [0.2, 0.4, 0.5])
 def test_single_pixels_that_are_missing_leave_the_correlation(holes, rng):
     """With 40 per cent missing σ came out 28 per cent too large."""
     seen = []

@@ -19,7 +19,7 @@ WINDOW = 24
 """Side in pixels of the windows that are judged flat or not."""
 REFERENCE = 12
 """Side of the tiles that σq and the lateral error are taken from."""
-MOST_MISSING = (0.1, 0.3, 0.5)
+MOST_MISSING = (0.1, 0.3, 0.5, 0.7)
 """Largest share of a tile's pixels that may be missing: if too few windows are as complete, the next one counts."""
 FEWEST_WINDOWS = 16
 EXACT = 1e-9
