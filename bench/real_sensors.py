@@ -1,8 +1,8 @@
 """Is a fit in 1/Z better than one in XYZ on real sensors, too? ``python -m bench.real_sensors``
 
-Tiles that lie inside a plane that people have labelled, against the plane fitted to all its pixels by the same
-method: the median angle between them, and how often larger PCA's is. Reads the labelled frames of
-``../shared/data``, where there are any.
+Tiles that lie inside a plane that people have labelled, or in frames without labels inside a window that is flat to
+within 1 % of its distance, against the plane fitted to all its pixels by the same method: the median angle between
+them, and how many times larger PCA's is. Reads the frames of ``../shared/data``, where there are any.
 """
 
 from pathlib import Path
@@ -12,26 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rgbd_planes as rp
+from bench.uncertainty_real import SETS as REAL_SETS
+from bench.uncertainty_real import flat_regions
 from rgbd_planes.images import read_depth
 from tests.real_data import FOLDER as DATA
 from tests.real_data import needed
 
-SETS = {
-    "abw_segcomp_cal0": "ABW, calibration 0",
-    "abw_segcomp_cal1": "ABW, calibration 1",
-    "icl_nuim_evops_gt": "ICL-NUIM",
-}
+SETS = {**REAL_SETS, "icl_nuim_evops_gt": "ICL-NUIM, rendered, labelled"}
 METHODS = ("range_explicit", "standard_pca", "standard_explicit")
 LEAST_PIXELS = 1000
 RESAMPLES = 1000
 
 
-def angles(folder: Path, tile: int) -> NDArray[np.float64]:
-    """(N, 3) angles in degrees, by each method, of the tiles inside labelled planes."""
+def angles(folder: Path, tile: int) -> list[NDArray[np.float64]]:
+    """(N, 3) for each flat part of the frames: angles in degrees, by each method, of the N tiles inside it."""
     camera = rp.Camera.load(folder / "camera.json")
+    labelled = folder / "labels"
     found = []
-    for path in sorted((folder / "labels").glob("*.png")):
-        depth, labels = read_depth(folder / "depth" / path.name), read_depth(path)
+    for path in sorted((labelled if labelled.exists() else folder / "depth").glob("*.png")):
+        depth = read_depth(folder / "depth" / path.name)
+        labels = flat_regions(depth, camera, read_depth(path) if labelled.exists() else None)
         normals = [rp.fit_labels(depth, camera, labels, m, max_missing=1.0).planes[:, :3] for m in METHODS]
         for label in np.unique(labels[labels > 0]):
             region = np.where(labels == label, depth, 0)
@@ -44,7 +44,17 @@ def angles(folder: Path, tile: int) -> NDArray[np.float64]:
                 columns.append(np.degrees(2.0 * np.arcsin(chord / 2.0)).ravel())
             rows = np.column_stack(columns)
             found.append(rows[np.isfinite(rows).all(axis=1)])
-    return np.concatenate(found)
+    return found
+
+
+def _interval(parts: list[NDArray[np.float64]], rng: np.random.Generator) -> list[float]:
+    """What PCA's error in units of ours may be, with 95 % confidence: of other flat parts as many as these."""
+    ratios = []
+    for _ in range(RESAMPLES):
+        chosen = np.concatenate([parts[i] for i in rng.integers(len(parts), size=len(parts))])
+        one, other, _ = np.median(chosen, axis=0)
+        ratios.append(other / one)
+    return [float(end) for end in np.percentile(ratios, [2.5, 97.5])]
 
 
 def measure() -> list[dict[str, Any]]:
@@ -54,15 +64,11 @@ def measure() -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for name in SETS:
         for tile in (10, 20):
-            found = angles(DATA / name, tile)
+            parts = [part for part in angles(DATA / name, tile) if len(part)]
+            found = np.concatenate(parts)
             ours, pca, explicit = np.median(found, axis=0).tolist()
-            ratios = []
-            for _ in range(RESAMPLES):
-                one, other, _ = np.median(found[rng.integers(len(found), size=len(found))], axis=0)
-                ratios.append(other / one)
-            low, high = np.percentile(ratios, [2.5, 97.5]).tolist()
             row = {"data": name, "tile": tile, "tiles": len(found), "range_explicit": ours, "standard_pca": pca}
-            rows.append({**row, "standard_explicit": explicit, "ratio": [pca / ours, low, high]})
+            rows.append({**row, "standard_explicit": explicit, "ratio": [pca / ours, *_interval(parts, rng)]})
     return rows
 
 
