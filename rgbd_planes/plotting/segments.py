@@ -36,7 +36,7 @@ def label_image(
     """
     from rgbd_planes.segmentation.result import Reason
 
-    colours = label_colours(len(segmentation)) if ids is None else label_colours(ids.max(initial=0))[ids - 1]
+    colours = label_colours(len(segmentation)) if ids is None else label_colours(int(ids.max(initial=0)))[ids - 1]
     palette = np.vstack([[NO_PLANE], colours])
     image = palette[segmentation.labels]
     if depth is not None:
