@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rgbd_planes.array_types import Floats
-from rgbd_planes.checks import check_choice, check_whole, number, real_array
+from rgbd_planes.checks import check_choice, check_whole, number, plain_array, real_array
 from rgbd_planes.files import no_folder
 
 _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
@@ -68,7 +68,7 @@ def from_opencv(
     """Arguments of `Camera`; see `Camera.from_opencv`."""
     check_choice("distortion_model", model, ("brown_conrady", "fisheye"))
     matrix = _matrix("camera_matrix", camera_matrix)
-    if np.shape(size) != (2,):
+    if plain_array("size", size).shape != (2,):
         raise ValueError(f"expected size as (width, height), got {size!r}")
     pixel_center = number("pixel_center", pixel_center)
     coefficients = [] if distortion is None else real_array("distortion", distortion).ravel().tolist()

@@ -135,7 +135,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
 
 def _sums(values: npt.NDArray[Any], labels: npt.NDArray[np.int32], count: int) -> Floats:
     """(N, ...): sums of rows over each union."""
-    return np.stack([np.bincount(labels, column, count + 1)[1:] for column in values.T], axis=1)
+    sums = np.stack([np.bincount(labels, column, count + 1)[1:] for column in values.T], axis=1)
+    return sums.astype(np.float64, copy=False)  # of no rows they are integers
 
 
 def _means(

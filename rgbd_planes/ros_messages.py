@@ -11,6 +11,7 @@ from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import check_whole, number
 
 _SECOND = 1_000_000_000  # in nanoseconds
+_FAR = 1e12  # seconds, more than a message holds: infinity is no fraction
 
 
 def ros_header(frame_id: str, stamp: Any) -> dict[str, Any]:
@@ -48,7 +49,9 @@ def _nanoseconds(stamp: Any) -> int:
     if isinstance(exact, (int, np.integer)):
         return int(exact)
     seconds = number("stamp", stamp, finite=False)
-    return round(Fraction(seconds) * _SECOND) if math.isfinite(seconds) else 0
+    if math.isnan(seconds):
+        return 0
+    return round(Fraction(min(max(seconds, -_FAR), _FAR)) * _SECOND)
 
 
 def ros_planes(planes: Floats, frame_id: str, stamp: Any) -> dict[str, Any]:

@@ -22,7 +22,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
-from rgbd_planes.checks import as_motion, check_bool, check_camera, check_share, check_whole, number, real_array
+from rgbd_planes.checks import (
+    as_motion,
+    check_bool,
+    check_camera,
+    check_share,
+    check_whole,
+    number,
+    real_array,
+    shaped_array,
+)
 from rgbd_planes.noise import KINECT_V1
 from rgbd_planes.tile_grid import common_labels
 from rgbd_planes.wording import counted
@@ -48,11 +57,24 @@ class Surface:
         n·X + d = 0 in scene coordinates, metres.
     sides : (K, 4) float64
         The surface is where ``sides[k]·(X, 1) >= 0`` for every k; without rows it is the whole plane.
+
+    Raises
+    ------
+    TypeError, ValueError
+        One of the arrays has another shape, or is not of finite numbers.
     """
 
     name: str
     plane: Floats
     sides: Floats
+
+    def __post_init__(self) -> None:
+        for name, axes in (("plane", 1), ("sides", 2)):
+            rows = shaped_array(name, getattr(self, name), (4,))
+            if rows.ndim != axes or not np.isfinite(rows).all():
+                expected = "(4,)" if axes == 1 else "(K, 4)"
+                raise ValueError(f"expected {name} as {expected} finite numbers, got {rows.tolist()}")
+            object.__setattr__(self, name, rows)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

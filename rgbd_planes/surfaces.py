@@ -172,7 +172,8 @@ def _surfaces(
         if not avoid_edges:
             return made, variation
         chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
-        rounding = (step_of(frame) * frame.scale) ** 2 / 12.0
+        step = float(step_of(frame) * frame.scale)
+        rounding = step * step / 12.0  # which may be infinite, as a power may not
         typical = _typical(frame, rounding, variance)
 
         def choose(start: int, stop: int) -> None:

@@ -99,6 +99,8 @@ class TilePlanes(Savable, PlacedFits):
             raise TypeError(
                 f"expected the number of a frame of the batch, or a slice, got {kind}; index an array, such as .planes"
             )
+        if not isinstance(frame, slice) and not -len(self) <= frame < len(self):
+            raise IndexError(f"expected the number of one of {len(self)} frames, got {frame}")
         one = TilePlanes(
             camera=self.camera, method=self.method, tile=self.tile,
             **{name: getattr(self, name)[frame] for name in ARRAYS},

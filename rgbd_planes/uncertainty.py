@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes.array_types import Floats
-from rgbd_planes.checks import as_motion, shaped_array
+from rgbd_planes.checks import as_motion, plain_array, shaped_array
 from rgbd_planes.kernels.statistics.same_planes import same_planes
 
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
@@ -57,7 +57,7 @@ def same_plane(
     >>> a, c = tiles.alpha, tiles.alpha_covariance
     >>> p = rp.uncertainty.same_plane(a[:, :-1], c[:, :-1], a[:, 1:], c[:, 1:])
     """
-    entries = 4 if np.shape(alpha)[-1:] == (4,) else 3
+    entries = 4 if plain_array("alpha", alpha).shape[-1:] == (4,) else 3
     read = _planes if entries == 4 else partial(shaped_array, entries=(3,))
     first, second = read("alpha", alpha), read("other_alpha", other_alpha)
     first_covariance = shaped_array("covariance", covariance, (entries, entries))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from monte_carlo import CORRELATED
 from processes import printed_by
 
 import rgbd_planes as rp
@@ -160,6 +161,19 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.segment(DEPTH, CAMERA, noise=Noise(np.nan)), ValueError, "noise.lateral as a finite number"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=Noise(-3.0)), ValueError, "noise.lateral of 0 pixels or more, got -3"),
         (lambda: rp.segment(DEPTH, CAMERA, noise=Noise("a")), TypeError, "noise.lateral as a number, got 'a'"),
+        (lambda: rp.segment(DEPTH, CAMERA, noise=1e80), ValueError, r"in 1/m, up to 1e\+60, got 1e\+80"),
+        (lambda: CORRELATED.statistics(np.nan), ValueError, "count of 0 to 1e.08 pixels, got nan"),
+        (lambda: CORRELATED.statistics(2**63), ValueError, "count of 0 to 1e.08 pixels, got 9.22"),
+        (lambda: CORRELATED.statistics(None), TypeError, "count as numbers, got None"),
+        (lambda: CORRELATED.statistics(10, [4, -4]), ValueError, r"size of 1 to 1e.08 pixels, got \[4.0, -4.0\]"),
+        (lambda: CORRELATED.statistics(10, [4]), ValueError, r"size of shape \(..., 2\), got \(1,\)"),
+        (lambda: noise.NoiseModel(samples=[(1 + 1j, 0.1)]), ValueError, "samples as pairs"),
+        (
+            lambda: uncertainty.same_plane([[1.0], [2.0, 3.0]], np.eye(3), np.ones(3), np.eye(3)),
+            ValueError,
+            "alpha as an array, got a list of which NumPy makes none",
+        ),
+        (lambda: rp.Camera.from_opencv(np.eye(3), None, [[1], [2, 3]]), ValueError, "size as an array, got a list"),
         (
             lambda: uncertainty.point_distance([[1.0, 2.0], [3.0]], np.ones(4), np.zeros((4, 4))),
             ValueError,

@@ -254,6 +254,9 @@ def test_a_stamp_is_that_of_the_message(tiles):
         1_700_000_000_123_456_789,
         -2.2e9,
         1e300,
+        math.inf,
+        -math.inf,
+        10**400,
         {"sec": 2**31, "nanosec": 0},
         SimpleNamespace(nanoseconds=10**9 * 2**31),
         np.datetime64("2038-01-20"),
@@ -472,8 +475,8 @@ def test_rerun_recording_has_each_frames_camera_time_and_settings(tmp_path):
         (np.datetime64("1969-12-31T23:59:59.75"), -1, 750_000_000),
         (np.datetime64("2001-09-09"), 999_993_600, 0),
         (np.datetime64(1_999, "ps"), 0, 1),
-        (np.datetime64("NaT"), 0, 0),
-        (-math.inf, 0, 0),
+        (np.datetime64("NaT", "ns"), 0, 0),
+        (math.nan, 0, 0),
     ],
 )
 def test_stamps_are_whole_nanoseconds(stamp, sec, nanosec):

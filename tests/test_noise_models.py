@@ -109,6 +109,13 @@ def test_models_have_their_published_sigma_and_show_it():
     assert (np.diff(CORRELATED.statistics([4, 16, 64, 256, 1024]).offset) > 0.0).all()
 
 
+def test_infinite_inverse_depth():
+    """As 1 / 0, where nothing is measured."""
+    with np.errstate(all="raise", under="ignore"):
+        np.testing.assert_array_equal(rp.noise.kinect_v1().sigma([np.inf, 1.0]), [1.425e-3, 1.425e-3])
+        assert rp.noise.kinect_v1().sigma_depth(1e-310) == 0.0
+
+
 @pytest.mark.parametrize("side", [16, 40])
 @pytest.mark.parametrize("slope", [0.15, 0.3, 0.45, 0.6])
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import importlib
 import itertools
 import threading
+from dataclasses import replace
 
 import numpy as np
 import oracle
@@ -295,6 +296,13 @@ def test_the_frame_is_left_as_it_was(rng):
     before = depth.copy()
     rp.normals(depth, camera, avoid_edges=True)
     np.testing.assert_array_equal(depth, before)
+
+
+def test_a_scale_whose_square_is_beyond_all_numbers(rng):
+    camera = replace(make_camera(), depth_scale=1e200)
+    codes = rng.integers(1, 9, camera.shape).astype(np.uint16)
+    with pytest.warns(UserWarning, match="in other units"):
+        assert rp.normals(codes, camera, avoid_edges=True).shape == (*camera.shape, 3)
 
 
 def test_surface_variation_is_the_share_of_the_smallest_eigenvalue(rng):

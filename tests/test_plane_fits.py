@@ -125,6 +125,13 @@ def test_fits_of_all_kinds_are_saved(fit, noise, tmp_path, rng):
     np.testing.assert_array_equal(type(made).load(tmp_path / "other.npz").p_value, changed[1].p_value)
 
 
+def test_unions_of_nothing_are_saved(tmp_path):
+    camera = make_camera(noise=rp.noise.quantised(rp.noise.kinect_v1(), 0.001))
+    windows = rp.fit_windows(np.ones(camera.shape), camera, np.empty((0, 4), int))
+    rp.merge(windows, np.empty(0, int)).save(tmp_path / "none.npz")
+    assert rp.MergedPlanes.load(tmp_path / "none.npz").shape == (0,)
+
+
 def test_elements_of_a_quadtree_are_windows(tmp_path, rng):
     camera = make_camera()
     depth = make_depth(camera, rng)
@@ -315,6 +322,9 @@ def test_batch_is_indexed_by_frame(rng):
     assert isinstance(stack, Iterable)
     assert all(np.array_equal(one.planes, own) for one, own in zip(stack, stack.planes, strict=True))
     assert repr(stack[:1]).startswith("<TilePlanes: 1 frame of 3 x 4 tiles")
+    for beyond in (3, -4, 2**63, np.int64(3)):
+        with pytest.raises(IndexError, match=f"^expected the number of one of 3 frames, got {beyond}$"):
+            stack[beyond]
     with pytest.raises(TypeError, match=r"batch of frames can be indexed, by a frame; .* such as \.planes"):
         stack[0][0, 0]
     for which, kind in (

@@ -339,6 +339,29 @@ def test_what_is_no_scene_is_refused_when_it_is_made(surfaces, pose, kind, messa
         scenes.Scene(surfaces, pose)
 
 
+@pytest.mark.parametrize(
+    ("plane", "sides", "kind", "message"),
+    [
+        (None, np.empty((0, 4)), TypeError, "plane as numbers"),
+        ([[0.0, 0.0, -1.0, 2.0]], np.empty((0, 4)), ValueError, r"plane as \(4,\) finite numbers"),
+        ([0.0, 0.0, np.nan, 2.0], np.empty((0, 4)), ValueError, r"plane as \(4,\) finite numbers"),
+        ([0.0, 0.0, -1.0, 2.0], [[1, 2]], ValueError, r"sides of shape \(..., 4\), got \(1, 2\)"),
+        ([0.0, 0.0, -1.0, 2.0], [1, 0, 0, 1], ValueError, r"sides as \(K, 4\) finite numbers"),
+    ],
+)
+def test_what_is_no_surface_is_refused_when_it_is_made(plane, sides, kind, message):
+    with pytest.raises(kind, match=message):
+        scenes.Surface("a", plane, sides)
+
+
+def test_a_surface_of_lists():
+    given = scenes.Surface("a", [0, 0, -1, 2], [[1, 0, 0, 0.5]])
+    exact = scenes.Surface("a", np.array([0.0, 0.0, -1.0, 2.0]), np.array([[1.0, 0.0, 0.0, 0.5]]))
+    made = [scenes.Scene([one], np.eye(4)).render(small_camera()).depth for one in (given, exact)]
+    assert (made[0] > 0.0).any()
+    assert np.array_equal(*made, equal_nan=True)
+
+
 @pytest.mark.parametrize("degrees", range(0, 90, 7))
 def test_a_surface_that_contains_the_camera_is_seen_by_no_pixel(degrees):
     """Whatever rounding leaves of its distance."""

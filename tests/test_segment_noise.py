@@ -139,6 +139,9 @@ def test_noise_can_be_given():
     assert len(segment(depth, CAMERA)) == 2
     assert len(segment(depth, CAMERA, noise=1e-2)) == 1
     assert len(segment(depth, CAMERA, noise=lambda q: 1e-2 * np.ones_like(q))) == 1
+    with pytest.warns(UserWarning, match="most likely it is not in 1/m"):
+        found = segment(depth, CAMERA, noise=lambda q: np.full_like(q, 1e100))
+    assert np.isfinite(found.alpha_covariance).all()
     with pytest.raises(ValueError, match="positive standard deviation"):
         segment(depth, CAMERA, noise=-1.0)
     with pytest.raises(TypeError, match="a number in 1/m"):

@@ -251,6 +251,21 @@ def test_a_part_is_as_uncertain_wherever_it_lies_and_however_many_there_are(rng)
     np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-9 * np.abs(first[:3]).max())
 
 
+def test_an_image_of_one_row_with_a_lens():
+    """Its tanθx has one row, as without a lens, but its tanθy has a column for each pixel."""
+    lens = 0.2, -0.2, 0.02, 0.03, 0.0
+    nine = rp.Camera(64, 9, 50.0, 50.0, 31.5, 4.0, distortion=lens, noise=FAR)
+    one = nine.cropped(0, 5, 64, 1)
+    depth = depth_of(nine, (0.02, 0.05, 0.5))
+    labels = np.zeros(nine.shape, int)
+    labels[5] = 1
+    expected = rp.fit_labels(depth, nine, labels)
+    assert np.isfinite(expected.angle_std).all()
+    windows = rp.fit_windows(depth[5:6], one, [[0, 0, 1, 64]])
+    for found in (rp.fit_labels(depth[5:6], one, labels[5:6]), rp.merge(windows, [1])):
+        np.testing.assert_allclose(found.alpha_covariance, expected.alpha_covariance, rtol=1e-6)
+
+
 def test_another_noise_that_is_given_to_a_fit_counts():
     louder = rp.noise.NoiseModel((2e-3,), correlation=FAR.correlation, floor=FAR.floor, floor_length=FAR.floor_length)
     camera = camera_of((30, 40), FAR)

@@ -318,7 +318,9 @@ def shared_covariances(runs, tan_x, tan_y, counts, rays, alpha, noise, component
         with q at the mean ray; its variance; the expected sum of squared residuals, and its degrees of freedom. NaN
         where there is no plane.
     """
-    before = np.empty((2, tan_x.shape[1] + 1 if tan_x.shape[0] == 1 else 0))  # of the row that all rows have
+    # An image of one row has one of tanθx with a lens, too, but not one column of tanθy.
+    has_one_row = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
+    before = np.empty((2, tan_x.shape[1] + 1 if has_one_row else 0))  # of the row that all rows have
     shared_u = tan_x[0, tan_x.shape[1] // 2]
     if before.shape[1] > 0:
         sums_before(tan_x[0], shared_u, before)

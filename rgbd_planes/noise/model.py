@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rgbd_planes.array_types import Floats
-from rgbd_planes.checks import number, numbers, real_array
+from rgbd_planes.checks import number, numbers, real_array, shaped_array
 from rgbd_planes.depth import DepthFrame, some_of
 from rgbd_planes.keeping import kept
 from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
@@ -21,6 +21,7 @@ from rgbd_planes.wording import counted, two_digits
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
 SMALLEST_INVERSE_DEPTH = 0.5 / _SCALE  # 1/m: no function of inverse depth need be defined below
+_MOST_PIXELS = 1e8
 _LARGEST_FALLOFF = 50.0  # that of sensors is up to 5
 _AT_30_DEGREES = 3.0**-0.5  # tangent
 
@@ -199,7 +200,10 @@ class NoiseModel:
 
     def _rounding(self, q: Floats) -> Floats:
         """Variance of q from rounding, which is independent from pixel to pixel."""
-        return np.asarray(((self.step * q * q) ** 2 + self.disparity_step**2) / 12.0)
+        variance = np.full(np.shape(q), self.disparity_step**2)
+        if self.step:  # otherwise 0 times infinity, at a depth of 0, would be NaN
+            variance += (self.step * q * q) ** 2
+        return np.asarray(variance / 12.0)
 
     def sigma_depth(self, depth: ArrayLike, tan_x: ArrayLike = 0.0, tan_y: ArrayLike = 0.0) -> Floats:
         """Standard deviation of one pixel's depth in metres at depths in metres, σZ = σq·Z²: see `sigma`.
@@ -208,7 +212,8 @@ class NoiseModel:
         """
         z = real_array("depth", depth)
         z = np.where(z > 0.0, z, np.nan)
-        return np.asarray(self.sigma(1.0 / z, tan_x, tan_y) * z * z)
+        with np.errstate(over="ignore", invalid="ignore"):  # next to 0
+            return np.asarray(self.sigma(1.0 / z, tan_x, tan_y) * z * z)
 
     @property
     @kept
@@ -246,15 +251,21 @@ class NoiseModel:
         -------
         ResidualStatistics
             Of arrays of the shape of `count`, to which that of `size`, but for its last axis, is broadcast.
+
+        Raises
+        ------
+        TypeError, ValueError
+            One of them is no array of numbers, or of numbers that no image has.
         """
-        n = np.asarray(count, np.float64)
+        n = _of_image("count", real_array("count", count), 0.0)
         if self.is_independent:
             freedom = np.maximum(n - 3.0, 0.0)
             one = np.ones(n.shape)
             return ResidualStatistics(freedom, np.maximum(freedom, 1e-3), one, one, one)
         if size is None:
             return correlated_statistics(self._components, n, np.ones(n.shape))
-        n, height, width = np.broadcast_arrays(n, *np.moveaxis(np.asarray(size, np.float64), -1, 0))
+        sides = _of_image("size", shaped_array("size", size, (2,)), 1.0)
+        n, height, width = np.broadcast_arrays(n, *np.moveaxis(sides, -1, 0))
         whole, proportions = height * width, width / height
         in_one_piece = correlated_statistics(self._components, n, proportions)
         if not (n < whole - 0.5).any():
@@ -308,10 +319,17 @@ class NoiseModel:
         return model
 
 
+def _of_image(name: str, values: Floats, least: float) -> Floats:
+    """Return numbers of pixels, each of at least ``least``, and of no more than images have."""
+    if not ((values >= least) & (values <= _MOST_PIXELS)).all():
+        raise ValueError(f"expected {name} of {least:g} to {_MOST_PIXELS:g} pixels, got {values.tolist()}")
+    return values
+
+
 def _pairs(name: str, values: Any, of: str) -> Floats:
     """(N, 2) finite numbers."""
     try:
-        pairs = np.array([tuple(pair) for pair in values], np.float64).reshape(len(values), 2)
+        pairs = real_array(name, [tuple(pair) for pair in values]).reshape(len(values), 2)
     except (OverflowError, TypeError, ValueError):
         pairs = np.full((1, 2), np.nan)
     if not np.isfinite(pairs).all():

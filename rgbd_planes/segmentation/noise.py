@@ -15,7 +15,7 @@ from rgbd_planes.kernels.segments.inside import runs_inside
 from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
 from rgbd_planes.kernels.statistics.room import COLUMNS, EXPECTED
 from rgbd_planes.noise.model import SMALLEST_INVERSE_DEPTH, NoiseModel
-from rgbd_planes.noise.sigma import check_noise, warn_of_large_noise
+from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, warn_of_large_noise
 from rgbd_planes.pixel_runs import runs_found
 from rgbd_planes.segmentation.reach import reach_table
 from rgbd_planes.segmentation.workspace import Workspace
@@ -125,7 +125,7 @@ def _table(given: Given, nearest: float) -> Floats:
     flattest = FLATNESS * q
     # No function need know 0.
     q = np.maximum(q, max(0.5 * q[1], min(SMALLEST_INVERSE_DEPTH, nearest) if given.is_sensors else 0.0))
-    table = np.maximum(check_noise(given.sigma(q.copy()), q, finite=False), flattest)
+    table = np.clip(check_noise(given.sigma(q.copy()), q, finite=False), flattest, LARGEST_NOISE)
     result = "standard deviations are far too large" if given.is_sensors else "nearly all things are one plane, or none"
     warn_of_large_noise(table[MIDDLE], q[MIDDLE], result)
     return table

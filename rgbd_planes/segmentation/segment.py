@@ -20,6 +20,7 @@ from rgbd_planes.kernels.segments.planes import describe_planes
 from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segments.search import find_planes, read_frame
 from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.noise.sigma import LARGEST_NOISE
 from rgbd_planes.segmentation.noise import Given, noise_of
 from rgbd_planes.segmentation.result import Reason, Segmentation
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
@@ -119,8 +120,8 @@ def _given(noise: Any) -> Given:
         raise TypeError(
             f"noise must be a number in 1/m, a function of inverse depth, a NoiseModel or None, got {noise!r}"
         ) from None
-    if not 0.0 < sigma < np.inf:
-        raise ValueError(f"noise must be a positive standard deviation in 1/m, got {noise!r}")
+    if not 0.0 < sigma <= LARGEST_NOISE:
+        raise ValueError(f"noise must be a positive standard deviation in 1/m, up to {LARGEST_NOISE:g}, got {noise!r}")
     return Given(lambda q: np.full_like(q, sigma))
 
 
