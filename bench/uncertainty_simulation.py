@@ -45,6 +45,10 @@ class Cell:
     angle_plain: float
     """Observed over reported: the angle itself, and d itself, neither to first order."""
     offset_plain: float
+    offset_short: float
+    """How much too small the mean d is, in its standard deviations: a normal that errs to any side makes it smaller."""
+    offset_short_expected: float
+    """The same to second order: d·θ²/2 less σd²/d, of the angle's and d's reported standard deviations."""
 
 
 def simulate(runs: int) -> list[Cell]:
@@ -117,6 +121,10 @@ def _cell(
         efficiency=float(min(variance[:2].sum() / square[:2].sum(), variance[2] / square[2])),
         angle_plain=float(np.sqrt(np.mean(angle**2)) / np.radians(np.sqrt(np.mean(fits["angle_std"] ** 2)))),
         offset_plain=float(fits["planes"][:, 3].std() / np.sqrt(np.mean(fits["offset_std"] ** 2))),
+        offset_short=float((d - fits["planes"][:, 3].mean()) / fits["planes"][:, 3].std()),
+        offset_short_expected=float(
+            (0.5 * d * (variance[0] + variance[1]) - variance[2] / d) / fits["planes"][:, 3].std()
+        ),
     )
 
 
@@ -171,18 +179,22 @@ def simulation_report(cells: list[Cell]) -> list[str]:
     lines += [
         "",
         "The angle and d themselves are to first order only. range_explicit, observed over reported "
-        "(`angle_std`, `offset_std`), by the angle's predicted error:",
+        "(`angle_std`, `offset_std`), by the angle's predicted error; and how much too small the mean d is, in "
+        "standard deviations of d, beside what second order says, d·θ²/2 - σd²/d with θ the angle's error:",
         "",
-        "| predicted angle error | cells | angle | d, incidence 30° or more | d, facing the camera |",
-        "|---|---|---|---|---|",
+        "| predicted angle error | cells | angle | d, incidence 30° or more | d, facing the camera "
+        "| mean d too small, 30° or more | second order | facing | second order |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     explicit = [c for c in cells if c.method == "range_explicit"]
     for low, high in ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 1e9)):
         of = [c for c in explicit if low <= c.predicted_degrees < high]
-        ratios = [
-            [c.angle_plain for c in of],
-            [c.offset_plain for c in of if c.incidence >= 30],
-            [c.offset_plain for c in of if c.incidence < 30],
+        steep, facing = [c for c in of if c.incidence >= 30], [c for c in of if c.incidence < 30]
+        ratios = [[c.angle_plain for c in of], [c.offset_plain for c in steep], [c.offset_plain for c in facing]]
+        ratios += [
+            of_some
+            for some in (steep, facing)
+            for of_some in ([c.offset_short for c in some], [c.offset_short_expected for c in some])
         ]
         ranges = [f"{min(r):.3f}–{max(r):.3f}" if r else "–" for r in ratios]
         name = f"{low:g}–{high:g}°" if high < 1e9 else f"above {low:g}°"

@@ -141,6 +141,8 @@ class PlaneFits:
 
         That is the distance of the camera from the plane extended up to it, which a small tile's tilt moves far more
         than the surface itself: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
+        The mean of d is smaller than the true one, by d·θ²/2 - σd²/d where θ is `angle_std` in radians, since normals
+        err to all sides; most of all of small planes that face the camera.
         """
         return self._statistics.row(OFFSET_STD)
 

@@ -151,6 +151,8 @@ class Segmentation(Savable):
 
         That is the distance of the camera from the plane extended up to it, which the tilt of a small plane moves far
         more than its surface: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
+        The mean of d is smaller than the true one, by d·θ²/2 - σd²/d where θ is `angle_std` in radians, since normals
+        err to all sides; most of all of small planes that face the camera.
         """
         return np.sqrt(self.plane_covariance[:, 3, 3])
 
