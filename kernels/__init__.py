@@ -28,6 +28,8 @@ Habits of these kernels, each because it was measured:
 
 Names that mean the same everywhere:
 
+eq. 15
+    The equation of this number in Papadakis and Willis 2017.
 raw, lowest, highest
     A frame, (H, W) uint16, float32 or float64, or several, (F, H, W); a pixel is valid if ``lowest <= raw <= highest``.
 scale, offset, is_disparity

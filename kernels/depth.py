@@ -1,4 +1,4 @@
-"""From a frame's raw values to depth, Z of the paper's eq. RGBD_reconstruction, and inverse depth.
+"""From a frame's raw values to depth, Z of the paper's eq. 1, and inverse depth.
 
 For raw values that are not measurements the result means nothing.
 """

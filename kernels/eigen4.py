@@ -4,7 +4,7 @@ With C the centred scatter matrix and μ the mean of the n points, the 4x4 matri
 
     M = [[C + n μμᵀ, nμ], [nμᵀ, n]],
 
-and M (x, δ) = λ (x, δ), the paper's eq. derivative of error, gives x = -λδ (C - λI)⁻¹ μ and the secular equation
+and M (x, δ) = λ (x, δ), the paper's eq. 5, gives x = -λδ (C - λI)⁻¹ μ and the secular equation
 
     1 - λ/n - λ μᵀ (C - λI)⁻¹ μ = 0,
 

@@ -78,7 +78,7 @@ def add_footprint(row, start, stop, footprint, i):
 def add_run(points, start, stop, reference, sums, i):
     """Add the ten sums of a run's points, relative to row ``i`` of ``reference``, to row ``i`` of ``sums``.
 
-    They are those of eq. tan_theta_scattermatrix, or of eq. XYZ_scattermatrix.
+    They are those of the paper's eq. 14, or of its eq. 6.
     """
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
     r_u, r_v, r_w = reference[i, 0], reference[i, 1], reference[i, 2]

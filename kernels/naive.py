@@ -28,8 +28,7 @@ def range_window_moments(
 ):
     """Range-space moments, about the origin, of windows ``start`` to ``stop``.
 
-    The sums of eq. tan_theta_scattermatrix. ``full``, which `summed_area` has too, is not used: this version knows
-    nothing beforehand.
+    The sums of eq. 14. ``full``, which `summed_area` has too, is not used: this version knows nothing beforehand.
     """
     for i in range(start, stop):
         n = s_x = s_y = s_q = s_xx = s_xy = s_xq = s_yy = s_yq = s_qq = 0.0
@@ -59,7 +58,7 @@ def standard_window_moments(
 ):
     """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``.
 
-    The sums of eq. XYZ_scattermatrix. ``full`` is not used here either.
+    The sums of eq. 6. ``full`` is not used here either.
     """
     for i in range(start, stop):
         n = s_x = s_y = s_z = s_xx = s_xy = s_xz = s_yy = s_yz = s_zz = 0.0

@@ -157,8 +157,8 @@ def range_strip_separable(
 ):  # fmt: skip
     """Range-space sums of a strip of tiles, for a camera without lens distortion.
 
-    Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. tan_theta_scattermatrix). For the other
-    entries it is enough to know which pixels are valid.
+    Only Σq, Σq·tanθx, Σq·tanθy and Σq² come from the frame (the paper's eq. 14). For the other entries it is enough to
+    know which pixels are valid.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Smallest eigenvector of the range-space 4x4 scatter matrix, from the explicit solution.
 
-The matrix of eq. tan_theta_scattermatrix is [[A, b], [bᵀ, κ]], with A the camera's 3x3 block. An
-eigenvector (α, -1) satisfies (A - λI) α = b, and with α₀ = A⁻¹b the least-squares solution and RSS its
-residual, the eigenvalue is the root between 0 and A's smallest eigenvalue of
+The matrix of eq. 14 is [[A, b], [bᵀ, κ]], with A the camera's 3x3 block. An eigenvector (α, -1) satisfies
+(A - λI) α = b, and with α₀ = A⁻¹b the least-squares solution and RSS its residual, the eigenvalue is the root between 0
+and A's smallest eigenvalue of
 
     RSS - λ h(λ) = 0,    h(λ) = 1 + α₀ᵀ α_λ,    α_λ = (A - λI)⁻¹ b.
 

@@ -36,10 +36,9 @@ WORK = OWN + eigen4.WORK
 
 @kernel(inline=True)
 def explicit(moments, reference, total, count, solution, residual, lost):
-    """Least squares of w on (u, v, 1): the paper's eq. explicit_fit_std and eq. RGBD_explicit_fit.
+    """Least squares of w on (u, v, 1): the paper's eq. 7 and eq. 15.
 
-    Of the normal equations MᵀMα = Mᵀb (eq. derivative of error-1), centred on the valid pixels' mean, a 2x2 system is
-    left.
+    Of the normal equations MᵀMα = Mᵀb (eq. 8), centred on the valid pixels' mean, a 2x2 system is left.
 
     Parameters
     ----------
@@ -103,13 +102,12 @@ def centre(moments, reference, count):
 
 @kernel(inline=True)
 def range_planes(implicit, moments, reference, total, needed, count, work):
-    """Solve q = α·m (eq. RGBD_space_plane_eq).
+    """Solve q = α·m (eq. 12).
 
     Parameters
     ----------
     implicit : True or None
-        Turn the explicit solutions into the implicit ones (eq. tan_theta_scattermatrix). With None Numba compiles none
-        of this.
+        Turn the explicit solutions into the implicit ones (eq. 14). With None Numba compiles none of this.
     moments, reference, total
         As in `explicit`; the first two are overwritten if there are an ``implicit`` and a ``total``.
     needed : (N,) float64
@@ -146,10 +144,9 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
 def standard_planes(method, moments, reference, total, count, work):
     """Planes from the moments of (X, Y, Z); results as in `range_planes`.
 
-    ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. implicit_plane_fitting_error: smallest eigenvector of
-    eq. XYZ_scattermatrix, all four coefficients of norm 1, by eq. quadratic_error_w_lagrange_multiplier) or
-    `STANDARD_PCA` (smallest eigenvector of the centred 3x3 scatter matrix). ``total`` is as in `explicit`, but
-    ΣXX + ΣYY + ΣZZ of the frame.
+    ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. 3: smallest eigenvector of eq. 6, all four coefficients
+    of norm 1, by eq. 4) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3 scatter matrix). ``total`` is as in
+    `explicit`, but ΣXX + ΣYY + ΣZZ of the frame.
     """
     solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
     if method == STANDARD_EXPLICIT:

@@ -1,6 +1,6 @@
 """Moments of the tiles of a grid in the standard form, in one pass over the frame: the ``direct`` implementation.
 
-As `range_moments`, but a pixel is the point (X, Y, Z) of the paper's eq. RGBD_reconstruction-1-1, and a tile's moments
+As `range_moments`, but a pixel is the point (X, Y, Z) of the paper's eq. 11, and a tile's moments
 are [n, ΣX, ΣY, ΣZ, ΣXX, ΣXY, ΣXZ, ΣYY, ΣYZ, ΣZZ], all of which depend on the frame.
 """
 
@@ -172,8 +172,8 @@ def standard_strip_separable(
     """Sums of a strip of tiles for the moments of (X, Y, Z), for a camera without lens distortion.
 
     As `range_moments.range_strip_separable`, but depth is Z = raw / scale, or 1 / (scale * raw + offset), and every
-    entry depends on the frame (the paper's eq. XYZ_scattermatrix). ``moments`` get the camera terms, and ``tile_sums``
-    (12, N) the sums from which `standard_from_sums` makes the rest.
+    entry depends on the frame (the paper's eq. 6). ``moments`` get the camera terms, and ``tile_sums`` (12, N) the sums
+    from which `standard_from_sums` makes the rest.
     """
     sums, columns, codes, counts = room
     tiles = tile_stop - tile_start

@@ -49,8 +49,8 @@ def depth_row(values, lowest, highest, scale, offset, is_disparity, z):
 def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
     """The tables of range space that depend on the frame: q, q·tanθx, q·tanθy and, if asked for, q².
 
-    ``tables`` is (H + 1, W + 1, 4), for the implicit fit (eq. tan_theta_scattermatrix) and for residuals,
-    or (H + 1, W + 1, 3): all that the explicit solution needs (Mᵗb of the paper).
+    ``tables`` is (H + 1, W + 1, 4), for the implicit fit (eq. 14) and for residuals, or (H + 1, W + 1, 3): all that the
+    explicit solution needs (Mᵗb of the paper).
 
     Two image rows at a time: the table's row above them is read half as often, and their sums do not wait for
     each other. Where the height is odd, the first row is the lower one of a pair whose upper one is all missing.
@@ -106,8 +106,8 @@ def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y
 def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
     """The tables of (X, Y, Z), all of which depend on the frame: X, Y, Z, XX, XY, XZ, YY, YZ and ZZ.
 
-    ``tables`` is (H + 1, W + 1, 9), for the implicit fit (eq. XYZ_scattermatrix) and for residuals, or
-    (H + 1, W + 1, 8) without ZZ: all that the explicit solution needs (eq. XYZ_scattermatrix-1).
+    ``tables`` is (H + 1, W + 1, 9), for the implicit fit (eq. 6) and for residuals, or (H + 1, W + 1, 8) without ZZ:
+    all that the explicit solution needs (eq. 9).
 
     Two image rows at a time, as in `range_tables`.
     """
@@ -191,8 +191,7 @@ def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, ta
 def camera_tables(tan_x, tan_y, tables):
     """The tables of range space that hold camera terms only: computed once for a camera.
 
-    ``tables`` is (H + 1, W + 1, 6): 1, tanθx, tanθy, tanθx², tanθx·tanθy, tanθy²
-    (eq. tan_theta_scattermatrix-1).
+    ``tables`` is (H + 1, W + 1, 6): 1, tanθx, tanθy, tanθx², tanθx·tanθy, tanθy² (eq. 16).
     """
     tables[0] = 0.0
     for row in range(tan_x.shape[0]):

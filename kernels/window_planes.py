@@ -1,6 +1,6 @@
 """The planes of a row of windows from their sums.
 
-Least squares of q on m (the paper's eq. RGBD_explicit_fit) over the valid pixels of each window.
+Least squares of q on m (the paper's eq. 15) over the valid pixels of each window.
 """
 
 import math

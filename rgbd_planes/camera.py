@@ -88,8 +88,8 @@ class Camera:
 
     Notes
     -----
-    The tables hold tanθx = (x + δx - cx) / fx and tanθy = (y + δy - cy) / fy of the paper's eq.
-    RGBD_reconstruction-1 (Papadakis and Willis 2017), δ being the correction of the lens distortion.
+    The tables hold tanθx = (x + δx - cx) / fx and tanθy = (y + δy - cy) / fy of the paper's eq. 10 (Papadakis and
+    Willis 2017), δ being the correction of the lens distortion.
     """
 
     width: int
@@ -262,7 +262,7 @@ class Camera:
         return image_x, np.repeat(self.tan_y_rows[:, None], self.width, axis=1)
 
     def points(self, depth: ArrayLike) -> Floats:
-        """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z (eq. RGBD_reconstruction-1-1).
+        """Reconstruct the point cloud of a depth frame: X = Z tanθx, Y = Z tanθy, Z (the paper's eq. 11).
 
         Parameters
         ----------

@@ -227,7 +227,7 @@ class Rendering:
         ----------
         noise : float
             Standard deviation of the inverse depth in 1/m. Each pixel's point moves along its ray by
-            independent Gaussian noise so that sigma_Z = noise·Z² (eq. noise_models). 0 for none.
+            independent Gaussian noise so that sigma_Z = noise·Z² (the paper's eq. 2). 0 for none.
         holes : float
             Share of the pixels that are missing, each independently of the others.
         patches : float

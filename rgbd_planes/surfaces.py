@@ -31,9 +31,8 @@ def normals(
 ) -> npt.NDArray[np.float32]:
     """Fit a plane to the window around every pixel and return its normal.
 
-    The plane is the least-squares fit of the inverse depth to the window's valid pixels (the paper's eq.
-    RGBD_explicit_fit), whatever is missing; at the border the window is clipped. The time hardly depends
-    on the window's size.
+    The plane is the least-squares fit of the inverse depth to the window's valid pixels (the paper's eq. 15), whatever
+    is missing; at the border the window is clipped. The time hardly depends on the window's size.
 
     Parameters
     ----------

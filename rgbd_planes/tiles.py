@@ -411,11 +411,11 @@ def fit_tiles(
         Size of a tile in pixels, at least 2 each way. A frame that is not a multiple of it keeps its ragged last row
         and column of tiles.
     method : str
-        ``range_explicit``, least squares of the inverse depth (eq. RGBD_explicit_fit), the maximum-likelihood fit for a
-        disparity sensor whose pixels err independently; ``range_implicit`` (eq. tan_theta_scattermatrix);
-        ``standard_explicit``, least squares of Z (eq. explicit_fit_std); ``standard_implicit`` (eq. XYZ_scattermatrix);
-        ``standard_pca``, the orthogonal regression. The implicit methods depend on the unit of length, since the
-        paper's norm mixes the normal with an offset: here it is the metre.
+        ``range_explicit``, least squares of the inverse depth (the paper's eq. 15), the maximum-likelihood fit for a
+        disparity sensor whose pixels err independently; ``range_implicit`` (eq. 14); ``standard_explicit``, least
+        squares of Z (eq. 7); ``standard_implicit`` (eq. 6); ``standard_pca``, the orthogonal regression. The implicit
+        methods depend on the unit of length, since the paper's norm mixes the normal with an offset: here it is the
+        metre.
     implementation : {"direct", "integral", "naive"}
         Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes, up to
         rounding, which sums over a whole frame leave more of: by ``standard_`` methods small tiles may be DEGENERATE.

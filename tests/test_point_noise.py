@@ -15,7 +15,7 @@ def camera():
 
 
 def test_paper_figures(camera):
-    """eq. noise_models: sigma_Z = 1.425e-3 Z², and X and Y about half of it at the image's periphery."""
+    """The paper's eq. 2: sigma_Z = 1.425e-3 Z², and X and Y about half of it at the image's periphery."""
     sigma = rp.measurement_noise(np.full((480, 640), 2000, np.uint16), camera.with_noise(rp.noise.kinect_v1()))
     assert sigma.shape == (480, 640, 3)
     np.testing.assert_allclose(sigma[..., 2], 1.425e-3 * 4.0)

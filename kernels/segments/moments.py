@@ -19,7 +19,7 @@ ON_A_LINE = 1e-6
 
 @kernel(inline="compiled")
 def solve(n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, s_qq):
-    """Least squares plane q = α·(u, v, 1) of ten sums (the paper's eq. RGBD_explicit_fit): sum of squared residuals, α.
+    """Least squares plane q = α·(u, v, 1) of ten sums (the paper's eq. 15): sum of squared residuals, α.
 
     The residual is -1 and α 0 where the pixels do not determine a plane.
     """

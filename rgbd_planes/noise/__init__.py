@@ -37,8 +37,8 @@ def kinect_v1() -> NoiseModel:
     """Kinect v1, independent pixels: σZ = 1.425e-3·Z², constant in 1/Z.
 
     Source: Khoshelham and Oude Elberink, "Accuracy and resolution of Kinect depth data for indoor mapping
-    applications", Sensors 12, 2012, as in the paper's eq. noise_models. Real frames are correlated: for
-    them, `rgbd_planes.estimate_noise`.
+    applications", Sensors 12, 2012, as in the paper's eq. 2. Real frames are correlated: for them,
+    `rgbd_planes.estimate_noise`.
     """
     return NoiseModel()
 

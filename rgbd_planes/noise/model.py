@@ -26,7 +26,7 @@ _LARGEST_FALLOFF = 50.0  # that of sensors is up to 5
 _AT_30_DEGREES = 3.0**-0.5  # tangent
 
 KINECT_V1 = 1.425e-3
-"""Standard deviation of a Kinect v1's inverse depth in 1/m (eq. noise_models)."""
+"""Standard deviation of a Kinect v1's inverse depth in 1/m (the paper's eq. 2)."""
 
 
 @dataclass(frozen=True, repr=False)

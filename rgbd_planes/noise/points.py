@@ -51,10 +51,9 @@ def measurement_noise(
 
     Notes
     -----
-    σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. noise_models of the paper, after
-    Khoshelham and Oude Elberink 2012, lens distortion included. The three are one error along the ray, seen
-    from three sides: fully correlated. A noise model's lateral error, which depends on the slope of the surface, is not
-    included.
+    σ_Z = σ_q·Z², σ_X = |tanθx|·σ_Z and σ_Y = |tanθy|·σ_Z: eq. 2 of the paper, after Khoshelham and Oude Elberink 2012,
+    lens distortion included. The three are one error along the ray, seen from three sides: fully correlated. A noise
+    model's lateral error, which depends on the slope of the surface, is not included.
     """
     check_camera(camera)
     if sigma_inverse_depth is None and camera.noise is None:
