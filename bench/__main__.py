@@ -1,4 +1,4 @@
-"""``python -m bench --out DIR``: measure the paper's claims and write report.md, paper.json, figures."""
+"""``python -m bench``: measure the paper's claims and write report.md, paper.json, figures."""
 
 import argparse
 import json
@@ -17,7 +17,7 @@ def main(arguments: list[str] | None = None) -> int:
         description="Reproduce the claims of Papadakis and Willis 2017 and write a report.",
         epilog="Example: python -m bench --out report",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="folder to write to (report)")
     parser.add_argument("--quick", action="store_true", help="few repeats and few points")
     options = parser.parse_args(arguments)
 

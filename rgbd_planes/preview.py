@@ -22,12 +22,14 @@ from rgbd_planes.plane_fits import PlacedFits, TileStatus
 from rgbd_planes.plotting.segments import label_image
 
 if TYPE_CHECKING:
+    from rgbd_planes.noise.model import NoiseModel
     from rgbd_planes.quadtree import QuadtreeSegmentation
     from rgbd_planes.segmentation.result import Segmentation
 
 _WIDEST = 320  # pixels of a panel
 _GAP = 8
 _LISTED = 4  # planes
+_DPI = 65  # of a figure: its texts can just be read
 
 
 def fits_picture(fits: PlacedFits) -> NDArray[np.uint8]:
@@ -118,6 +120,17 @@ def quadtree_html(segmentation: "QuadtreeSegmentation") -> str:
         f"<div><small>Left: planes, {_square(NO_PLANE)}&nbsp;none. "
         f"Right: {_status_names(elements)}.</small></div></div>"
     )
+
+
+def noise_html(model: "NoiseModel") -> str:
+    """Return a few lines of HTML: the noise at some depths and, if it was estimated, the figure of its evidence."""
+    text = f"<div>{html.escape(repr(model).strip('<>'))}</div>"
+    if model.evidence is None:
+        return text
+    buffer = io.BytesIO()
+    model.evidence.plot().savefig(buffer, dpi=_DPI)
+    figure = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<div>{text}<img alt="the evidence" src="data:image/png;base64,{figure}"></div>'
 
 
 def _status_names(fits: PlacedFits) -> str:

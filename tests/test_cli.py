@@ -138,6 +138,22 @@ def test_fit_writes_what_fit_tiles_returns(folder, capsys, method):
     assert json.loads((folder / "p.json").read_text()) == export.to_dict(expected)
 
 
+def test_fit_by_another_significance(folder, capsys):
+    arguments = ["fit", "depth.png", "--camera", "camera.json", "--noise", "kinect_v1", "--out", "p.npz"]
+    depth, camera = images.read_depth("depth.png"), replace(CAMERA, noise=rp.noise.kinect_v1())
+    rough = []
+    for level in ("0", "0.5"):
+        assert cli.main([*arguments, "--significance", level]) == 0
+        status = rp.TilePlanes.load("p.npz").status
+        assert np.array_equal(status, rp.fit_tiles(depth, camera, significance=float(level)).status)
+        rough.append(np.count_nonzero(status == rp.TileStatus.ROUGH))
+    assert rough[0] == 0 < rough[1]
+    capsys.readouterr()
+    assert "significance must be at least 0 and below 1, got 1" in fails(capsys, *arguments, "--significance", "1")
+    without = ["fit", "depth.png", "--camera", "camera.json", "--significance", "0.1"]
+    assert "significance needs a camera with a noise model" in fails(capsys, *without)
+
+
 def test_fit_says_where_rough_tiles_need_the_noise(folder, capsys):
     arguments = ["fit", "depth.png", "--camera", "camera.json"]
     for options, is_said in (([], True), (["--max-error", "0.02"], False), (["--noise", "kinect_v1"], False)):
@@ -498,8 +514,8 @@ def test_no_command_and_an_unknown_one(capsys):
 
 
 def test_an_unknown_option_names_the_command(folder, capsys):
-    said = fails(capsys, "fit", "depth.png", "--camera", "camera.json", "--significant", "0.01")
-    assert "rgbd-planes fit: unrecognized arguments: --significant (see" in said
+    said = fails(capsys, "fit", "depth.png", "--camera", "camera.json", "--certainty", "0.01")
+    assert "rgbd-planes fit: unrecognized arguments: --certainty (see" in said
     assert "rgbd-planes fit --help" in said
 
 

@@ -55,6 +55,17 @@ def test_a_result_shows_itself(tiles):
     assert len(text) < 20_000
 
 
+def test_a_noise_model_shows_what_it_was_found_from():
+    camera = rp.presets.kinect_v1()
+    found = rp.estimate_noise(rp.scenes.room().render(camera).measure(seed=1), camera)
+    text = found._repr_html_()
+    assert repr(found).strip("<>") in text
+    height, width, _ = picture_of(text).shape
+    assert 900 < width < 1100
+    assert 450 < height < 600
+    assert rp.noise.kinect_v1()._repr_html_() == f"<div>{repr(rp.noise.kinect_v1()).strip('<>')}</div>"
+
+
 def test_a_batch_shows_its_first_frame(tiles):
     depth = np.full(tiles.camera.shape, 2000, np.uint16)
     batch = rp.TileFitter(tiles.camera).fit_batch([depth, depth // 2])

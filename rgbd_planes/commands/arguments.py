@@ -41,6 +41,12 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
         help="largest share of a tile's pixels that may be missing (0.5)",
     )
     parser.add_argument("--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH")
+    parser.add_argument(
+        "--significance",
+        type=float,
+        metavar="LEVEL",
+        help="call tiles ROUGH whose residual the noise explains less often than this (0.01); 0 for none",
+    )
 
 
 def add_noise(parser: argparse.ArgumentParser, what_for: str, *, number_is_model: bool = True) -> None:

@@ -63,6 +63,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             method=arguments.method,
             max_missing=arguments.max_missing,
             max_error=arguments.max_error,
+            significance=arguments.significance,
             min_size=arguments.min_size,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: only on a terminal

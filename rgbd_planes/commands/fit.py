@@ -42,6 +42,7 @@ def fit(parser: argparse.ArgumentParser) -> Run:
             arguments.method,
             max_missing=arguments.max_missing,
             max_error=arguments.max_error,
+            significance=arguments.significance,
             num_threads=arguments.threads,
         )
         print(describe_tiles(tiles))

@@ -137,6 +137,12 @@ class NoiseModel:
     def __repr__(self) -> str:
         return f"<NoiseModel: {self._summary()}>"
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the noise at some depths and, if it was estimated, from what."""
+        from rgbd_planes.preview import noise_html
+
+        return noise_html(self)
+
     def _summary(self) -> str:
         # No Greek: printing letters that stdout's encoding lacks is an error, as into a file on Windows.
         parts = ["sigma by a function"]
