@@ -1058,6 +1058,32 @@ def test_command_passes_its_options_on(recording, tmp_path):
     words = ["--tile=12x16", "--method=standard_pca", "--max-missing=0.3", "--max-error=0.02"]
     assert cli.main(["batch", str(recording), "--out", str(tmp_path / "out"), *words]) == 0
     check_rows(tmp_path / "out", rp.open_sequence(recording), **options)
+    words = ["--noise=kinect_v1", "--significance=0.5"]
+    assert cli.main(["batch", str(recording), "--out", str(tmp_path / "noisy"), *words]) == 0
+    check_rows(tmp_path / "noisy", rp.open_sequence(recording).with_noise(rp.noise.kinect_v1()), significance=0.5)
+
+
+def test_command_tries_again_what_was_skipped(recording, tmp_path, capsys):
+    frame = recording / "depth" / "3.png"
+    content = frame.read_bytes()
+    frame.write_bytes(b"")
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "out")]
+    assert cli.main(arguments) == 1
+    frame.write_bytes(content)
+    assert cli.main(arguments) == 1
+    capsys.readouterr()
+    assert cli.main([*arguments, "--retry"]) == 0
+    assert capsys.readouterr().out.startswith("30 of 30 frames, ")
+    check_rows(tmp_path / "out", rp.open_sequence(recording))
+
+
+def test_planes_that_are_all_rough_are_planes(recording, tmp_path, capsys):
+    arguments = ["batch", str(recording), "--out", str(tmp_path / "out"), "--max-error", "1e-9"]
+    assert cli.main(arguments) == 0
+    out, err = capsys.readouterr()
+    assert " ROUGH" in out
+    assert " OK" not in out
+    assert err == ""
 
 
 @pytest.mark.parametrize(

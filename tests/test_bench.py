@@ -13,6 +13,8 @@ from scipy import stats
 import rgbd_planes as rp
 from bench import (
     batch_throughput,
+    chi_square,
+    curved_scenes,
     figures,
     first_call,
     fitting,
@@ -20,6 +22,7 @@ from bench import (
     measured,
     methods,
     operations,
+    peers,
     readme,
     real_sensors,
     report,
@@ -29,9 +32,13 @@ from bench import (
     timing,
     tracking,
     uncertainty_real,
+    uncertainty_simulation,
+    user_tasks,
 )
 from bench.__main__ import main
+from bench.floor import floor
 from rgbd_planes.kernels import summed_area
+from rgbd_planes.kernels.statistics.chi_square import CORRECTION
 
 
 @pytest.fixture(scope="module")
@@ -390,6 +397,18 @@ def test_tiles_of_a_labelled_plane_are_compared_with_all_of_it(tmp_path):
     assert np.concatenate(found).max() < 0.1
 
 
+def test_angles_to_a_labelled_plane_are_in_degrees(tmp_path):
+    """Of tiles on both sides of a fold that has one label, to the plane between them."""
+    camera = rp.Camera(80, 60, 65.0, 65.0, 39.5, 29.5, depth_scale=10_000.0)
+    camera.save(tmp_path / "camera.json")
+    depth = np.rint(10_000.0 / (0.4 + 0.2 * np.abs(camera.tan_x + 0.0 * camera.tan_y))).astype(np.uint16)
+    for name, image in (("depth", depth), ("labels", np.ones(camera.shape, np.uint8))):
+        (tmp_path / name).mkdir()
+        rp.images.write_png(tmp_path / name / "0.png", image)
+    (found,) = real_sensors.angles(tmp_path, 10)
+    np.testing.assert_allclose(found[:, 0], np.degrees(np.arctan2(0.2, 0.4)), atol=0.1)
+
+
 def test_moved_frames_see_the_same_points():
     camera = rp.Camera(12, 9, 10.0, 11.0, 5.0, 4.5, depth_scale=1000.0)
     rng = np.random.default_rng(1)
@@ -443,6 +462,375 @@ def test_a_peer_is_scored_by_its_best_setting():
     truth = np.ones((20, 20), np.int32)
     truth[:, 10:] = 2
     frame = segmentation.Frame("a", np.ones((20, 20)), methods.sensor()[1], truth)
-    peers = [lambda of: np.ones_like(of.truth), lambda of: of.truth, lambda of: 0 * of.truth]
-    (row,) = segmentation.best_of(peers, [frame])
+    ways = [lambda of: np.ones_like(of.truth), lambda of: of.truth, lambda of: 0 * of.truth]
+    (row,) = segmentation.best_of(ways, [frame])
     assert (row.correct_80, row.correct_90, row.missed) == (2, 2, 0)
+
+
+@pytest.mark.parametrize("sharing", [False, True])
+def test_the_floor_is_the_sums_of_all_tiles(sharing, rng):
+    raw = rng.integers(500, 5000, (12, 18)).astype(np.uint16)
+    tan_x, tan_y = rng.normal(size=18), rng.normal(size=12)
+    tiles = np.full((4, 2, 3), np.nan)
+    floor(raw, tan_x, tan_y, 6, sharing, np.empty((3, 18)), tiles)
+    q = 1.0 / raw
+    sums = [of.reshape(2, 6, 3, 6).sum(axis=(1, 3)) for of in (q, q * tan_x, q * tan_y[:, None], q * q)]
+    np.testing.assert_allclose(tiles, sums, rtol=1e-12)
+
+
+def test_a_batch_of_the_floor_is_all_its_frames(monkeypatch):
+    seen = []
+    monkeypatch.setattr(peers, "floor", lambda frame, *rest: seen.append(int(frame)))
+    peers.floor_of_batch(np.arange(7), 3)()
+    assert sorted(seen) == list(range(7))
+
+
+def test_ratios_to_peers_are_of_times_beside_them(monkeypatch):
+    """Of what takes twice the time of the baseline, and half of that of the floor; and of half the time by threads."""
+    seconds = {peers.BASE: 2e-3, peers.FLOOR: 8e-3, "a": 4e-3}
+    monkeypatch.setattr(peers, "systems", lambda frame, tile: (dict.fromkeys(seconds), {"a": 0.5}))
+    monkeypatch.setattr(peers, "take_turns", lambda functions, repeats: {n: np.full(4, seconds[n]) for n in functions})
+    *_, row = peers.compare(fitting.case(160, 120), 10, 4)
+    assert (row["tile"], row["system"], row["median_deg"]) == (10, "a", 0.5)
+    assert [row["median_ms"], row["fastest_ms"]] == pytest.approx([4.0, 4.0])
+    for name, expected in (("of_baseline", 2.0), ("faster_than_baseline", 0.5), ("of_floor", 0.5)):
+        assert row[name] == pytest.approx([expected] * 3)
+    monkeypatch.setattr(peers, "take_turns", lambda functions, repeats: {n: np.full(4, 1e-3) for n in functions})
+    assert dict(peers.scaling(True)["size"])["640x480"] == pytest.approx(1e6 / (640 * 480))
+    monkeypatch.setattr(peers.of_normals, "OPENCV", False)
+    halved = {"0": np.full(4, 2e-3), "1": np.full(4, 1e-3)}
+    monkeypatch.setattr(peers, "take_turns", lambda functions, repeats: {n: halved[n[-1]] for n in functions})
+    for row in peers.with_all_threads(fitting.case(160, 120), 10, 4):
+        assert row["speedup"] == pytest.approx([2.0] * 3)
+
+
+def test_simulated_planes_err_as_predicted(monkeypatch):
+    """By the fit in 1/Z, whose errors are those of the bound; the others' are larger."""
+    names = {"TILES": (10,), "DEPTHS": (1.0,), "INCIDENCES": (0, 60), "HOLES": (0.0, 0.3)}
+    for name, values in names.items():
+        monkeypatch.setattr(uncertainty_simulation, name, values)
+    cells = uncertainty_simulation.simulate(1600)
+    assert [(c.method, c.incidence, c.holes) for c in cells] == [
+        (method, incidence, holes)
+        for incidence in (0, 60)
+        for holes in (0.0, 0.3)
+        for method in uncertainty_simulation.METHODS
+    ]
+    for cell in cells:
+        assert (cell.depth, cell.tile, cell.runs) == (1.0, 10, 1600)
+        one = monte_carlo.tile_camera(10, None, left=150, top=100)
+        rays = np.stack([one.tan_x, one.tan_y, np.ones(one.shape)], axis=-1).reshape(-1, 3)
+        alpha = monte_carlo.plane_through_middle(one, 1.0, cell.incidence)
+        covariance = 1.425e-3**2 * np.linalg.inv(rays.T @ rays)
+        normal = alpha / np.linalg.norm(alpha)
+        tilt = np.trace(covariance) - normal @ covariance @ normal
+        expected = np.degrees(np.sqrt(tilt) / np.linalg.norm(alpha))
+        assert cell.predicted_degrees == pytest.approx(expected / np.sqrt(1.0 - cell.holes), rel=0.1)
+        if cell.method == "range_explicit":
+            assert [cell.angle_ratio, cell.offset_ratio, cell.angle_plain] == pytest.approx([1.0] * 3, abs=0.06)
+            assert cell.nees == pytest.approx(1.0, abs=0.1)
+            assert cell.nees_error == pytest.approx((cell.nees - 1.0) * 3.0 / np.sqrt(6.0 / 1600))
+            assert cell.chi_square == pytest.approx(1.0, abs=0.03)
+            freedom = 97 if cell.holes == 0.0 else round(100 * 0.7) - 3
+            assert cell.chi_square_error == pytest.approx(
+                (cell.chi_square - 1.0) * np.sqrt(1600 * freedom / 2), rel=0.1
+            )
+            assert cell.efficiency == pytest.approx(0.97, abs=0.06)
+            assert cell.bias < 4.0
+            assert cell.offset_short == pytest.approx(cell.offset_short_expected, abs=0.1)
+    steep = {cell.method: cell for cell in cells if cell.incidence == 60 and cell.holes == 0.0}
+    assert steep["standard_explicit"].efficiency < 0.9
+    assert steep["standard_pca"].bias > steep["range_explicit"].bias
+
+
+def test_the_report_of_simulations_sums_up_its_cells():
+    cells = [
+        uncertainty_simulation.Cell(
+            *(method, incidence, 1.0, 10, 0.0),
+            runs=400 + incidence,
+            predicted_degrees=degrees,
+            bias=1.0 if incidence < 45 else 9.0,
+            angle_ratio=1.5 if degrees > 10.0 else 1.01,
+            offset_ratio=0.99,
+            nees=1.1,
+            nees_error=1.0 if incidence == 0 else -3.0,
+            chi_square=1.2,
+            chi_square_error=2.0,
+            efficiency=1.0 - 0.01 * incidence,
+            angle_plain=degrees,
+            offset_plain=(1.0 if incidence >= 30 else 2.0) + 0.001 * incidence,
+            offset_short=3.0 if incidence >= 30 else 4.0,
+            offset_short_expected=5.0 if incidence >= 30 else 6.0,
+        )
+        for degrees in (0.1, 0.5, 2.0, 5.0, 20.0)
+        for incidence in uncertainty_simulation.INCIDENCES
+        for method in uncertainty_simulation.METHODS
+    ]
+    lines = uncertainty_simulation.simulation_report(cells)
+    assert lines[2].startswith("30 planes: ")
+    assert "400 measurements of each or more" in lines[2]
+    for method in uncertainty_simulation.METHODS:
+        shares = "50.0 % | 1.01–1.5 | 0.99–0.99 | 80.0 % | 1.1–1.1 | 16.7 % | 1.2–1.2 | 100.0 %"
+        assert f"| {method} | {shares} | 0.625 (0.25) |" in lines
+        by_incidence = "1.000 | 0.850 | 0.700 | 0.550 | 0.400 | 0.250"
+        assert f"| {method} | {by_incidence} | 0.625 | 0.625 | 0.625 |" in lines
+    assert lines[-6:-1] == [
+        f"| {name} | 6 | {degrees}–{degrees} | 1.030–1.075 | 2.000–2.015 | 3.000–3.000 | 5.000–5.000 | 4.000–4.000 "
+        "| 6.000–6.000 |"
+        for name, degrees in (
+            ("0–0.3°", "0.100"), ("0.3–1°", "0.500"), ("1–3°", "2.000"), ("3–10°", "5.000"), ("above 10°", "20.000"),
+        )
+    ]  # fmt: skip
+
+
+def test_errors_of_many_measurements_are_summed_up(rng):
+    """Of estimates drawn with the covariance that they should have, and of ones that are off."""
+    cell_of = uncertainty_simulation._cell
+    alpha, bound, runs = np.array([0.1, -0.2, 0.5]), np.diag([4e-4, 1e-4, 1e-6]), 20_000
+    errors = rng.standard_normal((runs, 3)) * np.sqrt(np.diag(bound))
+
+    def cell(scale, shift):
+        found = alpha + scale * errors + shift
+        d = 1.0 / np.linalg.norm(found, axis=1)
+        freedom = 13
+        square = rng.chisquare(freedom, runs) * rp.noise.KINECT_V1**2
+        fits = {
+            "alpha": found,
+            "alpha_covariance": np.broadcast_to(bound, (runs, 3, 3)),
+            "planes": np.column_stack([-found * d[:, None], d]),
+            "rmse_metric": np.sqrt(square / 16) * d / 0.4,
+            "mean_q": np.full(runs, 0.4),
+            "angle_std": np.ones(runs),
+            "offset_std": np.ones(runs),
+        }
+        return cell_of(("range_explicit", 0, 1.0, 4, 0.0), fits, alpha, bound, 16)
+
+    def short(scale, shift):
+        """How much too small d is: what the estimates are, and to second order of the covariance."""
+        d, found = 1.0 / np.linalg.norm(alpha), 1.0 / np.linalg.norm(alpha + scale * errors + shift, axis=1)
+        along = d**4 * (d * alpha) @ bound @ (d * alpha)
+        tilt = d**2 * (np.trace(bound) - (d * alpha) @ bound @ (d * alpha))
+        return [(d - found.mean()) / found.std(), (0.5 * d * tilt - along / d) / found.std()]
+
+    right, wide, off = cell(1.0, 0.0), cell(2.0, 0.0), cell(1.0, 0.02 * alpha)
+    assert [right.angle_ratio, right.offset_ratio, right.nees, right.chi_square] == pytest.approx([1.0] * 4, abs=0.03)
+    for made, given in ((right, (1.0, 0.0)), (wide, (2.0, 0.0))):
+        assert [made.offset_short, made.offset_short_expected] == pytest.approx(short(*given), rel=1e-6)
+    assert right.offset_short == pytest.approx(right.offset_short_expected, abs=0.02)
+    assert right.efficiency == pytest.approx(1.0, abs=0.05)
+    assert max(right.bias, abs(right.nees_error), abs(right.chi_square_error)) < 4.0
+    assert [wide.angle_ratio, wide.offset_ratio, wide.nees] == pytest.approx([2.0, 2.0, 4.0], rel=0.05)
+    assert wide.efficiency == pytest.approx(0.25, abs=0.02)
+    assert wide.nees_error == pytest.approx(9.0 / np.sqrt(6.0 / runs), rel=0.1)
+    assert off.bias > 10.0
+    assert off.angle_ratio == pytest.approx(1.0, abs=0.03)
+    assert off.efficiency < right.efficiency
+
+
+def test_constants_of_chi_square_are_made_again(capsys):
+    chi_square.main()
+    *rows, one, two, five, more = capsys.readouterr().out.splitlines()
+    made = np.array([[float(value) for value in row.strip(" (),").split(",")] for row in rows])
+    np.testing.assert_allclose(made, CORRECTION, rtol=0.02, atol=1e-8)
+    errors = [float(line.rpartition(": ")[2]) for line in (one, two, five, more)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 2e-5
+
+
+def test_samples_of_chi_square_are_deviates_of_its_tail():
+    a, z, eta, c = chi_square.samples(12, 16)
+    ratio = special_ratio(eta)
+    np.testing.assert_allclose(eta * np.sqrt(a) + c / np.sqrt(a), z, atol=1e-9)
+    usual = (abs(z) < 5.0) & (abs(eta) > 1e-3)
+    tail = stats.chi2.logsf(2.0 * a * ratio, 2.0 * a)
+    np.testing.assert_allclose(tail[usual], stats.norm.logsf(z)[usual], rtol=1e-4, atol=1e-6)
+    a_far, eta_far, c_far = chi_square.beyond()
+    tail = stats.chi2.logsf(2.0 * a_far * special_ratio(eta_far), 2.0 * a_far)
+    by_it = stats.norm.logsf(eta_far * np.sqrt(a_far) + c_far / np.sqrt(a_far))
+    seen = np.isfinite(tail) & (eta_far > 0.0) & (tail > -600.0)
+    assert seen.sum() > 100
+    np.testing.assert_allclose(by_it[seen], tail[seen], rtol=0.01)
+
+
+def special_ratio(eta):
+    """λ, whose λ - 1 - ln λ is η²/2, on the side of 1 that η has the sign of."""
+    low, high = np.where(eta > 0.0, 1.0, 0.0), np.where(eta > 0.0, 200.0, 1.0)
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        with np.errstate(divide="ignore"):
+            value = middle - 1.0 - np.log(middle)
+        beyond = (value > 0.5 * eta**2) == (eta > 0.0)
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    return 0.5 * (low + high)
+
+
+def test_curved_things_are_where_they_are_said_to_be():
+    """A ball, an upright and a lying cylinder before a wall, against distances worked out by hand."""
+    camera = rp.Camera(161, 121, 100.0, 100.0, 80.000001, 60.000001)  # no ray across a cylinder
+    scene = rp.scenes.plane((0.0, 0.0, -1.0), 5.0)
+
+    def seen(*bodies):
+        return curved_scenes.render(scene, bodies, camera)
+
+    depth, labels = seen(curved_scenes.ellipsoid((0.0, 0.0, 3.0), (0.5, 0.4, 1.0)))
+    assert (depth[60, 80], labels[60, 80]) == (pytest.approx(2.0), 0)
+    x, y = camera.tan_x * depth, camera.tan_y * depth
+    inside = (x / 0.5) ** 2 + (y / 0.4) ** 2 + (depth - 3.0) ** 2
+    assert np.abs(inside[labels == 0] - 1.0).max() < 1e-9
+    np.testing.assert_allclose(depth[labels == 1], 5.0)
+    assert inside[labels == 1].min() > 1.0
+    turned, _ = seen(curved_scenes.ellipsoid((0.0, 0.0, 3.0), (0.5, 0.4, 1.0), turn=90.0))
+    assert turned[60, 80] == pytest.approx(2.5)
+    turned, _ = seen(curved_scenes.ellipsoid((0.0, 0.0, 3.0), (1.0, 0.2, 0.2), turn=30.0))
+    assert turned[60, 105] < turned[60, 80] < turned[60, 60] < 5.0  # whose right end comes nearer
+    cos, sin, x, y, off = 0.75**0.5, 0.5, camera.tan_x * turned, camera.tan_y * turned, turned - 3.0
+    square = (cos * x - sin * off) ** 2 + (y / 0.2) ** 2 + ((sin * x + cos * off) / 0.2) ** 2
+    np.testing.assert_allclose(square[turned < 4.9], 1.0)
+    upright, labels = seen(curved_scenes.cylinder((0.0, 0.0, 3.0), 0.5, 1.0))
+    assert upright[60, 80] == pytest.approx(2.5)
+    top = 2.5 * camera.tan_y[:, 0] if camera.tan_y.ndim > 1 else 2.5 * camera.tan_y
+    rows = np.flatnonzero(labels[:, 80] == 0)
+    assert np.abs(np.ravel(top)[rows]).max() == pytest.approx(0.5, abs=0.03)
+    lying, _ = seen(curved_scenes.cylinder((0.0, 0.0, 3.0), 0.5, 1.0, lying=True))
+    assert (lying[60, 80], lying[40, 80] > 2.5, lying[60, 61]) == (pytest.approx(2.5), True, pytest.approx(2.5))
+    below, labels = seen(curved_scenes.cylinder((0.0, 1.0, 3.0), 0.5, 1.0))  # whose upper end is at y = 0.5
+    end = labels == 2
+    assert end.any()
+    np.testing.assert_allclose((camera.tan_y * below)[end], 0.5)
+    assert np.hypot((camera.tan_x * below)[end], below[end] - 3.0).max() <= 0.5
+    hidden, labels = seen(curved_scenes.ellipsoid((0.0, 0.0, 7.0), (0.5, 0.5, 0.5)))
+    np.testing.assert_allclose(hidden, 5.0)
+    assert (labels == 1).all()
+    for body in (
+        curved_scenes.ellipsoid((0.0, 0.0, -3.0), (0.5, 0.5, 0.5)),
+        curved_scenes.cylinder((0.0, 1.0, -3.0), 0.5, 1.0),
+    ):
+        behind, _ = seen(body)
+        np.testing.assert_allclose(behind, 5.0)
+
+
+def test_sensors_of_curved_scenes_err_as_they_say():
+    depth = np.full((480, 640), 2.0)
+    expected = {"kinect": (5.7, 0.03), "stereo": (5.3, 0.03), "time_of_flight": (4.0, 0.01), "scanner": (1.3, 0.0)}
+    for sensor, camera in curved_scenes.SENSORS:
+        raw = sensor(depth, 1)
+        seen = raw[raw > 0] / camera.depth_scale
+        if sensor is curved_scenes.perfect:
+            assert (raw == 10_000).all()
+            continue
+        millimetres, missing = expected[sensor.__name__]
+        assert np.mean(raw == 0) == pytest.approx(missing, abs=0.002)
+        assert 1e3 * seen.std() == pytest.approx(millimetres, rel=0.06)
+        assert seen.mean() == pytest.approx(2.0, abs=0.004)
+    assert (curved_scenes.scanner(depth, 1) % 2 == 0).all()
+    for scene, bodies in (make() for make in curved_scenes.SCENES):
+        seen, labels = curved_scenes.render(scene, bodies, curved_scenes.SENSORS[0][1])
+        assert (labels == 0).mean() > 0.05
+        assert np.isfinite(seen).all()
+
+
+def test_intervals_of_ratios_are_those_of_other_parts(rng):
+    """Parts that are alike leave little doubt; of parts that differ, as many others would too."""
+    alike = [np.tile([0.5, 1.0, 9.0], (30, 1)) for _ in range(10)]
+    assert real_sensors._interval(alike, rng) == [2.0, 2.0]
+    parts = [np.tile([1.0, ratio, 9.0], (30, 1)) for ratio in np.linspace(1.0, 2.0, 41)]
+    low, high = real_sensors._interval(parts, rng)
+    assert 1.2 < low < 1.4
+    assert 1.6 < high < 1.8
+
+
+def test_medians_over_all_parts_come_to_the_table(monkeypatch):
+    parts = [np.array([[1.0, 2.0, 3.0]] * 3), np.empty((0, 3)), np.array([[2.0, 6.0, 8.0]] * 2)]
+    monkeypatch.setattr(real_sensors, "needed", lambda sets: None)
+    monkeypatch.setattr(real_sensors, "angles", lambda folder, tile: [part * tile / 10 for part in parts])
+    rows = real_sensors.measure()
+    assert [(row["data"], row["tile"]) for row in rows] == [(n, t) for n in real_sensors.SETS for t in (10, 20)]
+    for row in rows:
+        scale = row["tile"] / 10
+        assert [row[method] / scale for method in real_sensors.METHODS] == [1.0, 2.0, 3.0]
+        ratio, low, high = row["ratio"]
+        assert (row["tiles"], ratio, low, high) == (5, 2.0, 2.0, 3.0)
+    name = real_sensors.SETS[rows[1]["data"]]
+    assert f"| {name} | 20 | 5 | 2.00° | 4.00° | 6.00° | 2.00 (2.00–3.00) |" in real_sensors.table(rows)
+
+
+def test_answers_of_libraries_are_compared_with_the_truth():
+    camera = rp.Camera(80, 60, 65.0, 65.0, 39.5, 29.5, depth_scale=1000.0)
+    rendering = rp.scenes.room().render(camera)
+    labels = rendering.labels.copy()
+    labels[:, :20] = 0
+    planes = rendering.planes[np.maximum(labels, 1) - 1]
+    assert user_tasks.angles(planes, labels, rendering, "pixels") == "0.0°"
+    assert user_tasks.angles(-planes, labels, rendering, "pixels") == "0.0°"  # whichever way they point
+    across = np.cross(planes[..., :3], [0.1, 0.2, 1.0])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    turned = np.cos(0.05) * planes[..., :3] + np.sin(0.05) * across
+    turned[:30] = np.nan
+    share = np.count_nonzero(labels[30:]) / np.count_nonzero(labels)
+    assert user_tasks.angles(turned, labels, rendering, "pixels") == f"2.9° of {share:.0%} of the pixels"
+
+
+def test_planes_are_found_if_most_of_them_has_a_label_of_its_own():
+    truth = np.zeros((100, 100), np.int32)
+    truth[:40], truth[40:80], truth[80:] = 1, 2, 3
+    truth[90:, :90] = 0
+    truth[92:, :60] = 4  # too few pixels
+    rendering = type("Rendered", (), {"labels": truth})
+    assert user_tasks.found(truth, rendering) == "3 of 3 planes"
+    assert user_tasks.found(0 * truth, rendering) == "0 of 3 planes"
+    joined, part = np.where(truth == 2, 1, truth), truth.copy()
+    assert user_tasks.found(joined, rendering) == "1 of 3 planes"
+    part[:7] = 0
+    assert user_tasks.found(part, rendering) == "3 of 3 planes"
+    part[:9] = 0
+    assert user_tasks.found(part, rendering) == "2 of 3 planes"
+
+
+def one_line_beside_tiles(depth, camera):
+    """As the lines of a task are counted."""
+
+    return user_tasks.tiles_opencv(depth, camera)
+
+
+PCL_TASKS = """
+Cloud cloud_of(Frame frame)
+{
+  one();
+
+  if (frame)
+  {
+    two();
+  }
+}
+
+void normals(Cloud cloud)
+{
+  a();
+  b();
+}
+
+std::vector<int> tiles(Frame frame)
+{
+  c();
+}
+
+void segments(Frame frame)
+{
+  normals(cloud);
+}
+"""
+
+
+def test_lines_of_tasks_are_counted(tmp_path, monkeypatch):
+    """Without that of their name, and empty ones, but with those of what they call."""
+    assert user_tasks.lines(user_tasks.segments_ours) == 2
+    assert user_tasks.lines(one_line_beside_tiles) == 2 + user_tasks.lines(user_tasks.tiles_opencv) > 10
+    (tmp_path / "tasks.cpp").write_text(PCL_TASKS)
+    monkeypatch.setattr(user_tasks, "PCL", tmp_path / "tasks.cpp")
+    counted = {task: user_tasks.PclTask(tmp_path, task).lines for task in ("tiles", "normals", "segments")}
+    assert counted == {"tiles": 1 + 3, "normals": 2 + 3, "segments": 1 + 2 + 3}
+
+
+def test_ratios_of_times_have_two_digits_or_all_before_the_point():
+    shown = {0.1234: "0.12", 9.64: "9.6", 45.6: "46", 99.7: "100", 250.4: "250"}
+    assert {ratio: user_tasks._times(ratio) for ratio in shown} == shown

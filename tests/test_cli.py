@@ -1,5 +1,6 @@
 """The command line: what it prints and writes, and one line on stderr for whatever goes wrong."""
 
+import argparse
 import importlib
 import json
 import os
@@ -531,6 +532,18 @@ def test_help_shows_an_example(capsys, command, monkeypatch):
     assert "rgbd-\n" not in out
     if command == "fit":
         assert all(method in out for method in METHODS)
+
+
+def test_defaults_are_those_that_the_help_says():
+    said = []
+    for command in COMMANDS:
+        parser = argparse.ArgumentParser()
+        command(parser)
+        for action in parser._actions:
+            if found := re.search(r"\(([\d.]+)\)$", action.help or ""):
+                assert str(np.ravel(action.default)[0]) == found[1], (command.__name__, action.dest)
+                said.append(action.dest)
+    assert set(said) == {"tile", "max_missing", "min_size", "count", "window", "seed"}
 
 
 def run_module(*arguments, **options):

@@ -8,6 +8,8 @@ import pytest
 from monte_carlo import CORRELATED
 
 import rgbd_planes as rp
+from rgbd_planes.noise.residuals import ResidualStatistics, like_rectangles
+from rgbd_planes.tile_grid import footprints
 
 
 def rows_and_columns(height, width):
@@ -53,6 +55,39 @@ def test_correlated_noise_of_proportions_between():
         made = model.statistics(x.size, size)
         np.testing.assert_allclose(made.expected, np.trace(residual @ covariance), rtol=0.01)
         np.testing.assert_allclose([made.tilt_x, made.tilt_y, made.offset], factors, rtol=0.06)
+
+
+def test_a_line_of_pixels_is_taken_for_two():
+    made, expected = (CORRELATED.statistics(20, size) for size in ((1, 20), (2, 10)))
+    for name in ("expected", "freedom", "tilt_x", "tilt_y", "offset"):
+        assert getattr(made, name) == getattr(expected, name)
+
+
+def test_of_two_statistics_the_larger_errors_count():
+    """Each on its own, but the degrees of freedom go with the residual."""
+    first = ResidualStatistics(*np.array([[9.0, 7.0], [5.0, 4.0], [1.0, 8.0], [2.0, 6.0], [3.0, 1.0]]))
+    second = ResidualStatistics(*np.array([[8.0, 9.0], [6.0, 5.0], [3.0, 7.0], [1.0, 9.0], [4.0, 0.5]]))
+    for one, other in ((first, second), (second, first)):
+        larger = one.or_larger(other)
+        found = [larger.expected, larger.freedom, larger.tilt_x, larger.tilt_y, larger.offset]
+        np.testing.assert_array_equal(found, [[9.0, 9.0], [5.0, 5.0], [3.0, 8.0], [2.0, 9.0], [4.0, 1.0]])
+
+
+def test_parts_of_any_shape_are_like_rectangles():
+    """Full ones are themselves, pixels strewn over one are like it, and a disc has as many pixels as it has."""
+    windows = np.array([[3, 5, 7, 12], [0, 0, 40, 2], [10, 20, 1, 9]])
+    np.testing.assert_allclose(like_rectangles(footprints(windows)), windows[:, 2:], rtol=1e-12)
+
+    def of_mask(mask):
+        y, x = np.nonzero(mask)
+        return like_rectangles(np.array([[len(x), x.sum(), y.sum(), (x * x).sum(), (y * y).sum()]]))[0]
+
+    y, x = np.indices((60, 60))
+    assert of_mask((y < 30) & ((x + y) % 2 == 0)) == pytest.approx([30.0, 60.0], rel=1e-3)
+    disc = np.hypot(y - 30, x - 30) < 25
+    height, width = of_mask(disc)
+    assert height == pytest.approx(width)
+    assert height * width == pytest.approx(disc.sum())
 
 
 def test_pixels_here_and_there_tilt_more_than_a_small_square(rng):

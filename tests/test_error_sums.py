@@ -346,6 +346,17 @@ def test_tiles_of_a_column_of_pixels_have_no_width(rng):
         np.testing.assert_allclose(union.angle_std, mask.angle_std, rtol=0.02)
 
 
+def test_unions_that_have_no_plane_yet_have_the_noise_at_their_mean_depth():
+    """Merged again, they make one that is as uncertain as if its parts were merged at once."""
+    camera = rp.Camera(64, 48, 40.0, 40.0, 5.0, 23.5, noise=NOISES["time of flight"])
+    rows = [[row, 30, 1, 30] for row in range(48)]
+    lines = rp.fit_windows(1.0 / (0.5 + 0.3 * camera.tan_x), camera, rows, max_missing=1.0)
+    alone = rp.merge(lines, np.arange(1, 49))
+    assert not alone.fitted.any()
+    halves = np.arange(48) // 24 + 1
+    np.testing.assert_allclose(rp.merge(alone, halves).angle_std, rp.merge(lines, halves).angle_std, rtol=0.05)
+
+
 def test_constant_noise_needs_no_sums(rng):
     camera = make_camera(noise=rp.noise.kinect_v1())
     fits = rp.fit_labels(make_depth(camera, rng), camera, np.ones(camera.shape, int))

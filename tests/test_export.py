@@ -472,6 +472,7 @@ def test_rerun_recording_has_each_frames_camera_time_and_settings(tmp_path):
         (1.9999999999, 2, 0),
         (-0.25, -1, 750_000_000),
         (8.2, 8, 200_000_000),
+        (1_700_000_000.1, 1_700_000_000, 99_999_905),  # as much as a float tells
         (np.datetime64("1969-12-31T23:59:59.75"), -1, 750_000_000),
         (np.datetime64("2001-09-09"), 999_993_600, 0),
         (np.datetime64(1_999, "ps"), 0, 1),

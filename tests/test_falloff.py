@@ -193,6 +193,20 @@ def test_rough_by_significance_is_a_small_p_value(rng):
     np.testing.assert_array_equal(batch.p_value, np.stack([tiles.p_value] * 2))
 
 
+def test_rough_by_significance_is_a_small_p_value_of_labels_and_unions(rng):
+    camera = replace(PINHOLE, noise=NOISES["constant"])
+    (depth,) = measured(camera, 1, rng)
+    blocks = np.arange(1, 433).reshape(18, 24)
+    labels, tiles = np.kron(blocks, np.ones((8, 8), int)), rp.fit_tiles(depth, camera, 4)
+    for fits in (
+        rp.fit_labels(depth, camera, labels, significance=0.2),
+        rp.merge(tiles, np.kron(blocks, np.ones((2, 2), int)), significance=0.2),
+    ):
+        rough, sure = fits.status == rp.TileStatus.ROUGH, np.abs(fits.p_value / 0.2 - 1.0) > 0.02
+        np.testing.assert_array_equal(rough[sure], (fits.p_value < 0.2)[sure])
+        assert 0.1 < rough.mean() < 0.3
+
+
 def test_sums_of_labels_are_those_of_numpy(rng):
     noise = NOISES["by depth"]
     camera = replace(CAMERAS["barrel"], noise=noise)

@@ -165,6 +165,17 @@ def test_the_labels_are_copied(rng):
     assert (fits.labels == 1).all()
 
 
+def test_the_labels_of_unions_are_copied_and_may_be_more_than_the_tiles(rng):
+    """As those of segments, of which a tile may have several."""
+    camera = make_camera()
+    tiles = rp.fit_tiles(make_depth(camera, rng), camera, (24, 32))
+    labels = np.array([[1, 1], [9, 0]], np.int32)
+    union = rp.merge(tiles, labels)
+    labels[:] = 2
+    assert union.labels.tolist() == [[1, 1], [9, 0]]
+    assert np.flatnonzero(union.fitted).tolist() == [0, 8]
+
+
 @pytest.mark.parametrize(
     ("labels", "error", "message"),
     [

@@ -14,6 +14,7 @@ from rgbd_planes.noise.flatness import flatness
 from rgbd_planes.noise.large_planes import large_planes
 from rgbd_planes.noise.samples import WINDOW, Samples, _mode, flat_windows, outlying, unevenness
 from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES
+from rgbd_planes.wording import percent
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
@@ -122,6 +123,24 @@ def test_shows_a_bias_over_the_image(rng):
     assert "\n" not in repr(evidence)
 
 
+def test_the_evidence_is_what_the_frames_show(rng):
+    depths = [rp.scenes.plane((tilt, 0.2, -1.0), 1.5).render(CAMERA).depth for tilt in np.linspace(-0.3, 0.3, 5)]
+    seen = [1.0 / (1.0 / depth + 1.4e-3 * rng.standard_normal(depth.shape)) for depth in depths]
+    evidence = rp.estimate_noise(seen, CAMERA).evidence
+    assert evidence.frames == 5
+    share = np.mean(evidence.p_values < 0.01)
+    assert share == pytest.approx(0.01, abs=0.006)
+    assert np.median(evidence.p_values) == pytest.approx(0.5, abs=0.06)
+    assert f"{percent(share)} of p-values below 1 %" in repr(evidence)
+    q = 1.0 / np.array(depths)
+    assert (np.diff(evidence.inverse_depth) > 0.0).all()
+    assert q.min() < evidence.inverse_depth[0] < np.median(q) < evidence.inverse_depth[-1] < q.max()
+    np.testing.assert_allclose(evidence.sigma, 1.4e-3, rtol=0.04)
+    np.testing.assert_allclose(evidence.sigma_fit, 1.4e-3, rtol=0.04)
+    np.testing.assert_allclose(evidence.residuals, evidence.expected, rtol=0.03)
+    assert evidence.edge_growth == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize("planar", [0.0, 4e-3])
 def test_of_a_bias_a_planar_part_does_not_show(planar, rng):
     """Though most frames see only the half where it bends."""
@@ -185,6 +204,42 @@ def test_the_map_of_noise_shows_where_there_is_more(rng):
     left, right = (np.nanmean(half**2) for half in np.split(found, 2, axis=1))
     assert np.sqrt(right / left) == pytest.approx(1.5, abs=0.05)
     assert left < 1.0 < right
+
+
+def test_tiles_with_more_noise_than_the_others_have_small_p_values(rng):
+    sigma = np.full(CAMERA.shape, 1.4e-3)
+    sigma[48:96, 48:144] *= 1.5  # 32 of 1280 tiles
+    seen = [1.0 / (0.6 + 0.05 * i * CAMERA.tan_x + sigma * rng.standard_normal(CAMERA.shape)) for i in range(3)]
+    p_values = rp.estimate_noise(seen, CAMERA).evidence.p_values
+    assert np.mean(p_values < 1e-3) == pytest.approx(32 / 1280, abs=5e-3)
+    assert np.mean(p_values > 0.999) < 5e-3
+
+
+def test_cells_of_the_bias_are_inside_planes_and_near_them(rng):
+    """The last ones of a frame may be smaller; next to where a plane ends, and far off it, there are none."""
+    camera = rp.Camera(130, 100, 105.0, 105.0, 64.5, 49.5, noise=rp.noise.NoiseModel((1e-3,)))
+    labels = np.ones((7, 9), np.int64)
+    labels[:, 5] = 0  # columns 80 to 95
+    wall = large.LargePlanes(labels, np.array([[0.0, 0.0, 0.5]]), np.full(1, 110.0), np.zeros(1))
+    q = 0.5 + 1e-3 * rng.standard_normal(camera.shape)
+    q[40:48, 48:56] += 0.02
+    bias, count, deviation = flatness([1.0 / q], [wall], camera)
+    expected = np.full((13, 17), 64)
+    expected[:, -1], expected[-1], expected[-1, -1] = 16, 32, 8
+    expected[:, 9:13] = expected[5, 6] = 0
+    np.testing.assert_array_equal(count, expected)
+    for made in (bias, deviation):
+        np.testing.assert_array_equal(np.isfinite(made), expected > 0)
+
+
+def test_frames_without_large_planes_show_no_bias():
+    camera = rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5, noise=rp.noise.NoiseModel((1e-3,)))
+    none = large.LargePlanes(np.zeros((6, 8), np.int64), np.empty((0, 3)), np.empty(0), np.empty(0))
+    bias, count, deviation = flatness([np.full(camera.shape, 2.0)], [none], camera)
+    assert np.isnan(bias).all()
+    assert np.isnan(deviation).all()
+    assert bias.shape == deviation.shape == count.shape == (12, 16)
+    assert not count.any()
 
 
 @pytest.mark.parametrize("floor", [0.0, 3.0])

@@ -173,9 +173,15 @@ def test_tables_are_the_caller_s_own(fit, rng):
         (of_labels, "run_first", lambda of: of + 1),
         (of_labels, "run_first", lambda of: of[::-1].copy()),
         (of_labels, "run_first", lambda of: of[1:]),
+        (of_labels, "run_first", lambda of: np.append(1, of[1:])),
+        (of_labels, "run_first", lambda of: np.append(of[:-1], of[-1] + 1)),
+        (of_labels, "run_first", lambda of: np.append([of[0], 10**9], of[2:])),
         (of_labels, "run_row", lambda of: of + np.int32(48)),
+        (of_labels, "run_row", lambda of: np.where(of == of.min(), np.int32(-1), of)),
+        (of_labels, "run_row", lambda of: np.where(of == of.max(), np.int32(48), of)),
         (of_labels, "run_start", lambda of: of - np.int32(64)),
         (of_labels, "run_stop", lambda of: of + np.int32(64)),
+        (of_labels, "run_stop", lambda of: np.where(of == of.max(), np.int32(65), of)),
         (of_labels, "run_stop", lambda of: 0 * of),
         (of_labels, "run_share", lambda of: of[1:]),
         (of_unions, "labels", lambda of: of.astype(np.int64)),
@@ -219,6 +225,9 @@ def test_load_of_something_else(tiles, tmp_path):
     changed = str(arrays["about"]).replace(tiles.method, "ransac")
     np.savez(tmp_path / "method.npz", **arrays | {"about": np.array(changed)})
     np.savez(tmp_path / "nan.npz", **arrays | {"planes": np.full_like(arrays["planes"], np.nan)})
+    rough = arrays["status"] == rp.TileStatus.ROUGH
+    assert rough.any()
+    np.savez(tmp_path / "rough.npz", **arrays | {"alpha": np.where(rough[..., None], np.nan, arrays["alpha"])})
     np.savez(tmp_path / "behind.npz", **arrays | {"planes": -arrays["planes"]})
     huge = str(arrays["about"]).replace('"height": 48', '"height": 2147483647')
     np.savez(tmp_path / "huge.npz", **arrays | {"about": np.array(huge)})
@@ -226,7 +235,7 @@ def test_load_of_something_else(tiles, tmp_path):
     np.savez(tmp_path / "noise.npz", **arrays | {"about": np.array(list_of_noise)})
     names = ("other.npz", "about.npz", "other.npy", "other.txt", "half.npz")
     names += ("rows.npz", "text.npz", "batch.npz", "status.npz", "count.npz", "negative.npz", "method.npz")
-    names += ("nan.npz", "behind.npz", "huge.npz", "noise.npz")
+    names += ("nan.npz", "rough.npz", "behind.npz", "huge.npz", "noise.npz")
     for name in names:
         with pytest.raises(ValueError, match=rf"{name}: not a file that TilePlanes.save wrote"):
             rp.TilePlanes.load(tmp_path / name)
@@ -237,6 +246,27 @@ def test_load_of_something_else(tiles, tmp_path):
             rp.TilePlanes.load(tmp_path / name)
 
 
+class Touches:
+    """What makes a file where it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return type(self.path).touch, (self.path,)
+
+
+def test_a_file_to_be_loaded_runs_no_code(tiles, tmp_path):
+    tiles.save(tmp_path / "planes.npz")
+    with np.load(tmp_path / "planes.npz") as file:
+        arrays = dict(file)
+    for name in ("rmse", "other"):
+        np.savez(tmp_path / "planes.npz", **arrays | {name: np.array([Touches(tmp_path / "touched")], object)})
+        with pytest.raises(ValueError, match=r"not a file that TilePlanes\.save wrote"):
+            rp.TilePlanes.load(tmp_path / "planes.npz")
+        assert not (tmp_path / "touched").exists()
+
+
 def test_load_of_arrays_in_another_order(tiles, tmp_path):
     tiles.save(tmp_path / "planes.npz")
     with np.load(tmp_path / "planes.npz") as file:
@@ -244,6 +274,21 @@ def test_load_of_arrays_in_another_order(tiles, tmp_path):
         np.savez(tmp_path / "other.npz", about=file["about"], **turned)
     loaded = rp.TilePlanes.load(tmp_path / "other.npz")
     assert all(getattr(loaded, name).flags.c_contiguous for name in ("_moments", "planes", "status"))
+
+
+def test_a_save_that_fails_leaves_the_old_file(tiles, tmp_path, monkeypatch):
+    tiles.save(tmp_path / "planes.npz")
+    before = (tmp_path / "planes.npz").read_bytes()
+
+    def fail(file, **arrays):
+        file.write(before[:1000])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", fail)
+    with pytest.raises(OSError, match="No space left"):
+        tiles.save(tmp_path / "planes.npz")
+    assert (tmp_path / "planes.npz").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["planes.npz"]
 
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda tiles: pickle.loads(pickle.dumps(tiles))])

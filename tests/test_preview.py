@@ -148,3 +148,56 @@ def test_windows_show_themselves(tiles):
         ((220, 300), MISSING),
     ):
         np.testing.assert_allclose(status[y, x], colour, atol=0.003)
+
+
+def test_the_smallest_of_several_windows_is_on_top(tiles):
+    depth = np.full(tiles.camera.shape, 2000, np.uint16)
+    depth[160:180, 160:180] = 0
+    large, small = [100, 100, 150, 200], [160, 160, 20, 20]
+    for windows in ([large, small], [small, large]):
+        status = fits_picture(rp.fit_windows(depth, tiles.camera, windows))[:, 328:, :3] / 255.0
+        for y, x, shown in ((136, 136, rp.TileStatus.TOO_FEW), (100, 200, rp.TileStatus.OK)):
+            np.testing.assert_allclose(status[y, x], STATUS_COLOURS[shown], atol=0.003)
+
+
+def test_small_frames_are_shown_as_they_are():
+    camera = rp.Camera(100, 60, 80.0, 80.0, 49.5, 29.5, depth_scale=1000.0)
+    depth = np.full(camera.shape, 2000, np.uint16)
+    assert fits_picture(rp.fit_tiles(depth, camera)).shape == (60, 100 + 8 + 100, 4)
+    assert picture_of(rp.segment(depth, camera)._repr_html_()).shape == (60, 100, 3)
+
+
+def test_the_largest_planes_are_listed(tiles):
+    """With their numbers, colours, sizes and distances; those of a tracked frame by their ids."""
+    depth = scenes.room().render(tiles.camera).measure(seed=2)
+    _, second = rp.segment_sequence([depth[:, ::-1], depth], tiles.camera, memory=0)
+    found = second.segmentation
+    assert len(found) > 4
+    largest = np.argsort(-found.sizes, kind="stable")[:4]
+    for result, numbers in ((found, np.arange(1, len(found) + 1)), (second, second.ids)):
+        colours = np.rint(255 * label_colours(int(numbers.max()))).astype(int)[numbers - 1]
+        expected = [
+            (",".join(map(str, colours[i])), str(numbers[i]), str(found.sizes[i]), f"{found.planes[i, 3]:.3f}")
+            for i in largest
+        ]
+        pattern = (
+            r"rgb\(([\d,]+)\)\">&#9632;</span>&nbsp;(\d+):&nbsp;(\d+)&nbsp;pixels,&nbsp;d&nbsp;=&nbsp;([\d.]+)&nbsp;m;"
+        )
+        assert re.findall(pattern, result._repr_html_()) == expected
+
+
+def test_names_of_results_are_text_and_no_tags(tiles):
+    depth = scenes.room().render(tiles.camera).measure(seed=2)
+    (tracked,) = rp.segment_sequence([depth], tiles.camera)
+    for result in (tiles, tracked.segmentation, tracked):
+        assert f"<div>{type(result).__name__}" in result._repr_html_().replace("<div><div>", "<div>")
+        assert f"<{type(result).__name__}" not in result._repr_html_()
+
+
+def test_normals_of_a_mirrored_image_are_shown_as_in_the_image():
+    """Red is to the right of what is seen, whatever the sign of fx."""
+    pictures = []
+    for fx, slope in ((80.0, 0.3), (-80.0, -0.3)):
+        camera = rp.Camera(100, 60, fx, 80.0, 49.5, 29.5)
+        pictures.append(fits_picture(rp.fit_tiles(1.0 / (0.5 + slope * camera.tan_x), camera)))
+    assert np.array_equal(*pictures)

@@ -275,6 +275,13 @@ def test_another_noise_that_is_given_to_a_fit_counts():
     assert ratios(other.alpha_covariance[0], 4.0 * fits.alpha_covariance[0]) == pytest.approx((1.0, 1.0), abs=0.3)
 
 
+@pytest.mark.parametrize("method", ["range_explicit", "standard_explicit", "standard_pca"])
+def test_labels_without_a_pixel_have_no_uncertainty(method):
+    camera = camera_of((30, 40), FAR)
+    fits = rp.fit_labels(np.full(camera.shape, 2.0), camera, np.full(camera.shape, 3), method)
+    assert np.isfinite(fits.angle_std).tolist() == [False, False, True]
+
+
 @pytest.mark.filterwarnings("ignore:about 67% of this frame")
 def test_pixels_without_a_ray():
     """Behind a fisheye whose image does not fill the frame."""

@@ -553,6 +553,26 @@ def test_work_for_which_no_thread_could_be_started_is_not_done_later(monkeypatch
     assert len(done) == 3
 
 
+def test_threads_that_could_not_be_started_are_tried_again(monkeypatch):
+    threads._pool.cache_clear()
+
+    def fail(thread):
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", fail)
+        threads.run_in_ranges(lambda start, stop: None, 3, 3)
+    together = threading.Barrier(3, timeout=60)
+    threads.run_in_ranges(lambda start, stop: together.wait(), 3, 3)
+
+
+def test_there_are_no_ranges_of_nothing():
+    for count, expected in ((3, [(0, 1), (1, 2), (2, 3)]), (1, [(0, 1)]), (0, [(0, 0)])):
+        done = []
+        threads.run_in_ranges(lambda start, stop, done=done: done.append((start, stop)), count, 7)
+        assert sorted(done) == expected
+
+
 INTERRUPTED = """
 import signal, sys
 from rgbd_planes import threads

@@ -183,6 +183,23 @@ def test_tiles_that_lost_their_digits_do_not_spoil_unions_of_others(method):
     np.testing.assert_allclose(rp.merge(tiles, labels).alpha, [[0.1, -0.1, 0.5]], atol=1e-12)
 
 
+@pytest.mark.parametrize("method", ["standard_explicit", "standard_pca"])
+def test_windows_that_lost_their_digits_make_no_plane_as_unions_either(method, tmp_path):
+    """Also if they are loaded, or merged again."""
+    camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
+    depth = rp.scenes.room().render(camera).depth
+    depth[3, 40:60] = 1e8
+    windows = np.array([(row, column, 16, 16) for row in range(8, 104, 8) for column in range(0, 144, 8)])
+    fits = rp.fit_windows(depth, camera, windows, method, implementation="integral")
+    assert (fits.status == TileStatus.DEGENERATE).all()
+    alone = np.arange(1, len(windows) + 1)
+    union = rp.merge(fits, alone)
+    for saved in (fits, union):
+        saved.save(tmp_path / "planes.npz")
+        for again in (saved, type(saved).load(tmp_path / "planes.npz")):
+            assert (rp.merge(again, alone).status == TileStatus.DEGENERATE).all()
+
+
 @pytest.mark.parametrize("near", [1e-4, 1e-6, 1e-9, 1e-12])
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit"])
 def test_what_a_near_pixel_leaves_of_the_sums_is_no_plane(method, near, rng):
