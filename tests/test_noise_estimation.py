@@ -215,6 +215,22 @@ def test_tiles_with_more_noise_than_the_others_have_small_p_values(rng):
     assert np.mean(p_values > 0.999) < 5e-3
 
 
+def test_p_values_of_the_evidence_know_the_spread(rng):
+    """Where the variance differs from window to window, and no p-value is small for that."""
+    seen = []
+    for i in range(4):
+        variance = np.exp(0.6 * rng.standard_normal((CAMERA.height // 24, CAMERA.width // 24)))
+        sigma = 1.4e-3 * np.sqrt(variance.repeat(24, axis=0).repeat(24, axis=1))
+        q = 0.6 + 0.05 * i * CAMERA.tan_x + 0.0 * CAMERA.tan_y
+        q = q[: sigma.shape[0], : sigma.shape[1]] + sigma * rng.standard_normal(sigma.shape)
+        depth = np.zeros(CAMERA.shape)
+        depth[: q.shape[0], : q.shape[1]] = 1.0 / q
+        seen.append(depth)
+    model = rp.estimate_noise(seen, CAMERA)
+    assert model.spread == pytest.approx(0.6, abs=0.1)
+    assert np.mean(model.evidence.p_values < 0.01) < 0.03
+
+
 def test_cells_of_the_bias_are_inside_planes_and_near_them(rng):
     """The last ones of a frame may be smaller; next to where a plane ends, and far off it, there are none."""
     camera = rp.Camera(130, 100, 105.0, 105.0, 64.5, 49.5, noise=rp.noise.NoiseModel((1e-3,)))
