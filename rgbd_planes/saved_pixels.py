@@ -35,7 +35,8 @@ def pixels_in(about: Mapping[str, Any], arrays: Arrays, camera: Camera, count: i
         "error_sums": np.empty((count, 8)),
         "shared": np.empty((count, COLUMNS)),
     }
-    own = {name: arrays[name] for name in expected if name == "footprint" or name in arrays}
+    needed = {"footprint", *({"error_sums"} if "shared" in arrays else ())}
+    own = {name: arrays[name] for name in expected if name in needed or name in arrays}
     check_alike(own, {name: expected[name] for name in own})
     noise = camera.noise if about["pixels_have_noise"] else None
     return Pixels(own["footprint"], noise, own.get("error_sums"), own.get("shared"), _runs_in(arrays, camera, count))

@@ -188,6 +188,7 @@ def test_tables_are_the_caller_s_own(fit, rng):
         (of_unions, "labels", lambda of: of + np.int32(1)),
         (of_unions, "status", lambda of: of + np.uint8(4)),
         (of_unions, "footprint", None),
+        (of_unions, "error_sums", None),
         (of_unions, "run_row", None),
     ],
 )
