@@ -26,10 +26,21 @@ Habits of these kernels, each because it was measured:
 - Kernels that Python calls return numbers, and write all else to arrays that they are given: to make an array or a
   named tuple, Numba calls Python, and if somebody interrupts that, the process crashes.
 
+Equations of Papadakis and Willis 2017, cited as eq. 1 to 16: their labels, and where to find them.
+
+- points: 1 RGBD_reconstruction, 11 RGBD_reconstruction-1-1: `depth`, `standard_moments`
+- noise: 2 noise_models: not here, but in `rgbd_planes.noise`
+- implicit fit: 3 implicit_plane_fitting_error, 4 quadratic_error_w_lagrange_multiplier: `solve`; 5 derivative of error:
+  `eigen4`; its sums: 6 XYZ_scattermatrix: `standard_moments`, `summed_area`, `naive`
+- explicit fit: 7 explicit_fit_std, 8 derivative of error-1: `solve`; its sums: 9 XYZ_scattermatrix-1: `summed_area`
+- rays: 10 RGBD_reconstruction-1: not here, but in `rgbd_planes.camera`
+- plane in range space: 12 RGBD_space_plane_eq: `solve`; 13 prior_work_plane_equation: not used
+- implicit fit there: 14 tan_theta_scattermatrix: `range_moments`, `summed_area`, `naive`, `secular`
+- explicit fit there: 15 RGBD_explicit_fit: `solve`, `window_planes`; its sums: 16 tan_theta_scattermatrix-1:
+  `camera_terms`, `summed_area`
+
 Names that mean the same everywhere:
 
-eq. 15
-    The equation of this number in Papadakis and Willis 2017.
 raw, lowest, highest
     A frame, (H, W) uint16, float32 or float64, or several, (F, H, W); a pixel is valid if ``lowest <= raw <= highest``.
 scale, offset, is_disparity
