@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from bench.uncertainty_real import SETS as REAL_SETS
-from bench.uncertainty_real import flat_regions
+from bench.uncertainty_real import flat_regions, labels_of
 from rgbd_planes.images import read_depth
 from tests.real_data import FOLDER as DATA
 from tests.real_data import needed
@@ -27,11 +27,10 @@ RESAMPLES = 1000
 def angles(folder: Path, tile: int) -> list[NDArray[np.float64]]:
     """(N, 3) for each flat part of the frames: angles in degrees, by each method, of the N tiles inside it."""
     camera = rp.Camera.load(folder / "camera.json")
-    labelled = folder / "labels"
     found = []
-    for path in sorted((labelled if labelled.exists() else folder / "depth").glob("*.png")):
-        depth = read_depth(folder / "depth" / path.name)
-        labels = flat_regions(depth, camera, read_depth(path) if labelled.exists() else None)
+    for path in sorted((folder / "depth").glob("*.png")):
+        depth = read_depth(path)
+        labels = flat_regions(depth, camera, labels_of(path))
         normals = [rp.fit_labels(depth, camera, labels, m, max_missing=1.0).planes[:, :3] for m in METHODS]
         for label in np.unique(labels[labels > 0]):
             region = np.where(labels == label, depth, 0)

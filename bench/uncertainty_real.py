@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.images import read_depth
 from rgbd_planes.noise.samples import mean_depth
 from rgbd_planes.ray_pitch import slope_square
 from rgbd_planes.tile_grid import tile_footprints, tile_rays
@@ -49,20 +50,13 @@ KINECTS = ("kinect1_7scenes_seq", "tum_fr2_distorted")
 
 def real_sets() -> list[RealSet]:
     """The sets of the data folder that are of a real sensor and in metres; each once in either direction."""
-    from rgbd_planes.images import read_depth
-
     needed(SETS)
     sets = []
     for folder in SETS:
         camera = rp.Camera.load(DATA / folder / "camera.json")
         paths = sorted((DATA / folder / "depth").glob("*.png"))
         frames = [read_depth(path) for path in paths]
-        labels: list[NDArray[Any] | None] = [
-            read_depth(path.parents[1] / "labels" / path.name)
-            if (path.parents[1] / "labels" / path.name).exists()
-            else None
-            for path in paths
-        ]
+        labels = [labels_of(path) for path in paths]
         if len(frames) == 1:
             # Squares of 192 pixels of the one frame, as on a chessboard.
             row, column = np.indices(camera.shape) // 192
@@ -73,6 +67,12 @@ def real_sets() -> list[RealSet]:
         for i in (0, 1):
             sets.append(RealSet(folder, camera, halves[i], halves[1 - i], of[1 - i]))
     return sets
+
+
+def labels_of(path: Path) -> NDArray[Any] | None:
+    """The labels of a depth image of a set, if it has any."""
+    labels = path.parents[1] / "labels" / path.name
+    return read_depth(labels) if labels.exists() else None
 
 
 def flat_regions(depth: NDArray[Any], camera: rp.Camera, labels: NDArray[Any] | None) -> NDArray[np.int64]:

@@ -48,7 +48,7 @@ class Cell:
     offset_short: float
     """How much too small the mean d is, in its standard deviations: a normal that errs to any side makes it smaller."""
     offset_short_expected: float
-    """The same to second order: d·θ²/2 less σd²/d, of the angle's and d's reported standard deviations."""
+    """The same to second order: d·θ²/2 less σd²/d, of the angle's and d's predicted standard deviations."""
 
 
 def simulate(runs: int) -> list[Cell]:
@@ -106,7 +106,7 @@ def _cell(
     rmse = fits["rmse_metric"] * fits["mean_q"] / fits["planes"][:, 3]
     chi_square = count * rmse**2 / rp.noise.KINECT_V1**2
     angle = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(fits["planes"][:, :3] - normal, axis=1), 0.0, 1.0))
-    spread = observed.var(axis=0)
+    spread, offset = observed.var(axis=0), fits["planes"][:, 3]
     return Cell(
         *key,
         runs=runs,
@@ -120,11 +120,9 @@ def _cell(
         chi_square_error=float((chi_square.mean() - freedom) / np.sqrt(2.0 * freedom / runs)),
         efficiency=float(min(variance[:2].sum() / square[:2].sum(), variance[2] / square[2])),
         angle_plain=float(np.sqrt(np.mean(angle**2)) / np.radians(np.sqrt(np.mean(fits["angle_std"] ** 2)))),
-        offset_plain=float(fits["planes"][:, 3].std() / np.sqrt(np.mean(fits["offset_std"] ** 2))),
-        offset_short=float((d - fits["planes"][:, 3].mean()) / fits["planes"][:, 3].std()),
-        offset_short_expected=float(
-            (0.5 * d * (variance[0] + variance[1]) - variance[2] / d) / fits["planes"][:, 3].std()
-        ),
+        offset_plain=float(offset.std() / np.sqrt(np.mean(fits["offset_std"] ** 2))),
+        offset_short=float((d - offset.mean()) / offset.std()),
+        offset_short_expected=float((0.5 * d * variance[:2].sum() - variance[2] / d) / offset.std()),
     )
 
 
@@ -190,11 +188,14 @@ def simulation_report(cells: list[Cell]) -> list[str]:
     for low, high in ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 1e9)):
         of = [c for c in explicit if low <= c.predicted_degrees < high]
         steep, facing = [c for c in of if c.incidence >= 30], [c for c in of if c.incidence < 30]
-        ratios = [[c.angle_plain for c in of], [c.offset_plain for c in steep], [c.offset_plain for c in facing]]
-        ratios += [
-            of_some
-            for some in (steep, facing)
-            for of_some in ([c.offset_short for c in some], [c.offset_short_expected for c in some])
+        ratios = [
+            [c.angle_plain for c in of],
+            [c.offset_plain for c in steep],
+            [c.offset_plain for c in facing],
+            [c.offset_short for c in steep],
+            [c.offset_short_expected for c in steep],
+            [c.offset_short for c in facing],
+            [c.offset_short_expected for c in facing],
         ]
         ranges = [f"{min(r):.3f}–{max(r):.3f}" if r else "–" for r in ratios]
         name = f"{low:g}–{high:g}°" if high < 1e9 else f"above {low:g}°"

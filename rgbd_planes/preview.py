@@ -80,7 +80,7 @@ def fits_html(fits: PlacedFits) -> str:
     which = " of the first frame" if batch else ""
     return (
         f"<div><div>{html.escape(repr(fits).strip('<>'))}</div>"
-        f'<img alt="normals and status" src="data:image/png;base64,{_png(fits_picture(first))}">'
+        f"{_image('normals and status', _png(fits_picture(first)))}"
         f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
         f"{_square(MISSING)}&nbsp;none. Right: {_status_names(first)}.</small></div></div>"
     )
@@ -102,7 +102,7 @@ def segments_html(segments: "Segmentation", title: str | None = None, ids: NDArr
     )
     return (
         f"<div><div>{html.escape((title or repr(segments)).strip('<>'))}</div>"
-        f'<img alt="the planes in colours" src="data:image/png;base64,{_png(picture)}">'
+        f"{_image('the planes in colours', _png(picture))}"
         f"<div><small>{f'The largest: {largest} ' if largest else ''}"
         f"{_square(NO_PLANE)}&nbsp;on no plane, white not measured.</small></div></div>"
     )
@@ -116,7 +116,7 @@ def quadtree_html(segmentation: "QuadtreeSegmentation") -> str:
     picture = _beside(_shown(clusters, cells), _shown(status_colours(elements.status), cells))
     return (
         f"<div><div>{html.escape(repr(segmentation).strip('<>'))}</div>"
-        f'<img alt="clusters and status" src="data:image/png;base64,{_png(picture)}">'
+        f"{_image('clusters and status', _png(picture))}"
         f"<div><small>Left: planes, {_square(NO_PLANE)}&nbsp;none. "
         f"Right: {_status_names(elements)}.</small></div></div>"
     )
@@ -129,8 +129,7 @@ def noise_html(model: "NoiseModel") -> str:
         return text
     buffer = io.BytesIO()
     model.evidence.plot().savefig(buffer, dpi=_DPI)
-    figure = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<div>{text}<img alt="the evidence" src="data:image/png;base64,{figure}"></div>'
+    return f"<div>{text}{_image('the evidence', buffer.getvalue())}</div>"
 
 
 def _status_names(fits: PlacedFits) -> str:
@@ -147,9 +146,13 @@ def _square(colour: Sequence[float] | NDArray[np.float64]) -> str:
     return f'<span style="color:rgb({css})">&#9632;</span>'
 
 
-def _png(picture: NDArray[np.uint8]) -> str:
+def _image(description: str, png: bytes) -> str:
+    return f'<img alt="{description}" src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}">'
+
+
+def _png(picture: NDArray[np.uint8]) -> bytes:
     from PIL import Image
 
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, "PNG")
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+    return buffer.getvalue()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from rgbd_planes.array_types import Indices
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import FixedArguments, check_camera, check_choice, check_max_error, check_share, check_whole
 from rgbd_planes.compilation import announced
@@ -28,7 +29,6 @@ from rgbd_planes.wording import counted
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Indices = npt.NDArray[np.int64]
 # Writes the moments of the elements of one level, at some rows and columns of its grid, into arrays.
 WriteMoments = Callable[[int, Indices, Indices, Indices, Arrays], None]
 

@@ -35,7 +35,7 @@ def pixels_in(about: Mapping[str, Any], arrays: Arrays, camera: Camera, count: i
         "error_sums": np.empty((count, 8)),
         "shared": np.empty((count, COLUMNS)),
     }
-    needed = {"footprint", *({"error_sums"} if "shared" in arrays else ())}
+    needed = ("footprint", "error_sums") if "shared" in arrays else ("footprint",)
     own = {name: arrays[name] for name in expected if name in needed or name in arrays}
     check_alike(own, {name: expected[name] for name in own})
     noise = camera.noise if about["pixels_have_noise"] else None
