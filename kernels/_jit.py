@@ -62,7 +62,9 @@ def _of_any_value(template: Callable[..., Any]) -> Callable[..., Any]:
     return lambda args, kws: template(tuple(map(unliteral, args)), {name: unliteral(kws[name]) for name in kws})
 
 
-def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = False) -> Callable[[Function], Function]:
+def kernel(
+    *, reduction: bool = False, inline: bool | Literal["compiled"] = False, arrays: bool = True
+) -> Callable[[Function], Function]:
     """Compile a function with Numba, lazily, cached on disk where a cache can be written.
 
     Parameters
@@ -75,6 +77,9 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
         gets. Its source goes there, and is compiled once instead of twice; or it goes there "compiled", which takes
         less time where several kernels call it: such a function makes no arrays. A reduction goes there compiled,
         since reordering is allowed to whole functions only.
+    arrays : bool
+        Whether it makes arrays. If not, references to those that it gets, and to slices of them, are not counted: with
+        others it would count each at every call, and each slice of a loop.
     """
     # Each option is said: what is not, a function takes from the kernel for which it is compiled first.
     options: dict[str, Any] = {
@@ -88,7 +93,7 @@ def kernel(*, reduction: bool = False, inline: bool | Literal["compiled"] = Fals
     else:
         options["forceinline"] = bool(inline)
     if hasattr(DefaultOptions, "_nrt"):  # without arrays of its own there are no references to count, at each call
-        options["_nrt"] = inline != "compiled"
+        options["_nrt"] = arrays and inline != "compiled"
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_digest(function.__code__.co_filename)}"

@@ -15,12 +15,12 @@ def in_words(count):
 
 
 @kernel(inline="compiled")
-def list_marked(marks, mark, where):
+def list_marked(marks, words, mark, where):
     """Write where ``marks``, (K,) of one byte that fill whole words, are ``mark``, not 0; returns how many are.
 
-    ``where`` has room for K + 1: the place after the last is written to, too.
+    ``words`` are the same marks as uint64: a view costs counted references. ``where`` has room for K + 1: the place
+    after the last is written to, too.
     """
-    words = marks.view(np.uint64)
     count = 0
     for w in range(len(words)):
         if words[w] == 0:

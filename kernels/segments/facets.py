@@ -17,7 +17,7 @@ STRAIGHT, AWAY, TOWARDS = 0, 1, 2
 FACETS = 4  # planes that something round has at least: a ceiling between two slopes has three
 
 
-@kernel()
+@kernel(arrays=False)
 def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
     """How two regions that touch are bent against each other, if by less than ``blunt`` radians.
 

@@ -15,7 +15,19 @@ from .facets import turn_of_groups
 from .merge import keep_pairs_inside, merge
 from .moments import angle_between, fit
 from .noise import variance, waviness
-from .quadrics import PLANE_TERMS, SURE, TERMS, add_blocks, boxes, eliminate, extent, own_turn, owned_means, step_of
+from .quadrics import (
+    PLANE_TERMS,
+    SURE,
+    TERMS,
+    add_blocks,
+    boxes,
+    eliminate,
+    extent,
+    own_turn,
+    owned_means,
+    room_for_blocks,
+    step_of,
+)
 from .records import Owned
 from .shape import MARGIN
 
@@ -144,14 +156,14 @@ def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
     chosen : (N,) bool, changed
     """
     alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
-    products = np.empty((TERMS + 1, TERMS + 1))
+    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
     boxes(labels, box)
     for a in range(len(chosen)):
         if chosen[a]:
             m = moments[a]
             fit(m, alpha)
             of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, products)
+            turned, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, room, products)
             ajar[a] &= not turned > TURNED**2
             chosen[a] = turned > TURNED**2 or ajar[a]
 
@@ -179,7 +191,7 @@ def keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar
     but ``labels`` are the parts, ``first_moments`` theirs; ``parent`` and ``again``, (N,) int64, say which region and
     which part each of the first ones went into.
     """
-    alpha = np.empty(3)
+    alpha, room = np.empty(3), room_for_blocks()
     box, window = np.empty((len(chosen), 4), np.int64), np.empty(4, np.int64)
     boxes(labels, box)
     for root in range(len(chosen)):
@@ -198,7 +210,7 @@ def keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar
         centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), step_of(window)
         products = np.zeros((len(faces), TERMS + 1, TERMS + 1))
         for k, a in enumerate(faces):
-            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, products[k])
+            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, room, products[k])
         better, bend = planes_fit_better(products)
         sure = SURE * noise.together * waviness(m[0], noise.growth) ** 2 / (step * step)
         are_faces = better > max(margin * bend, sure * (len(faces) - 1))

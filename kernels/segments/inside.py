@@ -64,11 +64,11 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
     least[0] = least[-1] = ABOVE
     edge = np.zeros(in_words(width), np.bool_)
     of_row = edge[:width]
-    columns = np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
+    words, columns = edge.view(np.uint64), np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
         find_edges(label, inverse_depth, y, most, least, of_row)
-        for i in range(list_marked(edge, True, columns)):
+        for i in range(list_marked(edge, words, True, columns)):
             x = columns[i]
             u, v = ray_of(rays, y, x)
             add(inside[np.uint32(label[y, x] - 1)], u, v, inverse_depth[y, x])
@@ -88,7 +88,7 @@ def runs_inside(label, inverse_depth, moments, inside, found):
     height, width = label.shape
     most, least = np.full(width + 2, BELOW), np.full(width + 2, ABOVE)
     edge, line, change = np.empty(width, np.bool_), np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    columns = np.empty(len(change) + 1, np.uint32)
+    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.uint32)
     whole = np.empty(len(moments) + 1, np.bool_)
     for k in range(len(moments)):
         whole[k + 1] = inside[k, 0] == moments[k, 0]
@@ -101,7 +101,7 @@ def runs_inside(label, inverse_depth, moments, inside, found):
         for x in range(width):
             if edge[x] and whole[of[x]]:
                 line[x] = of[x] if q[x] > 0.0 else 0
-        number = add_row(line, y, change, columns, found, number)
+        number = add_row(line, y, change, words, columns, found, number)
     return number
 
 

@@ -91,7 +91,7 @@ def neighbours(region, rays, contacts):
     flat = around.reshape(-1)
     # For each block of a row and each direction: whether there is another region.
     touching = np.zeros(in_words(len(DOWN) * columns), np.bool_)
-    touches = np.empty(len(touching) + 1, np.uint32)
+    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.uint32)
     steps = DOWN * width + RIGHT  # of ``flat``
     size = min(FEW_SLOTS, len(table))
     count = 0
@@ -114,7 +114,7 @@ def neighbours(region, rays, contacts):
                 size = min(4 * size, len(table))
             for i in range(count):
                 row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
-        for n in range(list_marked(touching, True, touches)):
+        for n in range(list_marked(touching, words, True, touches)):
             touch = np.uint64(touches[np.uint32(n)])
             k, c = touch & np.uint64(3), touch >> np.uint64(2)
             step = steps[k]

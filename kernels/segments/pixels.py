@@ -84,7 +84,8 @@ def own_pixels(
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
     # One place more than there are blocks: the one after the last is written to, too.
     opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
-    open_count, same_count = list_marked(tasks, OPEN, opened), list_marked(tasks, SAME, same)
+    words = tasks.view(np.uint64)
+    open_count, same_count = list_marked(tasks, words, OPEN, opened), list_marked(tasks, words, SAME, same)
     sparse_count, count, listed = decide(
         opened[:open_count], rays, before, pyramid, sensor, planes, rules, region, owners, contended
     )

@@ -98,7 +98,7 @@ def owned_means(owned, pyramid):
     return means
 
 
-@kernel()
+@kernel(arrays=False)
 def bits_of(owned, a, row, column):
     """Which pixels of a block region ``a`` owns, as in `Shares`; -1 for all that are measured."""
     region, number, owners, shares = owned
@@ -164,8 +164,14 @@ def first_from(start, step, least):
     return start + (max(least - start, 0) + step - 1) // step * step
 
 
-@kernel()
-def add_blocks(region, means, a, box, reference, deviation, window, step, centre, scale, products):
+@kernel(inline=True)
+def room_for_blocks():
+    """Room in which `add_blocks` collects blocks."""
+    return np.empty((4, TOGETHER), np.float32)
+
+
+@kernel(arrays=False)
+def add_blocks(region, means, a, box, reference, deviation, window, step, centre, scale, room, products):
     """Add the blocks of region ``a`` in a window to the sums of products that a fit needs.
 
     Parameters
@@ -182,6 +188,8 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
         As in `boxes`; every ``step``-th row and column counts.
     centre, scale
         x = (u - centre[0]) / scale, y = (v - centre[1]) / scale.
+    room
+        See `room_for_blocks`.
     products : (7, 7) float64, added to
         Of 1, x, y, x², xy, y² and the residual, weighted by pixels.
 
@@ -190,7 +198,6 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
     float
         Pixels of the blocks that were added.
     """
-    chosen = np.empty((4, TOGETHER), np.float32)
     count, pixels = 0, 0.0
     first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
     for row in range(first_row, min(window[1], box[a, 1]), step):
@@ -200,12 +207,12 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
             c, k = np.uint64(column), np.uint64(count)  # unsigned indices: see `kernels`
             if of_row[c] != a:
                 continue
-            chosen[0, k], chosen[1, k], chosen[2, k], chosen[3, k] = of_n[c], of_u[c], of_v[c], of_q[c]
+            room[0, k], room[1, k], room[2, k], room[3, k] = of_n[c], of_u[c], of_v[c], of_q[c]
             count += 1
             if count == TOGETHER:
-                pixels += add_products(chosen, count, reference, deviation, centre, scale, products)
+                pixels += add_products(room, count, reference, deviation, centre, scale, products)
                 count = 0
-    return pixels + add_products(chosen, count, reference, deviation, centre, scale, products)
+    return pixels + add_products(room, count, reference, deviation, centre, scale, products)
 
 
 @kernel(reduction=True)
@@ -262,7 +269,7 @@ def add_row(products, row, values):
         products[row, row + k] += values[k]
 
 
-@kernel()
+@kernel(arrays=False)
 def eliminate(products, first, stop):
     """Regress the remainder on terms ``first`` to ``stop``; returns the sum of squares that is left.
 
@@ -295,14 +302,14 @@ def second_derivatives(products, scale, deviation):
     return 2.0 * c[3] * unit, c[4] * unit, 2.0 * c[5] * unit
 
 
-@kernel()
+@kernel(arrays=False)
 def extent(m):
     """Root mean square distance of a region's pixels from their middle."""
     n = m[0]
     return math.sqrt(max(m[4] / n - (m[1] / n) ** 2 + m[7] / n - (m[2] / n) ** 2, 1e-30))
 
 
-@kernel()
+@kernel(arrays=False)
 def turn(m, alpha, h):
     """Mean squared angle, in radians, of a bent region's normals against the normal of its plane.
 
@@ -327,7 +334,7 @@ def turn(m, alpha, h):
     return max(total, 0.0) / square
 
 
-@kernel()
+@kernel(arrays=False)
 def step_of(window):
     """Step between the rows, and the columns, of blocks that are enough."""
     area = (window[1] - window[0]) * (window[3] - window[2])
@@ -335,7 +342,7 @@ def step_of(window):
 
 
 @kernel()
-def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, products):
+def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, room, products):
     """How far the normals of a region turn within it: mean squared angle, 0 where noise explains it.
 
     Parameters
@@ -351,6 +358,8 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
     variance, waviness_square : float
         Of a pixel about the plane, without the waviness.
     rules : Rules
+    room
+        See `room_for_blocks`.
     products : (7, 7) float64, written
         Those of the quadric, after `eliminate`.
 
@@ -365,7 +374,7 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
     deviation, scale, step = math.sqrt(variance), extent(m), step_of(box[a])
     centre = m[1] / m[0], m[2] / m[0]
     products[:] = 0.0
-    pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, products)
+    pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, room, products)
     if pixels == 0.0:
         return 0.0, 0.0, 0.0, 0.0
     flat = eliminate(products, 0, PLANE_TERMS)

@@ -27,6 +27,7 @@ from .quadrics import (
     inner_pixels,
     own_turn,
     owned_means,
+    room_for_blocks,
     second_derivatives,
     step_of,
 )
@@ -58,7 +59,7 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
     ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
     """
     alpha, slope_variance, waviness_square, stretch, _ = planes
-    products = np.empty((TERMS + 1, TERMS + 1))
+    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
     for a in range(len(turned)):
         turned[a] = bending[a] = 0.0
         bent[a] = False
@@ -67,7 +68,9 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         waves = waviness_square[a]
-        by, bending[a], gain, rest = own_turn(region, means, a, box, m, alpha[a], variance, waves, rules, products)
+        by, bending[a], gain, rest = own_turn(
+            region, means, a, box, m, alpha[a], variance, waves, rules, room, products
+        )
         if breadth(box[a]) < FEWEST_ACROSS:
             continue
         turned[a], bent[a] = by, gain > rules.bent * waves
@@ -90,7 +93,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
     those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`; ``curved`` says which are marked already.
     """
     alpha, slope_variance, waviness_square, stretch, _ = planes
-    products = np.empty((TERMS + 1, TERMS + 1))
+    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
     # Pixels as if they were blocks, one beside the other, of one region.
     pixels, region = np.empty((4, 1, SMALL), np.float32), np.zeros((1, SMALL), np.int32)
     row = np.array([[0, 1, 0, 0]])
@@ -100,16 +103,17 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[:, 0])
-        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, products)
+        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, room, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
 
 
 @kernel()
-def continues(region, means, a, b, region_moments, planes, sigma, box):
+def continues(region, means, a, b, region_moments, planes, sigma, box, room):
     """Whether one quadric fits two neighbouring regions better than two planes do.
 
-    ``a`` is the smaller one; ``b`` is looked at only as far from ``a`` as ``a`` is wide.
+    ``a`` is the smaller one; ``b`` is looked at only as far from ``a`` as ``a`` is wide. ``room`` is that of
+    `quadrics.room_for_blocks`.
 
     Returns
     -------
@@ -130,21 +134,17 @@ def continues(region, means, a, b, region_moments, planes, sigma, box):
     centre = m[1] / m[0], m[2] / m[0]
     scale = extent(m)
     step = step_of(box[a])
-    products = np.zeros((2, TERMS + 1, TERMS + 1))
-    joint = np.zeros((TERMS + 1, TERMS + 1))
-    pixels = np.empty(2)
-    for k in range(2):
-        c = b if k else a
-        pixels[k] = add_blocks(
-            region, means, c, box, alpha[a], deviation, window, step, centre, scale, products[k]
-        )  # fmt: skip
-    covered = pixels[1] * step * step / region_moments[b, 0]
-    if pixels[0] == 0.0 or pixels[1] == 0.0:
+    products = np.zeros((3, TERMS + 1, TERMS + 1))
+    of_a, of_b, joint = products[0], products[1], products[2]
+    pixels_a = add_blocks(region, means, a, box, alpha[a], deviation, window, step, centre, scale, room, of_a)
+    pixels_b = add_blocks(region, means, b, box, alpha[a], deviation, window, step, centre, scale, room, of_b)
+    covered = pixels_b * step * step / region_moments[b, 0]
+    if pixels_a == 0.0 or pixels_b == 0.0:
         return -1.0, 0.0, covered
     for i in range(TERMS + 1):
         for j in range(i, TERMS + 1):
-            joint[i, j] = products[0, i, j] + products[1, i, j]
-    two = eliminate(products[0], 0, PLANE_TERMS) + eliminate(products[1], 0, PLANE_TERMS)
+            joint[i, j] = of_a[i, j] + of_b[i, j]
+    two = eliminate(of_a, 0, PLANE_TERMS) + eliminate(of_b, 0, PLANE_TERMS)
     bend = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
     return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step, bend, covered
 
@@ -162,7 +162,7 @@ def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, ru
     ``parent`` (N,) and ``bent`` (N,) bool are changed; the other arguments are those of `find_curved` and `find_turns`.
     """
     alpha, regions = planes.alpha, len(parent)
-    where = np.empty(3)
+    where, room = np.empty(3), room_for_blocks()
     for a in range(regions):
         if region_moments[a, 0] < SMALL or breadth(box[a]) < FEWEST_ACROSS or not bending[a] > 0.0:
             continue
@@ -186,7 +186,7 @@ def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, ru
             jump = jump_at(alpha, a, b, where)
             if not jump * jump < rules.reach * rules.reach * variance:
                 continue
-            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box)
+            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box, room)
             if better > max(MARGIN * bend, rules.region_spread * planes.waviness_square[a]):
                 unite(parent, a, b)
                 bent[root_of(parent, a)] = True
@@ -228,7 +228,7 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
     bent, goes_on = np.empty(regions, np.bool_), np.zeros(regions, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
     find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
-    parent = np.arange(regions)
+    parent, room = np.arange(regions), room_for_blocks()
     smooth = 0
     for i in range(count):
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
@@ -239,7 +239,7 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
         variance = about_plane(sensor_variance(q, sigma), planes, a)
         if not jump * jump < rules.reach * rules.reach * variance:
             continue
-        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box)
+        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box, room)
         if not better > -MARGIN * bend:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b

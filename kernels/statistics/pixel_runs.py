@@ -20,13 +20,15 @@ class PixelRuns(NamedTuple):
 
 
 @kernel()
-def add_row(line, row, change, columns, found, number):
+def add_row(line, row, change, words, columns, found, number):
     """Write the runs of labels of a row, (W,) int32, 0 for none, behind the ``number`` of them that were found before.
 
     Parameters
     ----------
     change : (in_words(W),) bool
         False from column W on; for work.
+    words : (len(change) / 8,) uint64
+        The same: see `marked.list_marked`.
     columns : (len(change) + 1,) uint32
         For work.
     found : (4, M) int32
@@ -40,7 +42,7 @@ def add_row(line, row, change, columns, found, number):
     change[0] = True
     for x in range(1, len(line)):
         change[x] = line[x] != line[x - 1]
-    count = list_marked(change, True, columns)
+    count = list_marked(change, words, True, columns)
     columns[count] = len(line)
     for i in range(count):
         start, stop = columns[i], columns[i + 1]
@@ -74,11 +76,11 @@ def runs_of_labels(labels, raw, lowest, highest, found):
     """
     width = labels.shape[1]
     line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    columns = np.empty(len(change) + 1, np.uint32)
+    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.uint32)
     number = 0
     for row in range(len(labels)):
         label, values = labels[row], raw[row]
         for x in range(width):
             line[x] = label[x] if (lowest <= values[x]) & (values[x] <= highest) else 0
-        number = add_row(line, row, change, columns, found, number)
+        number = add_row(line, row, change, words, columns, found, number)
     return number
