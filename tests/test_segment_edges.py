@@ -7,6 +7,7 @@ from segment_frames import CAMERA, smooth_noise, two_planes
 
 from rgbd_planes import Camera, segment
 from rgbd_planes.kernels.segments.facets import AWAY, STRAIGHT, TOWARDS, bend_of, turn_of_groups
+from rgbd_planes.kernels.segments.quadrics import room_for_blocks
 from rgbd_planes.kernels.segments.records import Planes
 from rgbd_planes.kernels.segments.shape import continues
 from rgbd_planes.metrics import compare_labels
@@ -217,7 +218,7 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     box = np.array([[0, 32, 0, 32]] * 2)
     sigma = np.array([1.0, 1e-3, 1e-3])
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found = continues(region, means, 0, 1, moments, planes, sigma, box)
+    found = continues(region, means, 0, 1, moments, planes, sigma, box, room_for_blocks())
     assert found == (-1.0, 0.0, 0.0)
 
 
@@ -233,7 +234,8 @@ def test_a_neighbour_is_looked_at_as_far_away_as_a_region_is_wide(lying):
         region, means, box = region.T.copy(), means.transpose(0, 2, 1).copy(), box[:, [2, 3, 0, 1]]
     moments = 16.0 * np.array([[40.0], [1024.0 - 40.0]]) * [1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    _, _, covered = continues(region, means, 0, 1, moments, planes, np.array([10.0, *[1e-3] * 3]), box)
+    sigma = np.array([10.0, *[1e-3] * 3])
+    _, _, covered = continues(region, means, 0, 1, moments, planes, sigma, box, room_for_blocks())
     assert covered == pytest.approx((28 * 12 - 40) / (1024 - 40))
 
 
@@ -245,10 +247,10 @@ def test_two_neighbours_are_compared_by_the_smaller_of_their_variances(rng):
     moments = 2048.0 * np.array([[1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]] * 2)
     sigma = np.array([10.0, *[1e-3] * 3])
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found = [
-        continues(region, means, 0, 1, moments, planes._replace(slope_variance=np.array(of_slope)), sigma, box)[:2]
-        for of_slope in ((0.0, 0.0), (1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6))
-    ]
+    found, room = [], room_for_blocks()
+    for of_slope in ((0.0, 0.0), (1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6)):
+        sloping = planes._replace(slope_variance=np.array(of_slope))
+        found.append(continues(region, means, 0, 1, moments, sloping, sigma, box, room)[:2])
     assert found[0] == found[1] == found[2] == pytest.approx([2.0 * of_both for of_both in found[3]])
 
 
