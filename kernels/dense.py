@@ -197,7 +197,7 @@ def distorted(
             )  # fmt: skip
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def ray_channels(q, valid, tan_x, tan_y, x_reference, y_reference, channels):
     """q, qx, qy; 1, x, xx, y, xy, yy; q² of a row's valid pixels; zeros where missing."""
     for i in range(tan_x.shape[0]):

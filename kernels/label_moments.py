@@ -74,7 +74,7 @@ def add_footprint(row, start, stop, footprint, i):
     footprint[i, 4] += n * row * row
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def add_run(points, start, stop, reference, sums, i):
     """Add the ten sums of a run's points, relative to row ``i`` of ``reference``, to row ``i`` of ``sums``.
 

@@ -30,7 +30,7 @@ BAND = 64
 WILD = 1000.0
 
 
-@kernel()
+@kernel(arrays=False)
 def strip_width(width, window):
     """Number of columns of a strip: as many as possible, and about equally many in each."""
     widest = PITCH - (window - 1)
@@ -38,7 +38,7 @@ def strip_width(width, window):
     return -(-width // strips)
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, valid):
     """Write the inverse depth and the validity (1 or 0) of a row's pixels from ``column`` on, 0 beyond the frame.
 
@@ -92,7 +92,7 @@ def plan_steps(window):
     return between[first:]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def three_depth_columns(q, count, sums):
     """Sums of q and q·x over 3 columns, of which the first is i."""
     for i in range(count - 2):
@@ -100,7 +100,7 @@ def three_depth_columns(q, count, sums):
         sums[i] = q[i] + q[i + 1] + q[i + 2]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def join_depth_columns(shift, left, q, right, count, sums):
     """Sums of q and q·x over k + 1 + k columns, from those over k columns whose centres are ``shift`` away."""
     x = float(shift)
@@ -109,7 +109,7 @@ def join_depth_columns(shift, left, q, right, count, sums):
         sums[i] = left[i] + q[i] + right[i]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def join_depth_columns_by_three(shift, left, three, right, count, sums):
     """Sums of q and q·x over k + 3 + k columns, from those over k columns whose centres are ``shift`` away."""
     x = float(shift)
@@ -118,7 +118,7 @@ def join_depth_columns_by_three(shift, left, three, right, count, sums):
         sums[i] = left[i] + three[i] + right[i]
 
 
-@kernel()
+@kernel(arrays=False)
 def depth_sums_along_row(between, q, count, work, sums):
     """Sums of q and q·x over the window's columns, of which the first is i.
 
@@ -153,7 +153,7 @@ def depth_sums_along_row(between, q, count, work, sums):
         size = new_size
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def three_valid_columns(valid, count, sums):
     """Sums of 1, x, xx over the valid pixels of 3 columns, of which the first is i."""
     for i in range(count - 2):
@@ -162,7 +162,7 @@ def three_valid_columns(valid, count, sums):
         sums[i] = valid[i] + valid[i + 1] + valid[i + 2]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def join_valid_columns(shift, left, valid, right, count, sums):
     """Sums of 1, x, xx over the valid pixels of k + 1 + k columns, as `join_depth_columns`."""
     square = shift * shift
@@ -174,7 +174,7 @@ def join_valid_columns(shift, left, valid, right, count, sums):
         sums[i] = left[i] + valid[i] + right[i]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def join_valid_columns_by_three(shift, left, three, right, count, sums):
     """Sums of 1, x, xx over the valid pixels of k + 3 + k columns, as `join_depth_columns_by_three`."""
     square = shift * shift
@@ -186,7 +186,7 @@ def join_valid_columns_by_three(shift, left, three, right, count, sums):
         sums[i] = left[i] + three[i] + right[i]
 
 
-@kernel()
+@kernel(arrays=False)
 def valid_sums_along_row(between, valid, count, work, sums):
     """Sums of 1, x, xx over the valid pixels of the window's columns, of which the first is i.
 
@@ -221,14 +221,14 @@ def valid_sums_along_row(between, valid, count, work, sums):
         size = new_size
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def join_columns(left, middle, right, length, sums):
     """Plain sums of channels over k + c + k columns, from those over k and over c."""
     for i in range(length):
         sums[i] = left[i] + middle[i] + right[i]
 
 
-@kernel()
+@kernel(arrays=False)
 def sums_along_row(between, channels, length, work, sums):
     """Plain sums of channels over the window's columns, of which the first is i.
 
@@ -262,7 +262,7 @@ def sums_along_row(between, channels, length, work, sums):
         size = new_size
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def add_depth_row(y, row, count, sums):
     """Add a row at y to the window's sums of q, q·x, q·y."""
     weight = float(y)
@@ -272,7 +272,7 @@ def add_depth_row(y, row, count, sums):
         sums[2 * PITCH + i] += weight * row[i]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def add_valid_row(y, row, count, sums):
     """Add a row at y to the window's sums of 1, x, xx, y, xy, yy over valid pixels."""
     weight = np.float32(y)
@@ -285,7 +285,7 @@ def add_valid_row(y, row, count, sums):
         sums[5 * PITCH + i] += weight * weight * row[i]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def move_depth_sums(half, old, new, count, sums):
     """Move the window's sums one row down: without the old row at y = -half, with the new one at y = half."""
     weight = float(half)
@@ -296,7 +296,7 @@ def move_depth_sums(half, old, new, count, sums):
         sums[2 * PITCH + i] = sums[2 * PITCH + i] - rest + weight * (old[i] + new[i])
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def move_valid_sums(half, old, new, count, sums):
     """Move the window's sums over valid pixels one row down, as `move_depth_sums`; exact."""
     weight = np.float32(half)
@@ -315,14 +315,14 @@ def move_valid_sums(half, old, new, count, sums):
         sums[5 * PITCH + i] = rest_yy - (rest_y + rest_y) + rest + square * new[i]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def add_row(row, length, sums):
     """Add a row to plain sums."""
     for i in range(length):
         sums[i] += row[i]
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def move_sums(old, new, length, sums):
     """Move plain sums one row down."""
     for i in range(length):

@@ -12,7 +12,7 @@ from .sliding import PITCH
 from .solve import COLLINEAR
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
     """Normals of a row of windows from their sums, for a camera without lens distortion.
 
@@ -45,7 +45,7 @@ def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
         normals[3 * i + 2] = c * inverse_norm
 
 
-@kernel(reduction=True)
+@kernel(reduction=True, arrays=False)
 def surface_row(
     sums, squares, valid_sums, wanted, needed, fx, fy, x_pixel, y_pixel, tan_x, tan_y,
     normals, variance, variation,
@@ -120,7 +120,7 @@ def surface_row(
         variation[i] = nan + off_plane / (off_plane + spread)
 
 
-@kernel()
+@kernel(arrays=False)
 def needed_pixels(row, left, half, height, width, needed_of, needed):
     """Number of valid pixels that the windows of a row, which are clipped at the frame, need: see `dense.separable`."""
     rows = min(row + half, height - 1) - max(row - half, 0) + 1
