@@ -346,6 +346,9 @@ class Camera:
     def with_noise(self, noise: NoiseModel | None) -> Self:
         """The same camera with a noise model, such as `rgbd_planes.estimate_noise` returns, or without one.
 
+        Lengths of a model, those of its ``correlation``, ``floor_length`` and ``lateral``, are in pixels. For frames of
+        another resolution than those that it was estimated from, estimate it again.
+
         Raises
         ------
         TypeError

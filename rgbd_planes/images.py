@@ -180,7 +180,8 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
         )
     if frame is None:
         reason = f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
-        raise ValueError(f"{path}: expected one depth image of one channel, got {reason}")
+        labels = ": if its colours are labels, numpy.asarray(PIL.Image.open(path)) has them" if mode == "P" else ""
+        raise ValueError(f"{path}: expected one depth image of one channel, got {reason}{labels}")
     if file_format == "PNG" and mode == "I":  # how some versions of Pillow open 16 bits
         frame = frame.astype(np.uint16)
     return frame

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.checks import label_array, number, shaped_array
+from rgbd_planes.checks import label_array, number, plain_array, shaped_array
 from rgbd_planes.keeping import kept
 
 # Labels above are renumbered by sorting the pixels, others by a table of all labels.
@@ -268,13 +268,16 @@ class LabelComparison:
         return float((self.truth_sizes * self.iou.max(axis=1)).sum() / self.truth_sizes.sum())
 
 
-def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
+def compare_labels(predicted: ArrayLike, truth: ArrayLike, ignore: ArrayLike | None = None) -> LabelComparison:
     """Put a predicted segmentation beside the true one.
 
     Parameters
     ----------
     predicted, truth : (H, W) int
         Labels, 0 for none. They need not be consecutive.
+    ignore : (H, W) bool, optional
+        Pixels that do not count, such as those that nobody has labelled where only some planes were. Nor does a
+        predicted region of which more than half is there.
 
     Returns
     -------
@@ -284,7 +287,7 @@ def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
     Raises
     ------
     TypeError
-        If the labels are not integers, or masked.
+        If the labels are not integers, or masked, or ``ignore`` is no mask.
     ValueError
         If the shapes differ or a label is negative.
     """
@@ -292,6 +295,18 @@ def compare_labels(predicted: ArrayLike, truth: ArrayLike) -> LabelComparison:
     rows, truth_labels = _consecutive(label_array("truth", truth), "truth")
     if rows.shape != columns.shape:
         raise ValueError(f"predicted and truth must have one shape, got {columns.shape} and {rows.shape}")
+    if ignore is not None:
+        mask = plain_array("ignore", ignore)
+        if mask.dtype != np.bool_:
+            raise TypeError(f"ignore must be a mask, an array of bool, got dtype {mask.dtype}")
+        if mask.shape != rows.shape:
+            raise ValueError(f"ignore must have the shape of the labels, {rows.shape}, got {mask.shape}")
+        counts = ~mask
+        sizes = np.bincount(columns.ravel(), minlength=1)
+        is_ignored = 2 * np.bincount(columns[counts], minlength=len(sizes)) < sizes
+        columns = np.where(is_ignored, 0, np.arange(len(sizes)))[columns[counts]]
+        (columns, left), (rows, seen) = _consecutive(columns, "predicted"), _consecutive(rows[counts], "truth")
+        predicted_labels, truth_labels = predicted_labels[left - 1], truth_labels[seen - 1]
     height, width = len(truth_labels) + 1, len(predicted_labels) + 1
     flat = np.bincount((rows * np.intp(width) + columns).ravel(), minlength=height * width)
     return LabelComparison(flat.reshape(height, width), truth_labels, predicted_labels)

@@ -105,6 +105,17 @@ class PlanePolygon:
         ends = np.array([(left, low), (left, high), (right, high), (right, low)])
         return shapely.Polygon(ends @ np.stack([along[k], across[k]]))
 
+    @property
+    def sides(self) -> Floats:
+        """(2,) float64: lengths of the rectangle's sides in metres, the longer first; 0 if the outline has no area.
+
+        They reach to the outer edges of the outermost pixels, and so are too long by a pixel or so. Of a plane that
+        goes on beyond the image they are those of what is in sight.
+        """
+        if self.rectangle.is_empty:
+            return np.zeros(2)
+        return np.sort(np.linalg.norm(np.diff(np.asarray(self.rectangle.exterior.coords)[:3], axis=0), axis=1))[::-1]
+
     def to_space(self, coordinates: ArrayLike) -> Floats:
         """(..., 3) float64: points of the plane in the camera's frame, from its own (..., 2) coordinates."""
         return np.asarray(self.origin + shaped_array("coordinates", coordinates, (2,)) @ self.axes)

@@ -273,6 +273,10 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     -----
     Inverse covariances add: for tiles' planes with independent noise this is, to first order, the plane of all their
     pixels. `same_plane` tells whether they are one plane; if not, the result means nothing.
+
+    Errors that a sensor repeats from frame to frame, as those of its lens and its calibration (a noise model's
+    ``floor``), are not independent: of K frames from one place they stay as they are, while the result's deviation is
+    that of one divided by √K. So fuse frames from places that are far from each other, or keep one frame's covariance.
     """
     plane, covariance = _planes("planes", planes), shaped_array("plane_covariance", plane_covariance, (4, 4))
     shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])

@@ -9,12 +9,15 @@ from rgbd_planes.caller_warnings import collected_warnings
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_bool, check_camera, check_choice
 from rgbd_planes.fitting import METHODS
+from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.tiles import TileFitter
 
 DType = str | type | np.dtype[Any]
 
 # Coefficients that bend a ray a little, for the kernels of cameras with lens distortion.
 _DISTORTION = (1e-3, 0.0, 0.0, 0.0, 0.0)
+# Like those that are estimated from frames, for the kernels of cameras whose model is not known yet.
+_NOISE = NoiseModel(correlation=((0.5, 2.0),), floor=0.5)
 
 
 def warmup(
@@ -34,8 +37,8 @@ def warmup(
     Parameters
     ----------
     camera : Camera, optional
-        Kernels differ for cameras with and without lens distortion, for depth and disparity images, and with a
-        noise model there is one more; without a camera it is depth without distortion.
+        Kernels differ for cameras with and without lens distortion, and for depth and disparity images; without a
+        camera it is depth without distortion. Those that a noise model needs are compiled whether it has one or not.
     methods : str or sequence of str
         See `fit_tiles`.
     dtypes : dtype or sequence of dtypes
@@ -53,27 +56,30 @@ def warmup(
     # For frames of ones.
     small = Camera(
         8, 8, 8.0, 8.0, 3.5, 3.5, _DISTORTION if given.is_distorted else (),
-        depth_scale=1.0 if given.disparity is None else None, disparity=given.disparity, noise=given.noise,
+        depth_scale=1.0 if given.disparity is None else None, disparity=given.disparity,
     )  # fmt: skip
+    cameras = small, small.with_noise(given.noise or _NOISE)
     segment = check_bool("segment", segment)
     several = dtypes if isinstance(dtypes, Iterable) and not isinstance(dtypes, (str, type)) else [dtypes]
     several = [np.dtype(dtype) for dtype in several]
     with collected_warnings([]):  # frames of ones may be doubted, by a disparity or a noise model
         for method in methods if isinstance(methods, Iterable) and not isinstance(methods, str) else [methods]:
             check_choice("method", method, METHODS)
-            fitter = TileFitter(small, 4, method, num_threads=1)
-            for dtype in several:
-                fitter.fit(np.ones(small.shape, dtype))
+            for camera in cameras:
+                fitter = TileFitter(camera, 4, method, num_threads=1)
+                for dtype in several:
+                    fitter.fit(np.ones(camera.shape, dtype))
         if segment:
-            _segment(small, several)
+            _segment(cameras, several)
 
 
-def _segment(small: Camera, dtypes: Sequence[DType]) -> None:
+def _segment(cameras: Iterable[Camera], dtypes: Sequence[DType]) -> None:
     """Segment a scene that takes every code path, and frames of each dtype: only their first kernel differs."""
     from rgbd_planes import scenes
     from rgbd_planes.segmentation.segment import segment
 
-    camera = Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
-    segment(scenes.room().render(camera).measure(holes=0.05, patches=0.05), camera)
-    for dtype in dtypes:
-        segment(np.ones(small.shape, dtype), small)
+    room = Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
+    segment(scenes.room().render(room).measure(holes=0.05, patches=0.05), room)
+    for camera in cameras:
+        for dtype in dtypes:
+            segment(np.ones(camera.shape, dtype), camera)

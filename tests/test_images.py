@@ -331,8 +331,9 @@ def test_a_file_of_another_format(tmp_path, suffix):
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA", "P", "1"])
 def test_colour_and_palette_images_are_no_depth(tmp_path, mode):
     Image.new(mode, (8, 6)).save(tmp_path / "colour.png")
-    with pytest.raises(ValueError, match="colour"):
+    with pytest.raises(ValueError, match="colour") as error:
         images.read_depth(tmp_path / "colour.png")
+    assert ("PIL.Image.open(path)" in str(error.value)) == (mode == "P")
 
 
 def test_several_images_or_arrays(tmp_path):

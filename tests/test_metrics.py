@@ -240,3 +240,37 @@ def test_predicted_none_is_one_more_segment_where_the_truth_has_one() -> None:
     comparison = compare_labels(row((5, 2), (0, 2), (5, 1), (0, 1)), row((1, 4), (0, 2)))
     assert comparison.variation_of_information == pytest.approx(1.0)  # cut into halves
     assert comparison.rand_index == pytest.approx(2 / 6)
+
+
+def test_ignored_pixels_do_not_count() -> None:
+    """Nor do regions that lie mostly there; half is not most."""
+    truth = row((7, 4), (0, 4))
+    predicted = row((1, 3), (2, 2), (3, 1), (4, 2))  # half of region 2 is ignored, and all of 3 and 4
+    comparison = compare_labels(predicted, truth, ignore=truth == 0)
+    np.testing.assert_array_equal(comparison.predicted_labels, [1, 2])
+    np.testing.assert_array_equal(comparison.truth_labels, [7])
+    np.testing.assert_array_equal(comparison.table, [[0, 0, 0], [0, 3, 1]])
+    scores = comparison.detection(0.7)
+    assert (scores.precision, scores.recall) == (0.5, 1.0)
+    np.testing.assert_array_equal(scores.pairs, [[7, 1]])
+    predicted[0, 5] = 2  # more than half
+    mostly = compare_labels(predicted, truth, ignore=truth == 0)
+    np.testing.assert_array_equal(mostly.predicted_labels, [1])
+    np.testing.assert_array_equal(mostly.table, [[0, 0], [1, 3]])
+
+
+def test_without_ignored_pixels_nothing_changes(rng) -> None:
+    truth, predicted = rng.integers(0, 5, (2, 30, 40))
+    nothing = compare_labels(predicted, truth, ignore=np.zeros((30, 40), bool))
+    np.testing.assert_array_equal(nothing.table, compare_labels(predicted, truth).table)
+    everything = compare_labels(predicted, truth, ignore=np.ones((30, 40), bool))
+    assert everything.table.tolist() == [[0]]
+    assert everything.detection().pairs.shape == (0, 2)
+
+
+def test_what_is_ignored_is_a_mask_of_the_labels_shape() -> None:
+    labels = row((1, 3))
+    with pytest.raises(TypeError, match="ignore must be a mask, an array of bool, got dtype int32"):
+        compare_labels(labels, labels, ignore=labels * 0)
+    with pytest.raises(ValueError, match=r"shape of the labels, \(1, 3\), got \(3,\)"):
+        compare_labels(labels, labels, ignore=np.zeros(3, bool))

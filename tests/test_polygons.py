@@ -38,7 +38,8 @@ def test_a_rectangle_is_found_where_it_is() -> None:
     assert own.area == pytest.approx(0.48, rel=0.04)
     assert own.hull.area == pytest.approx(0.48, rel=0.04)
     sides = np.linalg.norm(np.diff(own.corners(), axis=0), axis=1)
-    assert sorted(sides[:2]) == pytest.approx([0.6, 0.8], rel=0.04)
+    assert own.sides == pytest.approx([0.8, 0.6], rel=0.04)
+    assert own.sides == pytest.approx(sorted(sides[:2])[::-1])
     for corner in corners:
         assert np.linalg.norm(own.corners() - corner, axis=1).min() < 0.03
     # The wall has a hole where the board is.
@@ -386,6 +387,7 @@ def test_a_plane_without_pixels_has_an_empty_outline() -> None:
     gone, left = plane_polygons(found)
     assert (gone.label, gone.area, gone.rings(), gone.corners().shape) == (1, 0.0, [], (0, 3))
     assert gone.triangles().shape == (0, 3, 3)
+    np.testing.assert_array_equal(gone.sides, [0.0, 0.0])
     assert repr(gone) == "<PlanePolygon 1: 0 m², 0 parts, 0 holes>"
     assert left.area == pytest.approx(0.48, rel=0.04)
 

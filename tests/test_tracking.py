@@ -44,6 +44,8 @@ def test_ids_stay_with_the_planes() -> None:
     for (_, rendering), tracked in zip(frames, segment_sequence((f for f, _ in frames), CAMERA), strict=True):
         assert tracked.labels.max() == tracked.ids.max()
         assert len(set(tracked.ids.tolist())) == len(tracked.ids)
+        assert list(tracked.to_table())[:2] == ["id", "label"]
+        np.testing.assert_array_equal(tracked.to_table()["id"], tracked.ids)
         for truth, own in compare_labels(tracked.labels, rendering.labels).detection(0.6).pairs:
             checked += 1
             agreeing += name_of.setdefault(int(own), rendering.names[truth - 1]) == rendering.names[truth - 1]

@@ -54,6 +54,10 @@ class TrackedSegmentation:
         """(H, W) int32: the id of each pixel's plane, 0 for none."""
         return np.append(np.int32(0), self.ids)[self.segmentation.labels]
 
+    def to_table(self) -> dict[str, NDArray[Any]]:
+        """Return one row per plane as `Segmentation.to_table` does, with the column id before its others."""
+        return {"id": self.ids.copy(), **self.segmentation.to_table()}
+
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the planes as `Segmentation.plot` does, coloured and numbered by their ids.
 
