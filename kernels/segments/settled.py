@@ -10,7 +10,8 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from .blocks import BLOCK, CHUNK, EMPTY, MIXED
+from ..marked import in_words, list_marked
+from .blocks import BLOCK, EMPTY, MIXED
 from .moments import rows_of
 from .noise import about_plane, grown_variance, sensor_variance
 
@@ -107,55 +108,55 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
 
     Those that are DONE get their region's new number. Arguments as in `pixels.own_pixels`.
     """
-    moments, stretch = pyramid.moments, planes.square_stretch
+    moments, stretch, alpha = pyramid.moments, planes.square_stretch, planes.alpha
+    slope_variance, waviness_square = planes.slope_variance, planes.waviness_square
     rows, columns = region.shape
-    regions = len(planes.alpha)
     allowed = settled * settled
-    about = np.zeros((regions + 1, 5))  # what is needed of each region; the last row is for blocks of none
-    about[regions, 4] = 1.0
-    for a in range(regions):
-        copy(planes.alpha[a], about[a, :3])
-        about[a, 3], about[a, 4] = planes.slope_variance[a], planes.waviness_square[a]
-    # Of a fixed size: see `kernels`.
-    work = np.empty((7, CHUNK))
+    # Where blocks that are ALONE begin and end in a row. All in between have one region: each has no other around it.
+    turns = np.zeros(in_words(columns + 1), np.bool_)
+    words, ends = turns.view(np.uint64), np.empty(len(turns) + 1, np.int32)
+    of_plane, limit = np.empty(columns), np.empty(columns)
     for row in range(rows):
-        for start in range(0, columns, CHUNK):
-            count = min(CHUNK, columns - start)
-            stop = start + count
-            own, line, owner = region[row, start:stop], task[row, start:stop], owners.block[row, start:stop]
-            alone = 0
-            for c in range(count):
-                alone += line[c] == ALONE
-            if alone == 0:  # as in most of the last rounds
-                for c in range(count):
-                    owner[c] = own[c] if (line[c] == DONE) & (owner[c] >= 0) else owner[c]
-                continue
-            for c in range(count):
-                of_region = about[own[c] if own[c] >= 0 else regions]
-                for k in range(5):
-                    work[k, c] = of_region[k]
-            here = slice(row * columns + start, row * columns + stop)
-            n, s_u, s_v, s_q, s_uu = rows_of(moments, 0, here)
-            s_uv, s_uq, s_vv, s_vq, s_qq = rows_of(moments, 5, here)
-            of_sensor, stretched = sensor[here], stretch[here]
-            for c in range(count):
-                a_u, a_v, a_1 = work[0, c], work[1, c], work[2, c]
-                total = grown_variance(of_sensor[c], work[3, c], stretched[c], work[4, c])
+        own, line, owner = region[row], task[row], owners.block[row]
+        alone = 0
+        for c in range(columns):
+            alone += line[c] == ALONE
+        if alone == 0:  # as in most of the last rounds
+            for c in range(columns):
+                owner[c] = own[c] if (line[c] == DONE) & (owner[c] >= 0) else owner[c]
+            continue
+        here = slice(row * columns, (row + 1) * columns)
+        n, s_u, s_v, s_q, s_uu = rows_of(moments, 0, here)
+        s_uv, s_uq, s_vv, s_vq, s_qq = rows_of(moments, 5, here)
+        of_sensor, stretched = sensor[here], stretch[here]
+        turns[0] = line[0] == ALONE
+        for c in range(1, columns):
+            turns[c] = (line[c] == ALONE) != (line[c - 1] == ALONE)
+        turns[columns] = line[columns - 1] == ALONE
+        for k in range(0, list_marked(turns, words, True, ends), 2):
+            start, stop = ends[k], ends[k + 1]
+            a = own[start]
+            a_u, a_v, a_1 = alpha[a, 0], alpha[a, 1], alpha[a, 2]
+            of_slope, of_waves = slope_variance[a], waviness_square[a]
+            # Whole vectors, of which only what is ALONE counts, and unsigned: see `kernels`.
+            for i in range(min(in_words(stop - start), columns - start)):
+                c = np.uint64(start) + np.uint64(i)
+                total = grown_variance(of_sensor[c], of_slope, stretched[c], of_waves)
                 square = (
                     s_qq[c] - 2.0 * (a_u * s_uq[c] + a_v * s_vq[c] + a_1 * s_q[c])
                     + a_u * (a_u * s_uu[c] + 2.0 * (a_v * s_uv[c] + a_1 * s_u[c]))
                     + a_v * (a_v * s_vv[c] + 2.0 * a_1 * s_v[c])
                     + a_1 * a_1 * n[c]
                 )  # fmt: skip
-                work[5, c] = square / total
-                work[6, c] = allowed * n[c] if n[c] > SPARSE else -math.inf
-            for c in range(count):
-                fits = work[5, c] <= work[6, c]
-                is_alone = line[c] == ALONE
-                is_open = (line[c] == OPEN) | (is_alone & ~fits)
-                is_whole = (is_alone & fits) | ((line[c] == DONE) & (owner[c] >= 0))
-                owner[c] = own[c] if is_whole else owner[c]
-                line[c] = OPEN if is_open else SAME if line[c] == SAME else DONE
+                of_plane[c] = square / total
+                limit[c] = allowed * n[c] if n[c] > SPARSE else -math.inf
+        for c in range(columns):
+            fits = of_plane[c] <= limit[c]
+            is_alone = line[c] == ALONE
+            is_open = (line[c] == OPEN) | (is_alone & ~fits)
+            is_whole = (is_alone & fits) | ((line[c] == DONE) & (owner[c] >= 0))
+            owner[c] = own[c] if is_whole else owner[c]
+            line[c] = OPEN if is_open else SAME if line[c] == SAME else DONE
 
 
 @kernel(inline=True)
