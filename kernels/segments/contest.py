@@ -35,30 +35,35 @@ def place_of(a, listed, count):
 
 
 @kernel(inline=True)
-def contenders(region, row, column, centre_u, centre_v, candidate, centre):
+def contenders(around, row, column, centre_u, centre_v, near, candidate, centre):
     """The regions in the 3x3 blocks around one, and where their blocks lie; returns their number.
 
-    ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, the latter with the sums of (u, v) of
-    the blocks' centres and the number of blocks.
+    ``around`` holds the region of each block, with a rim of none. ``candidate`` (NEIGHBOURS,) int64 and ``centre``
+    (NEIGHBOURS, 3) are written, the latter, where there are several, with the sums of (u, v) of the blocks' centres and
+    the number of blocks. ``near`` (NEIGHBOURS,) int64 is room.
     """
-    rows, columns = region.shape
+    last_row, last_column = around.shape[0] - 3, around.shape[1] - 3
     step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
+    for k in range(NEIGHBOURS):
+        near[k] = around[np.uint64(row + k // 3), np.uint64(column + k % 3)]
+    # Without branches, which no processor could predict: all is read first, and then chosen from.
     count = 0
-    for r in range(max(row - 1, 0), min(row + 2, rows)):
-        for c in range(max(column - 1, 0), min(column + 2, columns)):
-            # Unsigned: see `kernels`.
-            y, x = np.uint64(r), np.uint64(c)
-            a = region[y, x]
-            if a < 0:
-                continue
-            i = np.uint64(place_of(a, candidate, count))
-            if i == np.uint64(count):
-                candidate[i] = a
-                centre[i, 0] = centre[i, 1] = centre[i, 2] = 0.0
-                count += 1
-            centre[i, 0] += centre_u[np.uint64(r * step_v), x]
-            centre[i, 1] += centre_v[y, np.uint64(c * step_u)]
-            centre[i, 2] += 1.0
+    for k in range(NEIGHBOURS):
+        is_new = near[k] >= 0
+        for i in range(k):
+            is_new &= near[i] != near[k]
+        candidate[np.uint64(count)] = near[k]
+        count += is_new
+    for i in range(count if count > 1 else 0):
+        u = v = blocks = 0.0
+        for k in range(NEIGHBOURS):
+            y, x = min(max(row + k // 3 - 1, 0), last_row), min(max(column + k % 3 - 1, 0), last_column)
+            of_u, of_v = centre_u[np.uint64(y * step_v), np.uint64(x)], centre_v[np.uint64(y), np.uint64(x * step_u)]
+            is_its = near[k] == candidate[np.uint64(i)]
+            u += of_u if is_its else 0.0
+            v += of_v if is_its else 0.0
+            blocks += 1.0 if is_its else 0.0
+        centre[np.uint64(i), 0], centre[np.uint64(i), 1], centre[np.uint64(i), 2] = u, v, blocks
     return count
 
 

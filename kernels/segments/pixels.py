@@ -150,7 +150,11 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     tuple of int
         Numbers of these sparse blocks, of contended ones, and of contenders.
     """
-    columns = region.shape[1]
+    rows, columns = region.shape
+    # With a rim of no regions.
+    around = np.full((rows + 2, columns + 2), np.int32(-1))
+    for row in range(rows):
+        copy(before[row], around[row + 1, 1 : columns + 1])
     # Names for fields of tuples: see `kernels`.
     tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
     of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
@@ -158,12 +162,13 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     owner = owners.block
     block, many, first, all_candidates, all_centres = contended
     settled_square, reach = rules.settled * rules.settled, rules.reach
-    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
+    near, candidate = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS, np.int64)
+    centre = np.empty((NEIGHBOURS, 3))
     sparse = count = listed = 0
     for here in blocks:
         row, column = place(here, columns)
         pixels = of_block[0, here]
-        contending = contenders(before, row, column, centre_u, centre_v, candidate, centre)
+        contending = contenders(around, row, column, centre_u, centre_v, near, candidate, centre)
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
         fits = False
         if a >= 0:
