@@ -438,3 +438,94 @@ def test_what_is_not_known_of_planes_is_nan():
     angle, std = rp.uncertainty.angle_between(planes, None, planes[::-1], zero)
     np.testing.assert_allclose(angle, np.degrees(np.arccos(0.8)))
     assert np.isnan(std).all()
+
+
+def drawn_planes(rng, count):
+    """Planes in all directions, and covariances of their (n, d), uncorrelated about a point of each."""
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = np.column_stack([normals, rng.uniform(0.5, 3.0, count)])
+    covariance = np.zeros((count, 4, 4))
+    for plane, own in zip(planes, covariance, strict=True):
+        n, d = plane[:3], plane[3]
+        middle = -d * n + np.cross(n, rng.normal(size=3))  # where it is most certain
+        across = np.cross(n, rng.normal(size=3))
+        slope = np.zeros((4, 3))
+        slope[:3, 0], slope[:3, 1] = across, np.cross(n, across)
+        slope[3, :2], slope[3, 2] = -middle @ slope[:3, :2], 1.0
+        own[:] = slope @ np.diag(rng.uniform(0.2, 2.0, 3) * [1e-3, 1e-3, 2e-3]) ** 2 @ slope.T
+    return planes, covariance
+
+
+def motion_of(vector, translation):
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = Rotation.from_rotvec(vector).as_matrix(), translation
+    return motion
+
+
+def with_errors(rng, planes, covariance):
+    """Planes with errors of these covariances, normals of length 1 again."""
+    erring = np.array([rng.multivariate_normal(p, c, method="eigh") for p, c in zip(planes, covariance, strict=True)])
+    erring[:, :3] /= np.linalg.norm(erring[:, :3], axis=1, keepdims=True)
+    return erring
+
+
+@pytest.mark.parametrize("count", [3, 8])
+@pytest.mark.parametrize("degrees", [5.0, 170.0])
+def test_a_motion_is_found_and_errs_as_it_says(rng, count, degrees):
+    """One of the planes is missing in one frame."""
+    squares = []
+    for _ in range(150):
+        planes, covariance = drawn_planes(rng, count + 1)
+        while np.linalg.cond(planes[1:, :3]) > 3.0:
+            planes, covariance = drawn_planes(rng, count + 1)
+        truth = motion_of(np.radians(degrees) * np.array([0.6, 0.0, 0.8]), [5.0, -0.2, 0.1])
+        others, of_others = rp.uncertainty.transform_planes(planes, 0.5 * covariance, truth)
+        first, second = with_errors(rng, planes, covariance), with_errors(rng, others, of_others)
+        second[0] = np.nan
+        motion, of_motion = rp.uncertainty.align_planes(first, covariance, second, of_others)
+        turn = Rotation.from_matrix(truth[:3, :3] @ motion[:3, :3].T).as_rotvec()
+        error = np.concatenate([turn, truth[:3, 3] - motion[:3, 3]])
+        squares.append(error @ np.linalg.solve(of_motion, error))
+    assert np.mean(squares) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / 150))
+
+
+def test_a_camera_is_found_again_from_the_planes_of_a_room():
+    """Of a tenth of a millimetre and some thousandths of a degree, without noise."""
+    camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5)
+    room, moved = rp.scenes.room(), motion_of([0.02, -0.05, 0.03], [0.1, -0.05, 0.2])
+    later = rp.scenes.Scene(room.surfaces, room.camera_to_scene @ np.linalg.inv(moved))
+    seen = [scene.render(camera) for scene in (room, later)]
+    assert seen[0].names == seen[1].names
+    noisy = camera.with_noise(rp.noise.kinect_v1())
+    fits = [rp.fit_labels(rendering.depth, noisy, rendering.labels, max_missing=1.0) for rendering in seen]
+    pairs = [a for fit in fits for a in (fit.planes, fit.plane_covariance)]
+    motion, covariance = rp.uncertainty.align_planes(*pairs)
+    np.testing.assert_allclose(motion, moved, atol=1e-4)
+    moved_planes = rp.uncertainty.transform_planes(*pairs[:2], motion)
+    p = rp.uncertainty.same_plane(*moved_planes, *pairs[2:])
+    assert (p[np.isfinite(p)] > 0.99).all()
+    assert np.sqrt(np.diag(covariance)).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        (slice(0, 2), "three directions in both frames, got 2 that do not"),
+        ([0, 1, 0], "three directions in both frames, got 3 that do not"),
+        ([], "three directions in both frames, got 0 that do not"),
+        (0, r"expected \(K, 4\) planes"),
+    ],
+)
+def test_planes_that_tell_no_motion_are_refused(rng, chosen, message):
+    planes, covariance = drawn_planes(rng, 3)
+    with pytest.raises(ValueError, match=message):
+        rp.uncertainty.align_planes(planes[chosen], covariance[chosen], planes[chosen], covariance[chosen])
+
+
+def test_motions_need_as_many_planes_and_covariances(rng):
+    planes, covariance = drawn_planes(rng, 4)
+    with pytest.raises(
+        ValueError, match=r"of as many in both frames, got \(4, 4\), \(4, 4, 4\), \(3, 4\)"
+    ):
+        rp.uncertainty.align_planes(planes, covariance, planes[:3], covariance[:3])
