@@ -20,7 +20,7 @@ from rgbd_planes.kernels.statistics.same_planes import same_planes
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
 # larger: the square of its width over its length.
 _RANK = 1e-12
-_ROUNDS = 20  # at most, in which a motion is improved: 4 or 5 do for normals that err by milliradians, 6 to 8 where by degrees
+_ROUNDS = 20  # at most, in which a motion is improved: 5 do for normals that err by milliradians, 8 where by degrees
 _ROUNDED = 1e-3  # how far a normal's length is from 1, at most, where its numbers have three digits or more
 
 
