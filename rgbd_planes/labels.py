@@ -75,7 +75,8 @@ def fit_labels(
     """Fit a plane to the pixels of a mask, or of each label of a segmentation from elsewhere.
 
     Each valid pixel counts: one at the edge of a mask that lies on something else pulls the plane towards it.
-    `segment` finds the pixels of planes by itself.
+    Covariances are those of the noise model: of a label that is not one plane, whose p-value is near 0, they say
+    nothing. `segment` finds the pixels of planes by itself.
 
     Parameters
     ----------
