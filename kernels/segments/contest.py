@@ -100,7 +100,7 @@ def middle(k):
     return (k // BLOCK + 1) * SIDE + k % BLOCK + 1
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     """Copy q, tanθx and tanθy of a block and its rim to lane ``n``; outside the image nothing is measured.
 
@@ -110,20 +110,25 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     top, left = row * BLOCK - 1, column * BLOCK - 1
-    for i in range(SIDE):
-        y = top + i
-        for j in range(SIDE):
-            x = left + j
-            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-            q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
+    if (top >= 0) & (left >= 0) & (top + SIDE <= height) & (left + SIDE <= width):  # all are, but those at the edges
+        for i in range(SIDE):
+            for j in range(SIDE):
+                q[i * SIDE + j, n] = inverse_depth[np.uint64(top + i), np.uint64(left + j)]
+    else:
+        for i in range(SIDE):
+            y = top + i
+            for j in range(SIDE):
+                x = left + j
+                inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+                q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
     for i in range(1 if separable else SIDE):
-        y = 0 if separable else min(max(top + i, 0), height - 1)
+        y = np.uint64(0 if separable else min(max(top + i, 0), height - 1))
         for j in range(SIDE):
-            u[i * SIDE + j, n] = tan_x[y, min(max(left + j, 0), width - 1)]
+            u[i * SIDE + j, n] = tan_x[y, np.uint64(min(max(left + j, 0), width - 1))]
     for i in range(SIDE):
-        y = min(max(top + i, 0), height - 1)
+        y = np.uint64(min(max(top + i, 0), height - 1))
         for j in range(1 if separable else SIDE):
-            v[i * SIDE + j, n] = tan_y[y, 0 if separable else min(max(left + j, 0), width - 1)]
+            v[i * SIDE + j, n] = tan_y[y, np.uint64(0 if separable else min(max(left + j, 0), width - 1))]
 
 
 @kernel(inline=True)

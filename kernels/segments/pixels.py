@@ -264,11 +264,12 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                     plane[4 * j, lanes] = plane[4 * j + 1, lanes] = 0.0
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
                 for j in range(many[c]):
-                    b = candidate[first[c] + j]
+                    b = np.uint64(candidate[first[c] + j])
                     total = grown_variance(sensor[here], slope_variance[b], stretch[here], waviness_square[b])
                     plane[4 * j, lanes], plane[4 * j + 1, lanes] = alpha[b, 0], alpha[b, 1]
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = alpha[b, 2], 1.0 / math.sqrt(total)
-                    penalty[j, lanes] = math.log(total) if most > 1 else 0.0
+                    if most > 1:  # else nobody asks for it
+                        penalty[j, lanes] = math.log(total)
                     for i in range(j):
                         a = candidate[first[c] + i]
                         pair = 3 * (j * (j - 1) // 2 + i)
