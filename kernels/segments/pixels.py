@@ -103,7 +103,7 @@ def own_pixels(
     return new
 
 
-@kernel()
+@kernel(arrays=False)
 def take_over(blocks, number, owners, shares, new):
     """Take over the shares of blocks that stay the SAME, by their regions' new ``number``; returns their count."""
     first, shares_of = owners.first.reshape(-1), owners.count.reshape(-1)
@@ -120,11 +120,11 @@ def take_over(blocks, number, owners, shares, new):
             while k < count and new_region[k] != a:  # regions that have become one
                 k += 1
             if k == count:
-                new_region[k] = a
-                new_pixels[k] = 0
+                new_region[k], new_pixels[k] = a, pixels[s]
                 for j in range(10):
-                    new_moments[k, j] = 0.0
+                    new_moments[k, j] = moments[s, j]
                 count += 1
+                continue
             new_pixels[k] |= pixels[s]
             for j in range(10):
                 new_moments[k, j] += moments[s, j]
@@ -199,7 +199,7 @@ def place(block, columns):
     return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))
 
 
-@kernel()
+@kernel(arrays=False)
 def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
     """Turn mostly missing whole blocks into shares of their measured pixels.
 
@@ -213,9 +213,12 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
     for here in blocks:
         row, column = place(here, columns)
         mask = np.int32(0)
-        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
-            for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
-                mask |= np.int32(inverse_depth[y, x] > 0.0) << np.int32(y % BLOCK * BLOCK + x % BLOCK)
+        for k in range(BLOCK * BLOCK):
+            # Unsigned: see `kernels`. Beyond the frame nothing is measured, and its last pixel is looked at.
+            y, x = np.uint64(row * BLOCK + k // BLOCK), np.uint64(column * BLOCK + k % BLOCK)
+            inside = (y < np.uint64(height)) & (x < np.uint64(width))
+            is_measured = inside & (inverse_depth[min(y, np.uint64(height - 1)), min(x, np.uint64(width - 1))] > 0.0)
+            mask |= np.int32(is_measured) << np.int32(k)
         share_region[put], share_pixels[put] = region[row, column], mask
         for k in range(10):
             share_moments[put, k] = of_block[k, here]
