@@ -132,7 +132,10 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
 
     everything = np.array([moments(labels == label) for label in (1, 2, 3)])
     found = np.empty_like(everything)
-    inside_moments(labels, q, Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0)), np.ones(1)), everything, found)
+    missing, unclaimed = np.uint8(1), np.uint8(2)
+    reason = np.where(q > 0.0, np.where(labels > 0, 0, unclaimed), missing).astype(np.uint8)
+    rays = Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0)), np.ones(1))
+    inside_moments(labels, reason, missing, q, rays, everything, found)
     surely = inside(labels, q > 0.0)
     for label, all_of_it, row in zip((1, 2, 3), everything, found, strict=True):
         own = surely & (labels == label)

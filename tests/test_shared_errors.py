@@ -340,12 +340,14 @@ def test_errors_that_all_pixels_share(rng):
 def test_runs_inside_are_those_that_planes_are_fitted_to(holes, rng):
     labels = np.zeros((24, 40), np.int32)
     labels[2:20, 3:20], labels[2:20, 20:37], labels[20:22, 5:30] = 1, 2, 3
-    inverse_depth = np.where(rng.random(labels.shape) < holes, 0.0, 1.0).astype(np.float32)
+    measured = rng.random(labels.shape) >= holes
+    labels[~measured] = 0
+    missing, unclaimed = np.uint8(1), np.uint8(2)
+    reason = np.where(measured, np.where(labels > 0, 0, unclaimed), missing).astype(np.uint8)
     moments, inside = np.ones((3, 10)), np.zeros((3, 10))
     inside[2] = 1.0  # fitted to all its pixels
-    found = runs_found(lambda found: runs_inside(labels, inverse_depth, moments, inside, found), labels.size, 3)
+    found = runs_found(lambda found: runs_inside(labels, reason, missing, moments, inside, found), labels.size, 3)
     made = runs_as_labels(found, labels.shape)
-    measured = inverse_depth > 0.0
     for i in (1, 2):
         alike = minimum_filter(((labels == i) | ~measured).astype(int), 3, mode="nearest") == 1
         np.testing.assert_array_equal(made[i - 1], alike & measured & (labels == i))

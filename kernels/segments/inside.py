@@ -15,42 +15,54 @@ from .moments import add, ray_of, residual
 from .planes import fit_planes
 from .unevenness import weigh_rays
 
-# In place of a label: beyond the frame, and where nothing is measured.
-BELOW, ABOVE = np.int32(-1), np.int32(np.iinfo(np.int32).max)
+# In place of the label of a pixel that is not measured.
+ABOVE = np.int32(np.iinfo(np.int32).max)
 # Smallest share of its pixels that a plane is fitted to.
 LEAST_INSIDE = 0.5
 
 
-@kernel()
-def find_edges(label, inverse_depth, y, most, least, edge):
+@kernel(inline="compiled")
+def find_edges(label, reason, missing, y, torn, edge):
     """Mark the labelled pixels of row ``y`` that have a measured neighbour with another label, or none.
 
-    ``most`` and ``least`` (W + 2,) int32 are room, whose first and last entries are BELOW and ABOVE; ``edge`` (W,) bool
-    is written.
+    A pixel and its neighbours are four squares of 2x2 pixels. It has such a neighbour if one of them is torn, which is
+    to say that its measured pixels differ; and each square is looked at once for all its pixels.
+
+    Parameters
+    ----------
+    label, reason, missing
+        See `inside_moments`.
+    y : int
+        From 0 on, one row after the other.
+    torn : (2, W + 1) bool, changed
+        False at first: whether the squares of this row and the next are torn, and those of the row before and this.
+        Entry x is that of columns x - 1 and x.
+    edge : (W,) bool, written
     """
-    height, width = label.shape
-    above, below = max(y - 1, 0), min(y + 1, height - 1)
-    a, b, c = label[above], label[y], label[below]
-    q_a, q_b, q_c = inverse_depth[above], inverse_depth[y], inverse_depth[below]
-    for x in range(width):
-        high = max(a[x] if q_a[x] > 0.0 else BELOW, b[x] if q_b[x] > 0.0 else BELOW)
-        low = min(a[x] if q_a[x] > 0.0 else ABOVE, b[x] if q_b[x] > 0.0 else ABOVE)
-        most[x + 1] = max(high, c[x] if q_c[x] > 0.0 else BELOW)
-        least[x + 1] = min(low, c[x] if q_c[x] > 0.0 else ABOVE)
-    for x in range(width):
-        high = max(most[x], most[x + 1], most[x + 2])
-        low = min(least[x], least[x + 1], least[x + 2])
-        edge[x] = (b[x] > 0) & ((high != b[x]) | (low != b[x]))
+    above, here = torn[(y + 1) % 2], torn[y % 2]
+    below = min(y + 1, len(label) - 1)
+    a, b, why_a, why_b = label[y], label[below], reason[y], reason[below]
+    for x in range(len(edge) - 1):
+        high = max(max(a[x], b[x]), max(a[x + 1], b[x + 1]))  # missing pixels have label 0
+        left = min(a[x] if why_a[x] != missing else ABOVE, b[x] if why_b[x] != missing else ABOVE)
+        right = min(a[x + 1] if why_a[x + 1] != missing else ABOVE, b[x + 1] if why_b[x + 1] != missing else ABOVE)
+        here[x + 1] = min(left, right) < high
+    last = len(edge) - 1  # the last square has one column, which may be the image's only one
+    here[last + 1] = (a[last] != b[last]) & (why_a[last] != missing) & (why_b[last] != missing)
+    for x in range(len(edge)):
+        edge[x] = (why_a[x] == 0) & (above[x] | above[x + 1] | here[x] | here[x + 1])
 
 
 @kernel(inline=True)
-def inside_moments(label, inverse_depth, rays, moments, inside):
+def inside_moments(label, reason, missing, inverse_depth, rays, moments, inside):
     """Moments of the pixels of each label whose eight neighbours, as far as they are measured, have it too.
 
     Parameters
     ----------
-    label : (H, W) int32
-        0 for none.
+    label, reason : (H, W) int32 and uint8
+        Label of each pixel, 0 for none, and the reason for that, 0 for none.
+    missing : uint8
+        Reason of pixels that are not measured.
     inverse_depth : (H, W) float32
     rays : Rays
     moments : (N, 10) float64
@@ -59,15 +71,12 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
         ``moments`` again, where too few pixels would be left, or they would determine no plane.
     """
     height, width = label.shape
-    most, least = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
-    most[0] = most[-1] = BELOW
-    least[0] = least[-1] = ABOVE
-    edge = np.zeros(in_words(width), np.bool_)
+    torn, edge = np.zeros((2, width + 1), np.bool_), np.zeros(in_words(width), np.bool_)
     of_row = edge[:width]
     words, columns = edge.view(np.uint64), np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
-        find_edges(label, inverse_depth, y, most, least, of_row)
+        find_edges(label, reason, missing, y, torn, of_row)
         for i in range(list_marked(edge, words, True, columns)):
             x = columns[i]
             u, v = ray_of(rays, y, x)
@@ -80,38 +89,38 @@ def inside_moments(label, inverse_depth, rays, moments, inside):
 
 
 @kernel()
-def runs_inside(label, inverse_depth, moments, inside, found):
+def runs_inside(label, reason, missing, moments, inside, found):
     """Write the runs of the pixels that planes are fitted to, see `inside_moments`, to ``found``; returns how many.
 
     ``found`` is that of `statistics.pixel_runs.add_row`, with room for as many runs as there are pixels.
     """
     height, width = label.shape
-    most, least = np.full(width + 2, BELOW), np.full(width + 2, ABOVE)
-    edge, line, change = np.empty(width, np.bool_), np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
+    torn, edge = np.zeros((2, width + 1), np.bool_), np.empty(width, np.bool_)
+    line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
     words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.uint32)
     whole = np.empty(len(moments) + 1, np.bool_)
     for k in range(len(moments)):
         whole[k + 1] = inside[k, 0] == moments[k, 0]
     number = 0
     for y in range(height):
-        find_edges(label, inverse_depth, y, most, least, edge)
-        of, q = label[y], inverse_depth[y]
+        find_edges(label, reason, missing, y, torn, edge)
+        of = label[y]
         for x in range(width):
-            line[x] = of[x] if (q[x] > 0.0) & (not edge[x]) else 0
+            line[x] = 0 if edge[x] else of[x]
         for x in range(width):
             if edge[x] and whole[of[x]]:
-                line[x] = of[x] if q[x] > 0.0 else 0
+                line[x] = of[x]
         number = add_row(line, y, change, words, columns, found, number)
     return number
 
 
 @kernel()
-def fit_inside(label, inverse_depth, rays, pyramid, moments, inside, alpha, rss, weighted):
+def fit_inside(label, reason, missing, inverse_depth, rays, pyramid, moments, inside, alpha, rss, weighted):
     """Fit the planes to the pixels that are surely theirs.
 
     Parameters
     ----------
-    label, inverse_depth, rays, moments
+    label, reason, missing, inverse_depth, rays, moments
         See `inside_moments`.
     pyramid : Pyramid
     inside, alpha, rss : (N, 10), (N, 3) and (N,) float64, written
@@ -119,6 +128,6 @@ def fit_inside(label, inverse_depth, rays, pyramid, moments, inside, alpha, rss,
     weighted : (N, 5) float64, written
         See `unevenness.weigh_rays`.
     """
-    inside_moments(label, inverse_depth, rays, moments, inside)
+    inside_moments(label, reason, missing, inverse_depth, rays, moments, inside)
     fit_planes(inside, alpha, rss)
     weigh_rays(label, pyramid, inside, alpha, rss, weighted)

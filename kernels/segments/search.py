@@ -86,8 +86,8 @@ def find_planes(
         found.deviation[:planes], loose[loose_count:], label, reason,
     )  # fmt: skip
     fit_inside(
-        label, inverse_depth, rays, pyramid, moments, found.inside[:planes], found.alpha[:planes], found.rss[:planes],
-        found.weighted[:planes],
+        label, reason, reasons.missing, inverse_depth, rays, pyramid, moments, found.inside[:planes],
+        found.alpha[:planes], found.rss[:planes], found.weighted[:planes],
     )  # fmt: skip
     together = as_planes_show(noise.together, is_sensors, pyramid, label, inverse_depth)
     for k in range(planes):

@@ -18,6 +18,7 @@ from rgbd_planes.noise.model import SMALLEST_INVERSE_DEPTH, NoiseModel
 from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, warn_of_large_noise
 from rgbd_planes.pixel_runs import runs_found
 from rgbd_planes.segmentation.reach import reach_table
+from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import Workspace
 from rgbd_planes.shared_errors import covariances_by_shape
 
@@ -45,7 +46,13 @@ class Given(NamedTuple):
     model: NoiseModel | None = None
 
     def of_planes(
-        self, work: Workspace, labels: NDArray[np.int32], count: int, camera: Camera, together: float
+        self,
+        work: Workspace,
+        labels: NDArray[np.int32],
+        reason: NDArray[np.uint8],
+        count: int,
+        camera: Camera,
+        together: float,
     ) -> Modelled:
         """What a noise model says of the planes that were found, whose pixels are labelled.
 
@@ -56,7 +63,7 @@ class Given(NamedTuple):
         shared, alone = np.zeros((count, COLUMNS)), np.zeros(count)
         pixels = moments[:, 0]
         if self.model is not None:
-            of_pixels = labels, work.inverse_depth, work.found.moments[:count], moments
+            of_pixels = labels, reason, np.uint8(Reason.MISSING), work.found.moments[:count], moments
             runs = runs_found(lambda found: runs_inside(*of_pixels, found), labels.size, count)
             counts, rays, q = mean_rays("range_explicit", moments.T.copy(), np.zeros((3, count)))
             shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)

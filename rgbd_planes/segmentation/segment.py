@@ -153,7 +153,7 @@ def _segment(
         work.make_room(runs)  # there are more edges than in any frame before
     planes, alpha, covariance = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3, 3))
     rmse, sizes = np.empty(count), np.empty(count, np.int32)
-    modelled = given.of_planes(work, labels, count, camera, together)
+    modelled = given.of_planes(work, labels, reason, count, camera, together)
     describe_planes(
         work.found, noise, together, modelled, step_of_raw, frame.scale, frame.is_disparity, planes, alpha, covariance,
         rmse, sizes,
