@@ -29,10 +29,12 @@ NONE = np.int32(-1)
 @kernel(inline="compiled")
 def how_many(pixels):
     """Number of pixels of a block."""
-    pairs = pixels - ((pixels >> np.int32(1)) & np.int32(0x5555))
-    fours = (pairs & np.int32(0x3333)) + ((pairs >> np.int32(2)) & np.int32(0x3333))
-    eights = (fours + (fours >> np.int32(4))) & np.int32(0x0F0F)
-    return (eights + (eights >> np.int32(8))) & np.int32(0x1F)
+    # Steps that the compiler knows: in 64 bits, it makes them one instruction of the processor, as it does `first_of`.
+    bits = np.uint64(pixels)
+    bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    bits = (bits & np.uint64(0x3333333333333333)) + ((bits >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    bits = (bits + (bits >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int32(bits * np.uint64(0x0101010101010101) >> np.uint64(56))
 
 
 @kernel(inline="compiled")
