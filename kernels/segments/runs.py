@@ -7,6 +7,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import unite
+from ..marked import in_words, list_marked
 from .blocks import BLOCK, MIXED
 
 # Share of a run of whole blocks, which has none.
@@ -174,25 +175,30 @@ def list_runs(
         b = owner[left]
         at[left], many[left], taken[left] = NONE, 0, 0
         if b >= 0:
-            a = number[b]
+            a = number[np.uint32(b)]  # unsigned indices: see `kernels`
             if a < 0:
                 continue
             at[left], many[left], taken[left] = count, 1, ALL
-            while column < columns and owner[column] >= 0 and number[owner[column]] == a:
-                at[column], many[column], taken[column] = count, 1, ALL
+            while column < columns:
+                c = np.uint32(column)
+                b = owner[c]
+                if b < 0 or number[np.uint32(b)] != a:
+                    break
+                at[c], many[c], taken[c] = count, 1, ALL
                 column += 1
-            i = np.uint32(count)  # unsigned: see `kernels`
+            i = np.uint32(count)
             start[i], stop[i], share[i], pixels[i], label[i] = left, column, WHOLE, ALL, a
             filled_x[i], filled_y[i], parent[i] = inside, inside, count
             across[i], down[i] = rows, min(column * BLOCK, width) - left * BLOCK
             count += 1
         elif b == MIXED:
             first = count
-            begin, end = first_share[left], first_share[left] + shares_of[left]
+            begin = np.uint32(first_share[left])
+            end = begin + np.uint32(shares_of[left])
             for s in range(begin, end):
-                taken[left] |= share_pixels[s] if number[share_region[s]] >= 0 else 0
+                taken[left] |= share_pixels[s] if number[np.uint32(share_region[s])] >= 0 else 0
             for s in range(begin, end):
-                a = number[share_region[s]]
+                a = number[np.uint32(share_region[s])]
                 left_over = share_pixels[s] if a >= 0 else np.int32(0)
                 while left_over != 0:  # something thin in front may cut it in two
                     free = ALL & ~taken[left]
@@ -225,7 +231,7 @@ def list_runs(
             while others != 0:
                 p = first_of(others)
                 others &= others - np.int32(1)
-                loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
+                loose[np.uint32(loose_count)] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
                 loose_count += 1
     return count, loose_count
 
@@ -263,7 +269,8 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     here, above = np.full(columns + 2, NONE), np.full(columns + 2, NONE)
     many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     taken_here, taken_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
-    changes = np.zeros(columns, np.bool_)
+    changes = np.zeros(in_words(columns), np.bool_)
+    words, changed = changes.view(np.uint64), np.empty(len(changes) + 1, np.uint32)
     count = loose_count = 0
     for row in range(rows):
         first[row] = count
@@ -277,13 +284,12 @@ def find_runs(owners, shares, number, height, width, runs, loose):
         )  # fmt: skip
         # Where a block's runs and those above are the same as at the block before, there is nothing new.
         for c in range(columns):
-            changes[c] = (
+            changes[c] = (many_here[c + 1] > 0) & (
                 (here[c] != here[c + 1]) | (many_here[c + 1] > 1) | (above[c] != above[c + 1])
                 | (above[c + 1] != above[c + 2]) | (many_above[c + 1] > 1)
             )  # fmt: skip
-        for c in range(columns):
-            if not changes[c] or many_here[c + 1] == 0:
-                continue
+        for i in range(list_marked(changes, words, True, changed)):
+            c = changed[i]
             free = ALL & ~taken_here[c + 1]
             for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
                 k = np.uint32(k)
