@@ -525,7 +525,5 @@ def test_planes_that_tell_no_motion_are_refused(rng, chosen, message):
 
 def test_motions_need_as_many_planes_and_covariances(rng):
     planes, covariance = drawn_planes(rng, 4)
-    with pytest.raises(
-        ValueError, match=r"of as many in both frames, got \(4, 4\), \(4, 4, 4\), \(3, 4\)"
-    ):
+    with pytest.raises(ValueError, match=r"of as many in both frames, got \(4, 4\), \(4, 4, 4\), \(3, 4\)"):
         rp.uncertainty.align_planes(planes, covariance, planes[:3], covariance[:3])
