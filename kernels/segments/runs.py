@@ -289,7 +289,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                 | (above[c + 1] != above[c + 2]) | (many_above[c + 1] > 1)
             )  # fmt: skip
         for i in range(list_marked(changes, words, True, changed)):
-            c = changed[i]
+            c = np.int64(changed[i])
             free = ALL & ~taken_here[c + 1]
             for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
                 k = np.uint32(k)
