@@ -41,31 +41,16 @@ def fit_tiles(
     moments, reference : (F, 10 * T) and (F, 3 * T) float64, written
     planes, alpha, rmse, rmse_metric, valid_count, status : (F, 4 * T), (F, 3 * T), (F, T)..., written
     """
-    room = np.empty((25 + solve.WORK, TILES))
-    room[:10] = 0.0
-    if standard is not None:
-        room[13:25] = 0.0
-    fit_strips(
-        raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, needed,
-        implicit, standard, max_error, tile_row_start, tile_row_stop, room, strip_room(),
-        moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
-    )  # fmt: skip
-
-
-@kernel(inline="compiled")
-def fit_strips(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_height, tile_width, centre, needed,
-    implicit, standard, max_error, tile_row_start, tile_row_stop, room, sums_room,
-    moments, reference, planes, alpha, rmse, rmse_metric, valid_count, status,
-):  # fmt: skip
-    """`fit_tiles` strip by strip.
-
-    ``room`` is (25 + solve.WORK, TILES) float64, its moments and sums 0; for ``sums_room`` see `strips.strip_room`.
-    """
     height, width = raw.shape[1:]
     tile_rows, tile_columns = (height - 1) // tile_height + 1, (width - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
+    room = np.empty((25 + solve.WORK, TILES))
     block_moments, block_reference, block_sums, work = room[:10], room[10:13], room[13:25], room[25:]
+    block_moments[:] = 0.0
+    if standard is not None:
+        block_sums[:] = 0.0
+    sums_room = strip_room()
+
     first = filled = np.int64(0)
     for row in range(tile_row_start, tile_row_stop):
         frame, tile_row = row // tile_rows, row % tile_rows

@@ -150,7 +150,7 @@ def fold_range_columns(sums, u, tiles, span, moments):
         moments[9, tile] += s_qq
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def range_strip_separable(
     raw, lowest, highest, scale, offset, u, v, tile_width,
     row_start, row_stop, tile_start, tile_stop, room, references, moments,
@@ -300,7 +300,7 @@ def add_range_rows_of_rays(
         row += 2
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def range_strip(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre,
     row_start, row_stop, tile_start, tile_stop, room, references, moments,

@@ -127,7 +127,7 @@ def fold_thrice(columns, u, tiles, span, sums):
         sums[2, tile] += by_uu
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def standard_from_sums(sums, count, reference, moments):
     """Moments of (X, Y, Z) from sums of z, u and v and the camera terms of the valid pixels.
 
@@ -164,7 +164,7 @@ def standard_from_sums(sums, count, reference, moments):
         reference[1, i] = z0 * v0
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def standard_strip_separable(
     raw, lowest, highest, scale, offset, u, v, tile_width,
     row_start, row_stop, tile_start, tile_stop, room, references, tile_sums, moments,
@@ -255,7 +255,7 @@ def add_standard_rows_of_rays(
             sums[9, i] += zz
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def standard_strip(
     raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre,
     row_start, row_stop, tile_start, tile_stop, room, reference, moments,
