@@ -7,7 +7,6 @@ import numpy as np
 
 from . import sliding
 from ._jit import kernel
-from .cache_lines import zeros_in_lines
 from .sliding import BAND, PITCH
 from .window_planes import needed_pixels, normals_row, surface_row
 
@@ -35,19 +34,19 @@ def separable(
     half = (window - 1) // 2
     strip = sliding.strip_width(width, window)
     slots = window + 1  # for the window's rows and the one that leaves
-    rows = zeros_in_lines(slots, 2 * PITCH, np.float64)
-    square_rows = zeros_in_lines(slots, PITCH, np.float64)
-    valid_rows = zeros_in_lines(slots, 3 * PITCH, np.float32)
-    valid = zeros_in_lines(slots, 3 * PITCH, np.float32)
+    rows = np.zeros((slots, 2 * PITCH))
+    square_rows = np.zeros((slots, PITCH))
+    valid_rows = np.zeros((slots, 3 * PITCH), np.float32)
+    valid = np.zeros((slots, 3 * PITCH), np.float32)
     missing = np.zeros(slots, np.int64)
     wild = np.zeros(slots, np.int64)
-    q = zeros_in_lines(1, 2 * PITCH, np.float64)[0]
-    work = zeros_in_lines(3, 2 * PITCH, np.float64)
-    valid_work = zeros_in_lines(3, 3 * PITCH, np.float32)
-    sums = zeros_in_lines(1, 3 * PITCH, np.float64)[0]
-    squared = zeros_in_lines(1, PITCH, np.float64)[0]
-    squares = zeros_in_lines(1, PITCH, np.float64)[0]
-    valid_sums = zeros_in_lines(1, 6 * PITCH, np.float32)[0]
+    q = np.zeros(2 * PITCH)
+    work = np.zeros((3, 2 * PITCH))
+    valid_work = np.zeros((3, 3 * PITCH), np.float32)
+    sums = np.zeros(3 * PITCH)
+    squared = np.zeros(PITCH)
+    squares = np.zeros(PITCH)
+    valid_sums = np.zeros(6 * PITCH, np.float32)
     needed = np.empty(strip, np.float32)
     at_centre = np.zeros(strip)
     tan_y_row = np.empty(strip)
@@ -137,13 +136,13 @@ def distorted(
     slots = window + 1
     # Σq, Σqx, Σqy; Σ1, Σx, Σxx, Σy, Σxy, Σyy; Σq²
     channels = 10
-    rows = zeros_in_lines(slots, channels * PITCH, np.float64)
+    rows = np.zeros((slots, channels * PITCH))
     wild = np.zeros(slots, np.int64)
-    valid = zeros_in_lines(slots, PITCH, np.float32)
-    q = zeros_in_lines(1, PITCH, np.float64)[0]
-    row_channels = zeros_in_lines(1, channels * PITCH, np.float64)[0]
-    work = zeros_in_lines(3, channels * PITCH, np.float64)
-    sums = zeros_in_lines(1, channels * PITCH, np.float64)[0]
+    valid = np.zeros((slots, PITCH), np.float32)
+    q = np.zeros(PITCH)
+    row_channels = np.zeros(channels * PITCH)
+    work = np.zeros((3, channels * PITCH))
+    sums = np.zeros(channels * PITCH)
     needed = np.empty(strip, np.float32)
     all_wanted = np.ones(strip, np.float32)
     x_pixel, y_pixel = np.empty(strip), np.empty(strip)

@@ -7,7 +7,6 @@ row. So the inner loop runs along the image row and vectorises without tails at 
 import numpy as np
 
 from ._jit import kernel
-from .cache_lines import empty_in_lines
 
 # Columns of a strip: their accumulators stay in the first-level cache. A multiple of 8, for whole vectors, but not
 # of 512, or all accumulators of a column would compete for the same few lines of that cache.
@@ -41,8 +40,8 @@ def step_of_columns(u, start, last, tile_width):
 @kernel(inline=True)
 def strip_room():
     """Room for sums of columns, references of columns, codes of columns and counts of valid pixels."""
-    room = empty_in_lines(13, COLUMNS + 8, np.float64)
-    codes = empty_in_lines(4, COLUMNS, np.uint64)
+    room = np.empty((13, COLUMNS + 8))
+    codes = np.empty((4, COLUMNS), np.uint64)
     sums, columns = room[:10], room[10:]
     columns[:] = 0.0
     return sums, columns, codes[0], codes[1:]

@@ -4,9 +4,11 @@ import gc
 import os
 
 import numba
+import numpy as np
 import pytest
 from numba import config
 from numba.core import event
+from numba.core.registry import cpu_target
 from processes import printed_by
 
 from rgbd_planes.kernels import _compiling, _jit
@@ -221,3 +223,25 @@ def test_kernels_that_python_calls_return_numbers():
     assert kernels > 30
     assert compiled > 15
     assert others == []
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_arrays_of_kernels_begin_where_lines_of_the_cache_do():
+    """And those of other kernels than this library's as Numba has them, also where a kernel cannot be compiled."""
+
+    @_jit.kernel()
+    def beginnings(count):
+        beyond = 0
+        for size in range(1, count):  # some of all sizes: by chance half would begin elsewhere
+            a, b = np.empty(size), np.zeros((size, 3), np.float32)
+            beyond += a.ctypes.data % _compiling.CACHE_LINE + b.ctypes.data % _compiling.CACHE_LINE
+        return beyond
+
+    @_jit.kernel()
+    def broken(count):
+        return count.no_such_thing
+
+    assert beginnings(100) == 0
+    with pytest.raises(numba.TypingError):
+        broken(1)
+    assert "get_preferred_array_alignment" not in vars(cpu_target.target_context)
