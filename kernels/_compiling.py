@@ -67,7 +67,7 @@ def _arrays_in_lines() -> Iterator[None]:
 
 
 def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
-    """Make garbage collection wait for a compiler, and its frames have room.
+    """Make garbage collection wait for a compiler, its frames have room, and arrays of kernels begin where lines do.
 
     Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel is.
     """
