@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes.rotations import nearest_rotation
+
 _CAMERA_FROM = (
     (str, "load reads a file"),
     (os.PathLike, "load reads a file"),
@@ -165,9 +167,8 @@ def as_motion(name: str, motion: NDArray[np.float64]) -> NDArray[np.float64]:
         raise ValueError(f"expected {name} as a rigid motion [[R, t], [0, 1]], got {motion.tolist()}{nearly}")
     if off < 1e-12:
         return motion
-    left, _, right = np.linalg.svd(rotation)
     exact = motion.copy()
-    exact[..., :3, :3] = left @ right
+    exact[..., :3, :3] = nearest_rotation(rotation)
     return exact
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import as_motion, plain_array, shaped_array
 from rgbd_planes.kernels.statistics.same_planes import same_planes
+from rgbd_planes.rotations import nearest_rotation
 
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
 # larger: the square of its width over its length.
@@ -276,7 +277,8 @@ def align_planes(
     Raises
     ------
     ValueError
-        Fewer than three planes are in both frames, or they do not face three directions: they tell no motion.
+        Fewer than three planes are in both frames, or they do not face three directions: they tell no motion; or a
+        covariance is not of rank 3.
 
     Notes
     -----
@@ -289,18 +291,19 @@ def align_planes(
     first, second = _planes("planes", planes), _planes("other_planes", other_planes)
     of_first = shaped_array("plane_covariance", plane_covariance, (4, 4))
     of_second = shaped_array("other_covariance", other_covariance, (4, 4))
-    expected = len(first) if first.ndim == 2 else -1
-    if first.ndim != 2 or {len(array) for array in (second, of_first, of_second)} != {expected} or second.ndim != 2:
+    leading = {first.shape[:-1], second.shape[:-1], of_first.shape[:-2], of_second.shape[:-2]}
+    if first.ndim != 2 or len(leading) > 1:
         came = ", ".join(str(array.shape) for array in (first, of_first, second, of_second))
         raise ValueError(f"expected (K, 4) planes and (K, 4, 4) covariances of as many in both frames, got {came}")
-    there = np.logical_and.reduce([np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in (first, second)])
-    there &= np.isfinite(of_first).all(axis=(1, 2)) & np.isfinite(of_second).all(axis=(1, 2))
+    given = first, second, of_first, of_second
+    there = np.logical_and.reduce([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in given])
     first, second, of_first, of_second = first[there], second[there], of_first[there], of_second[there]
     if np.linalg.matrix_rank(first[:, :3], tol=_RANK) < 3:
         raise ValueError(f"expected planes that face three directions in both frames, got {len(first)} that do not")
-    u, _, v = np.linalg.svd(second[:, :3].T @ first[:, :3])
+    _check_rank(first, of_first)
+    _check_rank(second, of_second)
     motion = np.eye(4)
-    motion[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    motion[:3, :3] = nearest_rotation(second[:, :3].T @ first[:, :3])
     axes = _axes_across(second[:, :3]) @ _about(_surest(second, of_second))
     for _ in range(_ROUNDS):
         moved, of_moved = transform_planes(first, of_first, motion)
@@ -358,8 +361,7 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     of_fused = np.take_along_axis(covariance, first[..., None, None], axis=-3)[..., 0, :, :]
     if (np.sum(plane[..., :3] * fused[..., None, :3], axis=-1) < 0.0).any():
         raise ValueError("expected planes whose normals point to one side")
-    if not _is_sure_of_a_plane(plane[there], covariance[there]).all():
-        raise ValueError("expected covariances of rank 3, as those of planes that were fitted")
+    _check_rank(plane[there], covariance[there])
     for _ in range(2):  # from the first plane, and then from the result
         origin = _about(_surest(fused, of_fused))
         axes = _axes_across(fused[..., :3]) @ origin
@@ -427,12 +429,13 @@ def _along_axes(plane: Floats, covariance: Floats) -> tuple[Floats, ...]:
     return axes, *(along[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
 
 
-def _is_sure_of_a_plane(plane: Floats, covariance: Floats) -> npt.NDArray[np.bool_]:
-    """(...): whether the errors in two directions, and of d, have variances that do not follow from one another."""
+def _check_rank(plane: Floats, covariance: Floats) -> None:
+    """Refuse covariances unless the errors in two directions, and of d, do not follow from one another."""
     _, aa, ab, bb, ad, bd, dd = _along_axes(plane, covariance)
     determinant = aa * bb - ab * ab
     of_d = dd * determinant - (bb * ad * ad - 2.0 * ab * ad * bd + aa * bd * bd)
-    return np.asarray((aa + bb > 0.0) & (determinant > _RANK * (aa + bb) ** 2) & (of_d > 0.0))
+    if not ((aa + bb > 0.0) & (determinant > _RANK * (aa + bb) ** 2) & (of_d > 0.0)).all():
+        raise ValueError("expected covariances of rank 3, as those of planes that were fitted")
 
 
 def _surest(plane: Floats, covariance: Floats) -> Floats:

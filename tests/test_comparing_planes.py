@@ -523,6 +523,13 @@ def test_planes_that_tell_no_motion_are_refused(rng, chosen, message):
         rp.uncertainty.align_planes(planes[chosen], covariance[chosen], planes[chosen], covariance[chosen])
 
 
+def test_motions_need_covariances_of_planes(rng):
+    planes, covariance = drawn_planes(rng, 4)
+    for pair in ((covariance, 0.0 * covariance), (0.0 * covariance, covariance)):
+        with pytest.raises(ValueError, match="covariances of rank 3"):
+            rp.uncertainty.align_planes(planes, pair[0], planes, pair[1])
+
+
 def test_motions_need_as_many_planes_and_covariances(rng):
     planes, covariance = drawn_planes(rng, 4)
     with pytest.raises(ValueError, match=r"of as many in both frames, got \(4, 4\), \(4, 4, 4\), \(3, 4\)"):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rgbd_planes.array_types import Floats
+from rgbd_planes.rotations import nearest_rotation
 
 # Weights of what holds without planes, no turn and no step, against 1 for all planes together: it decides what they
 # leave open, as a wall does about steps along it.
@@ -72,9 +73,8 @@ def camera_motion(before: Floats, now: Floats, weights: Floats) -> Motion:
 
 def _motion_of(before: Floats, now: Floats, weights: Floats) -> Motion:
     """Return the best motion: of the normals (Kabsch 1976), then the step of the distances, by least squares."""
-    u, _, v = np.linalg.svd((now[:, :3] * weights[:, None]).T @ before[:, :3] + STILL_TURN * np.eye(3))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    rotation = nearest_rotation((now[:, :3] * weights[:, None]).T @ before[:, :3] + STILL_TURN * np.eye(3))
     normals = before[:, :3] @ rotation.T
     weighted = normals.T * weights
     step = np.linalg.solve(weighted @ normals + STILL_STEP * np.eye(3), weighted @ (before[:, 3] - now[:, 3]))
-    return Motion(rotation, step)
+    return Motion(rotation, np.asarray(step, np.float64))
