@@ -13,8 +13,8 @@ What calls what:
 
 Habits of these kernels, each because it was measured:
 
-- Indices of inner loops are unsigned where the compiler cannot see that they are not negative: it would test each for
-  counting from the end.
+- No index counts from the end, unless it is spelled out, as in ``a[-1]``: see `_lowering`. Whoever changes a kernel
+  runs the tests with ``NUMBA_BOUNDSCHECK=1``, which finds those that are out of bounds on either side.
 - Rows are taken as one-dimensional arrays before a loop: their stride is known to the compiler, while elements that are
   read by two indices look scattered.
 - Arrays to work in have sizes that are fixed when a kernel is compiled, so that the compiler sees that their rows are

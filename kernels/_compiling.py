@@ -1,4 +1,4 @@
-"""Compile in a third less time, by avoiding two costs of CPython, and have arrays begin where lines of the cache do.
+"""Compile in a third less time, by avoiding two costs of CPython.
 
 Numba makes millions of small objects that stay until it is done, and Python searches them again and again for garbage,
 by default whenever there are 700 new ones (2000 in later versions).
@@ -8,25 +8,21 @@ when its last frame is done: if a chunk ends just below a function that is calle
 chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for those above it.
 
 And a process may be forked meanwhile.
-
-Arrays that kernels make begin at a multiple of 32 bytes, by Numba's choice: by chance half of them in the middle of a
-line. Then each of their vectors that is as long as a line lies in two, and sums take up to a quarter more time.
 """
 
 import contextlib
 import functools
 import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
+
+from ._lowering import as_kernels_need
 
 PATIENCE = 20_000
 """New objects before garbage is collected; takes 40 MB more while the largest kernels compile."""
 ROOM = 70_000
 """Slots of eight bytes in a frame: more than half of a chunk of 1 MB, the rest of which is for the frames above it."""
-
-CACHE_LINE = 64
-"""Bytes of a line of the cache."""
 
 is_compiling = False
 """Whether a kernel is being compiled, not only loaded from the disk."""
@@ -50,24 +46,8 @@ with contextlib.suppress(ValueError, OverflowError):  # a later Python may limit
     _with_room.__code__ = _with_room.__code__.replace(co_stacksize=ROOM)
 
 
-@contextlib.contextmanager
-def _arrays_in_lines() -> Iterator[None]:
-    """Have the arrays of what is compiled meanwhile begin where lines do; other libraries' kernels wait for a lock."""
-    context = None
-    with contextlib.suppress(ImportError, AttributeError):  # a later Numba may differ inside
-        from numba.core.registry import cpu_target
-
-        context = cpu_target.target_context
-        context.get_preferred_array_alignment = lambda _: CACHE_LINE
-    try:
-        yield
-    finally:
-        if context is not None:
-            del context.get_preferred_array_alignment
-
-
 def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
-    """Make garbage collection wait for a compiler, its frames have room, and arrays of kernels begin where lines do.
+    """Make garbage collection wait for a compiler, its frames have room, and arrays be translated as kernels need.
 
     Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel is.
     """
@@ -88,7 +68,7 @@ def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
-            with _arrays_in_lines():
+            with as_kernels_need():
                 return _with_room(compile_counted, *args)
         finally:
             is_compiling = False

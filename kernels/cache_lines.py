@@ -1,7 +1,7 @@
 """Where the lines of the processor's cache begin."""
 
-from ._compiling import CACHE_LINE
 from ._jit import kernel
+from ._lowering import CACHE_LINE
 
 
 @kernel()

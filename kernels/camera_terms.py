@@ -46,7 +46,7 @@ def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
             for column in range(start, start + size):
                 by_triangle += by_j
                 by_j += once
-                once += codes[np.uintp(column)]  # unsigned index: see `kernels`
+                once += codes[column]
             counts[0, tile] = once
             counts[1, tile] = by_j
             counts[2, tile] = by_triangle

@@ -1,17 +1,14 @@
 """Disjoint sets: trees in which each node names its parent, and a root itself."""
 
-import numpy as np
-
 from ._jit import kernel
 
 
 @kernel(inline="compiled")
 def root_of(parent, i):
     """Root of the tree that ``i`` is in."""
-    i = np.uint32(i)  # unsigned indices: see `kernels`
-    above = np.uint32(parent[i])
+    above = parent[i]
     while above != i:
-        i, above = above, np.uint32(parent[above])
+        i, above = above, parent[above]
     return i
 
 

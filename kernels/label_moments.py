@@ -13,9 +13,9 @@ def labelled_columns(line):
     for column in range(len(line)):  # by itself, since it vectorises: of a mask most rows have none
         most = max(most, line[column])
     first, stop = 0, len(line) if most > 0 else 0
-    while first < stop and line[np.uint64(first)] == 0:
+    while first < stop and line[first] == 0:
         first += 1
-    while first < stop and line[np.uint64(stop - 1)] == 0:
+    while first < stop and line[stop - 1] == 0:
         stop -= 1
     return first, stop
 
@@ -43,23 +43,22 @@ def points_of_row(
     values = raw[row]
     xs, ys = tan_x[row if tan_x.shape[0] > 1 else 0], tan_y[row]
     u, v, w, there = points[0], points[1], points[2], points[3]
-    # Unsigned indices: see `kernels`. Each loop writes one array, which takes less time than one loop for all.
-    begin, end = np.uint64(first), np.uint64(stop)
-    for column in range(begin, end):
+    # Each loop writes one array, which takes less time than one loop for all.
+    for column in range(first, stop):
         value = values[column]
         there[column] = 1.0 if (lowest <= value) & (value <= highest) else 0.0
     if is_standard:
-        for column in range(begin, end):
+        for column in range(first, stop):
             z = depth(values[column], scale, offset, is_disparity)
             w[column] = z if there[column] > 0.0 else 0.0
-        scaled(xs, w, begin, end, u)
-        scaled(ys, w, begin, end, v)
+        scaled(xs, w, first, stop, u)
+        scaled(ys, w, first, stop, v)
     else:
-        for column in range(begin, end):
+        for column in range(first, stop):
             q = inverse_depth(values[column], scale, offset, is_disparity)
             w[column] = q if there[column] > 0.0 else 0.0
-        scaled(xs, there, begin, end, u)
-        scaled(ys, there, begin, end, v)
+        scaled(xs, there, first, stop, u)
+        scaled(ys, there, first, stop, v)
 
 
 @kernel(inline=True)
@@ -83,8 +82,7 @@ def add_run(points, start, stop, reference, sums, i):
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
     r_u, r_v, r_w = reference[i, 0], reference[i, 1], reference[i, 2]
     us, vs, ws, theres = points[0], points[1], points[2], points[3]
-    # Unsigned indices: see `kernels`.
-    for k in range(np.uint64(start), np.uint64(stop)):
+    for k in range(start, stop):
         there = theres[k]
         u = us[k] - there * r_u
         v = vs[k] - there * r_v

@@ -1,7 +1,5 @@
 """Where marks are, of which most are none."""
 
-import numpy as np
-
 from ._jit import kernel
 
 # Marks that are tested together.
@@ -26,6 +24,6 @@ def list_marked(marks, words, mark, where):
         if words[w] == 0:
             continue
         for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
-            where[np.uint32(count)] = k
+            where[count] = k
             count += marks[k] == mark
     return count

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rgbd_planes.kernels._compiling import CACHE_LINE
+from rgbd_planes.kernels._lowering import CACHE_LINE
 from rgbd_planes.kernels.cache_lines import to_next_line
 
 

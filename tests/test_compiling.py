@@ -11,7 +11,7 @@ from numba.core import event
 from numba.core.registry import cpu_target
 from processes import printed_by
 
-from rgbd_planes.kernels import _compiling, _jit
+from rgbd_planes.kernels import _compiling, _jit, _lowering
 
 
 class Witness(event.Listener):
@@ -234,7 +234,7 @@ def test_arrays_of_kernels_begin_where_lines_of_the_cache_do():
         beyond = 0
         for size in range(1, count):  # some of all sizes: by chance half would begin elsewhere
             a, b = np.empty(size), np.zeros((size, 3), np.float32)
-            beyond += a.ctypes.data % _compiling.CACHE_LINE + b.ctypes.data % _compiling.CACHE_LINE
+            beyond += a.ctypes.data % _lowering.CACHE_LINE + b.ctypes.data % _lowering.CACHE_LINE
         return beyond
 
     @_jit.kernel()
@@ -245,3 +245,46 @@ def test_arrays_of_kernels_begin_where_lines_of_the_cache_do():
     with pytest.raises(numba.TypingError):
         broken(1)
     assert "get_preferred_array_alignment" not in vars(cpu_target.target_context)
+
+
+@pytest.mark.skipif(config.DISABLE_JIT or config.BOUNDSCHECK, reason="nothing is compiled, or every index is tested")
+def test_only_indices_that_are_spelled_out_count_from_the_end():
+    """The others are taken as they are: here to what lies before the array, of which it is a part."""
+
+    @_jit.kernel()
+    def at(values, k):
+        return values[-1], values[k], values[-1:][0]
+
+    @numba.njit
+    def elsewhere(values, k):
+        return values[k]
+
+    values = np.arange(5.0)[1:]
+    assert at(values, 0) == (4.0, 1.0, 4.0)
+    assert at(values, -1) == (4.0, 0.0, 4.0)
+    assert elsewhere(values, -1) == 4.0
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_references_to_arrays_of_python_are_not_counted():
+    @_jit.kernel()
+    def total(values):
+        return values[:2].sum() + np.ones(3).sum()
+
+    @numba.njit
+    def elsewhere(values):
+        return values[:2].sum()
+
+    assert total(np.arange(3.0)) == 4.0
+    assert elsewhere(np.arange(3.0)) == 1.0
+    (code,), (elsewhere_code,) = total.inspect_llvm().values(), elsewhere.inspect_llvm().values()
+    assert "NRT_adapt_ndarray_from_python" not in code
+    assert "NRT_adapt_ndarray_from_python" in elsewhere_code
+
+
+def test_what_a_later_numba_may_not_have_is_left_alone():
+    class Later:
+        pass
+
+    with _lowering._replaced(Later, "renamed", 1):
+        assert not hasattr(Later, "renamed")

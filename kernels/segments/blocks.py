@@ -187,7 +187,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
         # A band of rows is in one piece in memory.
-        begin, end = np.uint64(min(top, bottom) * width), np.uint64(bottom * width)
+        begin, end = min(top, bottom) * width, bottom * width
         if is_disparity:  # two loops: in one, the compiler would work out both
             for i in range(begin, end):
                 inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, True)

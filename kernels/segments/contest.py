@@ -29,7 +29,7 @@ NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel is nea
 def place_of(a, listed, count):
     """Index of a region in a list of ``count``, or ``count`` if it is not in it."""
     i = 0
-    while i < count and listed[np.uint64(i)] != a:
+    while i < count and listed[i] != a:
         i += 1
     return i
 
@@ -45,25 +45,25 @@ def contenders(around, row, column, centre_u, centre_v, near, candidate, centre)
     last_row, last_column = around.shape[0] - 3, around.shape[1] - 3
     step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
     for k in range(NEIGHBOURS):
-        near[k] = around[np.uint64(row + k // 3), np.uint64(column + k % 3)]
+        near[k] = around[row + k // 3, column + k % 3]
     # Without branches, which no processor could predict: all is read first, and then chosen from.
     count = 0
     for k in range(NEIGHBOURS):
         is_new = near[k] >= 0
         for i in range(k):
             is_new &= near[i] != near[k]
-        candidate[np.uint64(count)] = near[k]
+        candidate[count] = near[k]
         count += is_new
     for i in range(count if count > 1 else 0):
         u = v = blocks = 0.0
         for k in range(NEIGHBOURS):
             y, x = min(max(row + k // 3 - 1, 0), last_row), min(max(column + k % 3 - 1, 0), last_column)
-            of_u, of_v = centre_u[np.uint64(y * step_v), np.uint64(x)], centre_v[np.uint64(y), np.uint64(x * step_u)]
-            is_its = near[k] == candidate[np.uint64(i)]
+            of_u, of_v = centre_u[y * step_v, x], centre_v[y, x * step_u]
+            is_its = near[k] == candidate[i]
             u += of_u if is_its else 0.0
             v += of_v if is_its else 0.0
             blocks += 1.0 if is_its else 0.0
-        centre[np.uint64(i), 0], centre[np.uint64(i), 1], centre[np.uint64(i), 2] = u, v, blocks
+        centre[i, 0], centre[i, 1], centre[i, 2] = u, v, blocks
     return count
 
 
@@ -113,7 +113,7 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     if (top >= 0) & (left >= 0) & (top + SIDE <= height) & (left + SIDE <= width):  # all are, but those at the edges
         for i in range(SIDE):
             for j in range(SIDE):
-                q[i * SIDE + j, n] = inverse_depth[np.uint64(top + i), np.uint64(left + j)]
+                q[i * SIDE + j, n] = inverse_depth[top + i, left + j]
     else:
         for i in range(SIDE):
             y = top + i
@@ -122,13 +122,13 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
                 inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
                 q[i * SIDE + j, n] = inverse_depth[y, x] if inside else np.float32(0.0)
     for i in range(1 if separable else SIDE):
-        y = np.uint64(0 if separable else min(max(top + i, 0), height - 1))
+        y = 0 if separable else min(max(top + i, 0), height - 1)
         for j in range(SIDE):
-            u[i * SIDE + j, n] = tan_x[y, np.uint64(min(max(left + j, 0), width - 1))]
+            u[i * SIDE + j, n] = tan_x[y, min(max(left + j, 0), width - 1)]
     for i in range(SIDE):
-        y = np.uint64(min(max(top + i, 0), height - 1))
+        y = min(max(top + i, 0), height - 1)
         for j in range(1 if separable else SIDE):
-            v[i * SIDE + j, n] = tan_y[y, np.uint64(0 if separable else min(max(left + j, 0), width - 1))]
+            v[i * SIDE + j, n] = tan_y[y, 0 if separable else min(max(left + j, 0), width - 1)]
 
 
 @kernel(inline=True)

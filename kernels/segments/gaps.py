@@ -151,11 +151,10 @@ def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     most = 0
     for row in range(len(runs.first) - 1):
         most = max(most, runs.first[row + 1] - runs.first[row])
-    own = np.empty(most + 1, np.uint32)  # the runs of a and b in a row of blocks
+    own = np.empty(most + 1, np.int32)  # the runs of a and b in a row of blocks
     for row in range(max(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1])):
         count = 0
         for i in range(runs.first[row], runs.first[row + 1]):
-            i = np.uint32(i)
             own[count] = i
             count += (runs.label[i] == a) | (runs.label[i] == b)
         for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
@@ -192,7 +191,6 @@ def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     last = np.full(2 * columns, -1, np.int64)
     for row in range(min(box[a, 0], box[b, 0]), max(box[a, 1], box[b, 1])):
         for i in range(runs.first[row], runs.first[row + 1]):
-            i = np.uint32(i)
             if runs.label[i] != a and runs.label[i] != b:
                 continue
             own, other = (0, columns) if runs.label[i] == a else (columns, 0)
@@ -201,7 +199,7 @@ def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
                 if upper == lower:
                     continue
                 k = x - first * BLOCK
-                here, there = np.uint64(own + k), np.uint64(other + k)  # unsigned indices: see `kernels`
+                here, there = own + k, other + k
                 if last[there] > last[here]:
                     through = False
                     for y in range(last[there], upper if look else 0):

@@ -42,7 +42,7 @@ def grow_together(region, moments, noise, rules, parent):
     last_a, last_b = np.full(2, -1), np.full(2, -1)  # the last pair refused, in each direction
     # For each block of a row, and each direction: whether there is another region.
     touching = np.zeros(in_words(2 * columns), np.bool_)
-    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.uint32)
+    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.int32)
     for row in range(rows):
         own, below = region[row], region[min(row + 1, rows - 1)]
         for c in range(columns - 1):
@@ -50,9 +50,8 @@ def grow_together(region, moments, noise, rules, parent):
         for c in range(columns):
             touching[2 * c + 1] = (own[c] >= 0) & (below[c] >= 0) & (own[c] != below[c])
         for n in range(list_marked(touching, words, True, touches)):
-            # Unsigned: see `kernels`.
-            side, c = np.uint32(touches[n] & np.uint32(1)), touches[n] >> np.uint32(1)
-            here, there = own[c], below[c] if side == 1 else own[c + np.uint32(1)]
+            side, c = touches[n] & 1, touches[n] >> 1
+            here, there = own[c], below[c] if side == 1 else own[c + 1]
             a, b = root_of(parent, here), root_of(parent, there)
             parent[here], parent[there] = a, b  # so that no way is long
             if a == b or (a == last_a[side] and b == last_b[side]):

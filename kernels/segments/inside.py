@@ -73,14 +73,14 @@ def inside_moments(label, reason, missing, inverse_depth, rays, moments, inside)
     height, width = label.shape
     torn, edge = np.zeros((2, width + 1), np.bool_), np.zeros(in_words(width), np.bool_)
     of_row = edge[:width]
-    words, columns = edge.view(np.uint64), np.empty(len(edge) + 1, np.uint32)  # those of a row's edges
+    words, columns = edge.view(np.uint64), np.empty(len(edge) + 1, np.int32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
         find_edges(label, reason, missing, y, torn, of_row)
         for i in range(list_marked(edge, words, True, columns)):
             x = columns[i]
             u, v = ray_of(rays, y, x)
-            add(inside[np.uint32(label[y, x] - 1)], u, v, inverse_depth[y, x])
+            add(inside[label[y, x] - 1], u, v, inverse_depth[y, x])
     for k in range(len(moments)):
         for j in range(10):
             inside[k, j] = moments[k, j] - inside[k, j]
@@ -97,7 +97,7 @@ def runs_inside(label, reason, missing, moments, inside, found):
     height, width = label.shape
     torn, edge = np.zeros((2, width + 1), np.bool_), np.empty(width, np.bool_)
     line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.uint32)
+    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.int32)
     whole = np.empty(len(moments) + 1, np.bool_)
     for k in range(len(moments)):
         whole[k + 1] = inside[k, 0] == moments[k, 0]

@@ -61,7 +61,7 @@ def join_squares(
 ):  # fmt: skip
     """Write the ``state`` of a row of squares from those of the two rows of squares that they are made of."""
     for c in range(len(state)):
-        k = np.uint64(2 * c)
+        k = 2 * c
         one, two, three, four = upper_state[k], upper_state[k + 1], lower_state[k], lower_state[k + 1]
         rss_1, rss_2, rss_3, rss_4 = upper_rss[k], upper_rss[k + 1], lower_rss[k], lower_rss[k + 1]
         of_1, of_2, of_3, of_4 = upper_variance[k], upper_variance[k + 1], lower_variance[k], lower_variance[k + 1]
@@ -115,8 +115,7 @@ def leaves(pyramid, state, region, owner, region_moments):
             if state[block] != 1:
                 line[column] = -1
                 continue
-            # Unsigned: see `kernels`.
-            i = np.uint64(above[column >> 1] if above[column >> 1] >= 0 else block)
+            i = above[column >> 1] if above[column >> 1] >= 0 else block
             if number[i] < 0:
                 number[i] = count
                 for k in range(10):

@@ -96,20 +96,18 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
         for i in range(first, stop):
             if run_share[i] == WHOLE:
                 a, b = run_label[i], why[part[i]]
-                # Unsigned indices: see `kernels`.
-                left, right = np.uint64(run_start[i] * BLOCK), np.uint64(run_stop[i] * BLOCK)
+                left, right = run_start[i] * BLOCK, run_stop[i] * BLOCK
                 for x in range(left, right):
                     line_label[x] = a
                 for x in range(left, right):
                     line_reason[x] = b
         for y in range(top, bottom):
-            begin = np.uint64(y * width)
-            for x in range(np.uint64(width)):
+            begin = y * width
+            for x in range(width):
                 labels[begin + x] = line_label[x] if q[begin + x] > 0.0 else 0
-            for x in range(np.uint64(width)):
+            for x in range(width):
                 why_none[begin + x] = line_reason[x] if q[begin + x] > 0.0 else missing
         for i in range(first, stop):
-            i = np.uint32(i)
             left = run_start[i] * BLOCK
             if run_share[i] != WHOLE:
                 a, b, is_stray, pixels = run_label[i], why[part[i]], stray[part[i]], run_pixels[i]
@@ -117,7 +115,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
                 while pixels != 0:
                     p = first_of(pixels)
                     pixels &= pixels - np.int32(1)
-                    here = np.uint64(corner + p // BLOCK * width + p % BLOCK)
+                    here = corner + p // BLOCK * width + p % BLOCK
                     labels[here] = a
                     why_none[here] = b
                     loose[loose_count] = here
@@ -204,7 +202,7 @@ def settle_strays(runs, inverse_depth, unclaimed, least, loose, loose_count, lab
                     # company.
                     for y in range(-1, 2):
                         for x in range(-1, 2):
-                            same += labels[np.uint64(here + y * width + x)] == a  # unsigned indices: see `kernels`
+                            same += labels[here + y * width + x] == a
                 if (
                     same <= COMPANY
                     and labels[here] == a  # and not let go: see `rims`
@@ -218,18 +216,17 @@ def settle_strays(runs, inverse_depth, unclaimed, least, loose, loose_count, lab
         labels[loose[i]] = 0
         reasons[loose[i]] = unclaimed
     found = np.empty(loose_count, np.int32)
-    one, line, last_line = np.uint64(1), np.uint64(width), np.uint64(len(labels) - width)
     for _ in range(2):
         for i in range(loose_count):
-            here = np.uint64(loose[i])
+            here = loose[i]
             found[i] = labels[here]
             column = np.uint32(here) % np.uint32(width)
-            inside = (here > line) & (here < last_line) & (column > 0) & (column < width - 1)
+            inside = (here > width) & (here < len(labels) - width) & (column > 0) & (column < width - 1)
             if labels[here] == 0 and inside:
-                above, below = here - line, here + line
+                above, below = here - width, here + width
                 found[i] = label_around(
-                    labels[above - one], labels[above], labels[above + one], labels[here - one], labels[here + one],
-                    labels[below - one], labels[below], labels[below + one],
+                    labels[above - 1], labels[above], labels[above + 1], labels[here - 1], labels[here + 1],
+                    labels[below - 1], labels[below], labels[below + 1],
                 )  # fmt: skip
         for i in range(loose_count):
             if found[i] > 0:

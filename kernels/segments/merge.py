@@ -47,19 +47,17 @@ def row_of(a, b, pairs, count, table, size):
     ``pairs[count]``. Of the table the first ``size``, a power of two, are in use: no more than the pairs need, so that
     a small one stays in the cache. Slots that earlier lists of pairs left in it do no harm: no row names them.
     """
-    # Unsigned: see `kernels`.
-    mask, end = np.uint64(size - 1), np.uint64(count)
     mixed = np.uint64(a) * ODD + np.uint64(b) * OTHER_ODD
-    slot = (mixed >> np.uint64(40)) & mask  # upper bits depend on all lower ones
+    slot = np.int64(mixed >> np.uint64(40)) & (size - 1)  # upper bits depend on all lower ones
     while True:
-        row = np.uint64(table[slot])
-        if row >= end or np.uint64(pairs[row, 2]) != slot:
+        row = table[slot]
+        if row >= count or pairs[row, 2] != slot:
             table[slot] = count
-            pairs[end, 2] = slot
-            return np.int64(end)
+            pairs[count, 2] = slot
+            return count
         if pairs[row, 0] == a and pairs[row, 1] == b:
             return np.int64(row)
-        slot = (slot + np.uint64(1)) & mask
+        slot = (slot + 1) & (size - 1)
 
 
 @kernel()
@@ -91,7 +89,7 @@ def neighbours(region, rays, contacts):
     flat = around.reshape(-1)
     # For each block of a row and each direction: whether there is another region.
     touching = np.zeros(in_words(len(DOWN) * columns), np.bool_)
-    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.uint32)
+    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.int32)
     steps = DOWN * width + RIGHT  # of ``flat``
     size = min(FEW_SLOTS, len(table))
     count = 0
@@ -115,12 +113,11 @@ def neighbours(region, rays, contacts):
             for i in range(count):
                 row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
         for n in range(list_marked(touching, words, True, touches)):
-            touch = np.uint64(touches[np.uint32(n)])
-            k, c = touch & np.uint64(3), touch >> np.uint64(2)
+            k, c = touches[n] & 3, touches[n] >> 2
             step = steps[k]
-            here = np.int64(c) + row * width + 2
-            far = np.int64(flat[np.uint64(here + step)] < 0)
-            own, b = flat[np.uint64(here)], flat[np.uint64(here + step + far * step)]
+            here = row * width + c + 2
+            far = np.int64(flat[here + step] < 0)
+            own, b = flat[here], flat[here + step + far * step]
             a, b = min(own, b), max(own, b)
             i = row_of(a, b, pairs, count, table, size)
             if i == count:
@@ -129,16 +126,10 @@ def neighbours(region, rays, contacts):
                 where[i, 0] = where[i, 1] = where[i, 2] = 0.0
                 count += 1
             y = row + DOWN[k] + far * DOWN[k]
-            x = np.int64(c) + RIGHT[k] + far * RIGHT[k]
-            pair = np.uint64(i)
-            where[pair, 0] += 1.0
-            where[pair, 1] += 0.5 * (
-                centre_u[np.uint64(row * step_v), c] + centre_u[np.uint64(y * step_v), np.uint64(x)]
-            )
-            where[pair, 2] += 0.5 * (
-                centre_v[np.uint64(row), np.uint64(np.int64(c) * step_u)]
-                + centre_v[np.uint64(y), np.uint64(x * step_u)]
-            )
+            x = c + RIGHT[k] + far * RIGHT[k]
+            where[i, 0] += 1.0
+            where[i, 1] += 0.5 * (centre_u[row * step_v, c] + centre_u[y * step_v, x])
+            where[i, 2] += 0.5 * (centre_v[row, c * step_u] + centre_v[y, x * step_u])
     return count
 
 
@@ -423,4 +414,4 @@ def renumber(region, number):
         became[a] = number[a]
     blocks = region.reshape(-1)
     for i in range(len(blocks)):
-        blocks[i] = became[np.uint32(blocks[i] if blocks[i] >= 0 else none)]
+        blocks[i] = became[blocks[i] if blocks[i] >= 0 else none]

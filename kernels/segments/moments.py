@@ -124,8 +124,7 @@ def misfit(m, i, alpha, region):
 def rows_of(moments, first, part):
     """Columns ``part`` of five rows of moments, from the ``first`` on, each an array of its own.
 
-    Reading a row by one index takes the processor's vectors a quarter of the time of reading the whole array by two,
-    which may count from the end.
+    Reading a row by one index takes the processor's vectors a quarter of the time of reading the whole array by two.
     """
     return (
         moments[first, part], moments[first + 1, part], moments[first + 2, part], moments[first + 3, part],

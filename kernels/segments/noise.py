@@ -44,8 +44,7 @@ def sensor_variances(pixels, sum_q, sigma, variance):
         position = variance[i]
         k = min(np.int32(position), most)
         share = position - k
-        # Unsigned: see `kernels`.
-        value = lower[np.uint32(k)] * (1.0 - share) + upper[np.uint32(k)] * share
+        value = lower[k] * (1.0 - share) + upper[k] * share
         variance[i] = value * value
 
 

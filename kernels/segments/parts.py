@@ -66,7 +66,6 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
     count = 0
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
-            i = np.uint32(i)  # unsigned indices: see `kernels`
             root = root_of(parent, i)
             y, x = row * BLOCK, run_start[i] * BLOCK
             pixels = np.int64(BLOCK * BLOCK * (run_stop[i] - run_start[i]))  # holes and all
@@ -87,7 +86,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
                 count += 1
             else:
                 part[i] = part[root]
-            k = np.uint32(part[i])
+            k = part[i]
             first[k] = min(first[k], y * width + x)
             size[k] += pixels
             across[k] += run_across[i]
@@ -101,7 +100,6 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
     share_pixels, share_moments = shares.pixels, shares.moments
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
-            i = np.uint32(i)
             k = part[i]
             if largest[owner[k]] == k:
                 continue

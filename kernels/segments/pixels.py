@@ -214,10 +214,10 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
         row, column = place(here, columns)
         mask = np.int32(0)
         for k in range(BLOCK * BLOCK):
-            # Unsigned: see `kernels`. Beyond the frame nothing is measured, and its last pixel is looked at.
-            y, x = np.uint64(row * BLOCK + k // BLOCK), np.uint64(column * BLOCK + k % BLOCK)
-            inside = (y < np.uint64(height)) & (x < np.uint64(width))
-            is_measured = inside & (inverse_depth[min(y, np.uint64(height - 1)), min(x, np.uint64(width - 1))] > 0.0)
+            # Beyond the frame nothing is measured, and its last pixel is looked at.
+            y, x = row * BLOCK + k // BLOCK, column * BLOCK + k % BLOCK
+            inside = (y < height) & (x < width)
+            is_measured = inside & (inverse_depth[min(y, height - 1), min(x, width - 1)] > 0.0)
             mask |= np.int32(is_measured) << np.int32(k)
         share_region[put], share_pixels[put] = region[row, column], mask
         for k in range(10):
@@ -267,7 +267,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                     plane[4 * j, lanes] = plane[4 * j + 1, lanes] = 0.0
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
                 for j in range(many[c]):
-                    b = np.uint64(candidate[first[c] + j])
+                    b = candidate[first[c] + j]
                     total = grown_variance(sensor[here], slope_variance[b], stretch[here], waviness_square[b])
                     plane[4 * j, lanes], plane[4 * j + 1, lanes] = alpha[b, 0], alpha[b, 1]
                     plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = alpha[b, 2], 1.0 / math.sqrt(total)

@@ -204,10 +204,10 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
         of_row = region[row]
         of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
         for column in range(first_column, min(window[3], box[a, 3]), step):
-            c, k = np.uint64(column), np.uint64(count)  # unsigned indices: see `kernels`
-            if of_row[c] != a:
+            if of_row[column] != a:
                 continue
-            room[0, k], room[1, k], room[2, k], room[3, k] = of_n[c], of_u[c], of_v[c], of_q[c]
+            room[0, count], room[1, count] = of_n[column], of_u[column]
+            room[2, count], room[3, count] = of_v[column], of_q[column]
             count += 1
             if count == TOGETHER:
                 pixels += add_products(room, count, reference, deviation, centre, scale, products)

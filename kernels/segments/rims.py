@@ -56,20 +56,20 @@ def gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, 
     i, count = begin, begin + 1
     label = labels[group[begin]]
     while i < count and not too_large:
-        y, x = place(group[np.uint64(i)], width)
+        y, x = place(group[i], width)
         i += 1
         for k in range(4):
             r = y - 1 if k == 0 else y + 1 if k == 3 else y
             c = x - 1 if k == 1 else x + 1 if k == 2 else x
             if r < 0 or r >= height or c < 0 or c >= width:
                 continue
-            here = np.uint64(r * width + c)
+            here = r * width + c
             if labels[here] != label:
                 touches |= inverse_depth[r, c] > 0.0
                 continue
             too_large |= reasons[here] == LARGE
             if reasons[here] == 0 and is_off(inverse_depth, rays, r, c, alpha, label - 1, far):
-                group[np.uint64(count)] = here
+                group[count] = here
                 reasons[here] = SEEN
                 count += 1
         too_large |= count - begin > most
@@ -134,7 +134,7 @@ def let_go(
                 p = first_of(pixels)
                 pixels &= pixels - np.int32(1)
                 y, x = row * BLOCK + p // BLOCK, run_start[i] * BLOCK + p % BLOCK
-                here = np.uint64(y * width + x)
+                here = y * width + x
                 if reasons[here] == 0 and is_off(inverse_depth, rays, y, x, alpha, k, far):
                     group[count], reasons[here] = here, SEEN
                     count = gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, count)

@@ -170,35 +170,32 @@ def list_runs(
     inside = ALL >> np.int32(BLOCK * (BLOCK - rows))
     column = 0
     while column < columns:
-        left = np.uint32(column)
+        left = column
         column += 1
         b = owner[left]
         at[left], many[left], taken[left] = NONE, 0, 0
         if b >= 0:
-            a = number[np.uint32(b)]  # unsigned indices: see `kernels`
+            a = number[b]
             if a < 0:
                 continue
             at[left], many[left], taken[left] = count, 1, ALL
             while column < columns:
-                c = np.uint32(column)
-                b = owner[c]
-                if b < 0 or number[np.uint32(b)] != a:
+                b = owner[column]
+                if b < 0 or number[b] != a:
                     break
-                at[c], many[c], taken[c] = count, 1, ALL
+                at[column], many[column], taken[column] = count, 1, ALL
                 column += 1
-            i = np.uint32(count)
-            start[i], stop[i], share[i], pixels[i], label[i] = left, column, WHOLE, ALL, a
-            filled_x[i], filled_y[i], parent[i] = inside, inside, count
-            across[i], down[i] = rows, min(column * BLOCK, width) - left * BLOCK
+            start[count], stop[count], share[count], pixels[count], label[count] = left, column, WHOLE, ALL, a
+            filled_x[count], filled_y[count], parent[count] = inside, inside, count
+            across[count], down[count] = rows, min(column * BLOCK, width) - left * BLOCK
             count += 1
         elif b == MIXED:
             first = count
-            begin = np.uint32(first_share[left])
-            end = begin + np.uint32(shares_of[left])
+            begin, end = first_share[left], first_share[left] + shares_of[left]
             for s in range(begin, end):
-                taken[left] |= share_pixels[s] if number[np.uint32(share_region[s])] >= 0 else 0
+                taken[left] |= share_pixels[s] if number[share_region[s]] >= 0 else 0
             for s in range(begin, end):
-                a = number[np.uint32(share_region[s])]
+                a = number[share_region[s]]
                 left_over = share_pixels[s] if a >= 0 else np.int32(0)
                 while left_over != 0:  # something thin in front may cut it in two
                     free = ALL & ~taken[left]
@@ -206,14 +203,13 @@ def list_runs(
                     if left_over != taken[left] and not is_one_piece(left_over, free):
                         piece = piece_of(left_over, free)
                     left_over &= ~piece
-                    i = np.uint32(count)
+                    i = count
                     start[i], stop[i], share[i], pixels[i], label[i] = (left, column, s, piece, a)
                     filled_x[i] = spread_across(piece, ALL & ~measured[left])
                     filled_y[i] = spread_down(piece, ALL & ~measured[left])
                     across[i], down[i] = starts_across(filled_x[i]), starts_down(filled_y[i])
                     parent[i] = count
                     for k in range(first, count):
-                        k = np.uint32(k)
                         if label[k] != a or share[k] == s:
                             continue
                         # Regions that have become one: together they have fewer runs than apart.
@@ -231,7 +227,7 @@ def list_runs(
             while others != 0:
                 p = first_of(others)
                 others &= others - np.int32(1)
-                loose[np.uint32(loose_count)] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
+                loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
                 loose_count += 1
     return count, loose_count
 
@@ -270,7 +266,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     taken_here, taken_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     changes = np.zeros(in_words(columns), np.bool_)
-    words, changed = changes.view(np.uint64), np.empty(len(changes) + 1, np.uint32)
+    words, changed = changes.view(np.uint64), np.empty(len(changes) + 1, np.int32)
     count = loose_count = 0
     for row in range(rows):
         first[row] = count
@@ -292,11 +288,9 @@ def find_runs(owners, shares, number, height, width, runs, loose):
             c = np.int64(changed[i])
             free = ALL & ~taken_here[c + 1]
             for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
-                k = np.uint32(k)
                 a, own = label[k], pixels[k]
                 if here[c] != here[c + 1]:
                     for j in range(here[c], here[c] + many_here[c]):
-                        j = np.uint32(j)
                         if label[j] != a:
                             continue
                         if meet_across(pixels[j], own) != 0 or meet_over_gap(
@@ -307,7 +301,6 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                 for side in range(-1, 2):
                     d = c + 1 + side
                     for j in range(above[d], above[d] + many_above[d]):
-                        j = np.uint32(j)
                         if label[j] != a:
                             continue
                         if side != 0:

@@ -138,9 +138,9 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
             a = own[start]
             a_u, a_v, a_1 = alpha[a, 0], alpha[a, 1], alpha[a, 2]
             of_slope, of_waves = slope_variance[a], waviness_square[a]
-            # Whole vectors, of which only what is ALONE counts, and unsigned: see `kernels`.
+            # Whole vectors, of which only what is ALONE counts.
             for i in range(min(in_words(stop - start), columns - start)):
-                c = np.uint64(start) + np.uint64(i)
+                c = start + i
                 total = grown_variance(of_sensor[c], of_slope, stretched[c], of_waves)
                 square = (
                     s_qq[c] - 2.0 * (a_u * s_uq[c] + a_v * s_vq[c] + a_1 * s_q[c])
@@ -162,11 +162,10 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
 @kernel(inline=True)
 def add_square(of_squares, i, moments, a):
     """Add the moments of square or block ``i`` to those of region ``a``; both arrays have one dimension."""
-    # Unsigned: see `kernels`.
-    here, there, step = np.uint64(i), np.uint64(10 * a), np.uint64(len(of_squares) // 10)
+    there, step = 10 * a, len(of_squares) // 10
     for _ in range(10):
-        moments[there] += of_squares[here]
-        here, there = here + step, there + np.uint64(1)
+        moments[there] += of_squares[i]
+        i, there = i + step, there + 1
 
 
 @kernel()
@@ -208,7 +207,5 @@ def add_up(pyramid, owners, shares, count, region_moments):
                                 add_square(of_squares, r * columns + k, moments, owner[r, k])
     for s in range(count):
         a = share_region[s]
-        there = np.uint64(10 * a)
         for k in range(10):
-            moments[there] += share_moments[s, k]
-            there += np.uint64(1)
+            moments[10 * a + k] += share_moments[s, k]

@@ -64,7 +64,7 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
             a = top[left]
             if (a == 0) | (top[right] != a) | (bottom[left] != a) | (bottom[right] != a):
                 continue
-            k, i = np.uint64(a - 1), np.uint64(first + row * columns + column)  # unsigned indices: see `kernels`
+            k, i = a - 1, first + row * columns + column
             n = of_squares[0, i]
             if n == 0.0:
                 continue

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from .._jit import kernel
 from .variances import FALLOFF, variance_at
 
@@ -15,7 +13,7 @@ REACH = 3.5
 def add_to_cell(us, vs, start, stop, share, middle_u, middle_v, cells, cell, moments):
     """Add pixels of a row to a cell and to the moments: see `add_runs`."""
     s_u = s_v = s_uu = s_uv = s_vv = 0.0
-    for k in range(np.uint64(start), np.uint64(stop)):  # unsigned indices: see `kernels`
+    for k in range(start, stop):
         u, v = us[k] - middle_u, vs[k] - middle_v
         s_u += u
         s_v += v
@@ -156,7 +154,7 @@ def smooth(values, number, stride, along_y, along_x, both_ways, across, made):
 def product_of(a, b, number):
     """Sum of the products of so many pairs."""
     total = 0.0
-    for k in range(np.uint64(number)):  # unsigned: see `kernels`
+    for k in range(number):
         total += a[k] * b[k]
     return total
 
@@ -165,6 +163,6 @@ def product_of(a, b, number):
 def weighted_product(a, b, weights, number):
     """Sum of the products of so many pairs, each with its weight."""
     total = 0.0
-    for k in range(np.uint64(number)):
+    for k in range(number):
         total += weights[k] * a[k] * b[k]
     return total

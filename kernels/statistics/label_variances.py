@@ -34,8 +34,7 @@ def variances_of_run(
 def add_variances(us, vs, along, rounding, start, stop, sums, i):
     """Add the variances of a run to row ``i`` of ``sums``."""
     s_along = s_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
-    # Unsigned indices: see `kernels`.
-    for k in range(np.uint64(start), np.uint64(stop)):
+    for k in range(start, stop):
         u, v, total = us[k], vs[k], along[k] + rounding[k]
         s_along += along[k]
         s_rounding += rounding[k]

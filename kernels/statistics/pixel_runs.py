@@ -29,7 +29,7 @@ def add_row(line, row, change, words, columns, found, number):
         False from column W on; for work.
     words : (len(change) / 8,) uint64
         The same: see `marked.list_marked`.
-    columns : (len(change) + 1,) uint32
+    columns : (len(change) + 1,) int32
         For work.
     found : (4, M) int32
         Row, first column, last column + 1, and label.
@@ -76,7 +76,7 @@ def runs_of_labels(labels, raw, lowest, highest, found):
     """
     width = labels.shape[1]
     line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.uint32)
+    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.int32)
     number = 0
     for row in range(len(labels)):
         label, values = labels[row], raw[row]

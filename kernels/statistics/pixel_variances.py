@@ -28,7 +28,7 @@ from .room import (
     WEIGHTED,
     D,
 )
-from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, ONE, SCALE, VARIANCES, means_over
+from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, SCALE, VARIANCES, means_over
 
 # The mean over a tile of the variance of q along the ray is its series to second order, by the table's differences.
 # Where the table is steeper than a power STEEPEST of q, or more bent than one, it jumps. Where depths differ a
@@ -65,7 +65,7 @@ def pixel_variance(noise, count, room):
         spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
         w = room[W_0, i] + mean_w
         room[SPREAD, i] = spread / (w * w)
-    if noise.shape[0] == VARIANCES + ONE:
+    if noise.shape[0] == VARIANCES + 1:
         for i in range(TILES_AT_ONCE):
             room[SHARED, i] = noise[VARIANCES]
             room[UNEVENNESS, i] = 0.0
@@ -78,11 +78,11 @@ def pixel_variance(noise, count, room):
             room[SHARED, i] = np.floor(inside)
             room[POSITION, i] = position
         for i in range(count):
-            k = VARIANCES + np.uintp(room[SHARED, i])
+            k = VARIANCES + np.int64(room[SHARED, i])
             below = noise[k]
-            room[FOUND, i], room[STEP, i] = below, noise[k + ONE] - below
-            k = max(k, VARIANCES + ONE)
-            room[BEND, i] = noise[k + ONE] - 2.0 * noise[k] + noise[k - ONE]
+            room[FOUND, i], room[STEP, i] = below, noise[k + 1] - below
+            k = max(k, VARIANCES + 1)
+            room[BEND, i] = noise[k + 1] - 2.0 * noise[k] + noise[k - 1]
         for i in range(TILES_AT_ONCE):
             variance, step = room[FOUND, i], room[STEP, i]
             position = room[POSITION, i]

@@ -38,7 +38,7 @@ def by_count(counts, tables, room):
     else:
         found = room[FOUND : FOUND + TABLE_COLUMNS].reshape(TABLE_COLUMNS * TILES_AT_ONCE)
         for i in range(counts.shape[0]):
-            row = tables[np.uintp(counts[i])]
+            row = tables[np.int64(counts[i])]
             a, b, c, d, e, f = row[0], row[1], row[2], row[3], row[4], row[5]
             found[TABLE_COLUMNS * i] = a
             found[TABLE_COLUMNS * i + 1] = b

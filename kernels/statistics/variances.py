@@ -11,8 +11,7 @@ from .._jit import kernel
 # degrees of freedom of a variance that differs from place to place, 0 for one that does not. The exponent of
 # 1 + tan²θx + tan²θy, by which the variance of q by other errors grows. Then a scale and this variance on the axis, at
 # q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
-LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, FALLOFF, SCALE = 0, 1, 2, 3, 4, 5, 6
-VARIANCES, ONE = np.uintp(7), np.uintp(1)
+LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, FALLOFF, SCALE, VARIANCES = range(8)
 # Three places of Gauss's quadrature along a side, in standard deviations of values spread evenly along it, and their
 # weights.
 PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
@@ -25,13 +24,13 @@ LITTLE, PIECES = 0.2, 4
 @kernel(inline=True)
 def variance_at(q, noise):
     """Variance of the errors along the ray at an inverse depth, on the axis."""
-    if noise.shape[0] == VARIANCES + ONE:
+    if noise.shape[0] == VARIANCES + 1:
         return noise[VARIANCES]
     position = q * noise[SCALE]
     position = position if position > 0.0 else 0.0  # also for NaN
     whole = np.floor(min(position, noise.shape[0] - VARIANCES - 2.0))
-    k = VARIANCES + np.uintp(whole)
-    return noise[k] + (position - whole) * (noise[k + ONE] - noise[k])
+    k = VARIANCES + np.int64(whole)
+    return noise[k] + (position - whole) * (noise[k + 1] - noise[k])
 
 
 @kernel(inline=True)
