@@ -193,31 +193,52 @@ def typical_of_blocks(pyramid, sigma):
 
 
 @kernel()
-def keep_clean_squares(pyramid, level, sigma, most, mean_square):
-    """Keep those of a level's squares in which no square of 8 pixels has a residual above ``most``; return how many.
+def clean_squares(pyramid, sigma, most):
+    """Which squares of 8 pixels, (R, C) of them, have a residual of no more than ``most``, or hardly any pixels."""
+    first, stop = pyramid.offsets[1], pyramid.offsets[2]
+    pixels, sum_q, rss = pyramid.moments[0, first:stop], pyramid.moments[3, first:stop], pyramid.rss[first:stop]
+    clean = np.empty(stop - first, np.bool_)
+    for i in range(len(clean)):
+        n = pixels[i]
+        allowed = most * (n - 3.0) * expected_variance(sum_q[i] / max(n, 1.0), sigma)
+        clean[i] = not ((n > 3.0) & (rss[i] > allowed))
+    return clean.reshape(pyramid.shapes[1, 0], pyramid.shapes[1, 1])
 
-    ``mean_square`` is that of `square_residuals`, whose first entries become those of the squares kept.
+
+@kernel()
+def keep_clean_squares(pyramid, level, clean, mean_square):
+    """Keep those of a level's squares in which all of the level before are clean.
+
+    Parameters
+    ----------
+    pyramid, level
+        See `square_residuals`.
+    clean : (R, C) bool
+        Of the level before: see `clean_squares`.
+    mean_square : (K,) float64, changed
+        See `square_residuals`: the first entries become those of the squares kept.
+
+    Returns
+    -------
+    count : int
+        Squares kept.
+    clean : (R / 2, C / 2) bool
+        Of this level.
     """
-    moments, rss, _, offsets, shapes = pyramid
-    side = 1 << (level - 1)
+    moments, rss, offsets = pyramid.moments, pyramid.rss, pyramid.offsets
+    rows, columns = clean.shape[0] // 2, clean.shape[1] // 2
+    larger = np.empty((rows, columns), np.bool_)
     seen = count = 0
-    for row in range(shapes[level, 0]):
-        for column in range(shapes[level, 1]):
-            i = offsets[level] + row * shapes[level, 1] + column
-            if not is_measured(moments, rss, level, i):
-                continue
-            clean = True
-            for r in range(row * side, row * side + side):
-                for c in range(column * side, column * side + side):
-                    k = offsets[1] + r * shapes[1, 1] + c
-                    n = moments[0, k]
-                    if n > 3.0 and rss[k] > most * (n - 3.0) * expected_variance(moments[3, k] / n, sigma):
-                        clean = False
-            if clean:
-                mean_square[count] = mean_square[seen]
-                count += 1
-            seen += 1
-    return count
+    for row in range(rows):
+        upper, lower, of_row = clean[2 * row], clean[2 * row + 1], larger[row]
+        for c in range(columns):
+            of_row[c] = upper[2 * c] & upper[2 * c + 1] & lower[2 * c] & lower[2 * c + 1]
+        for c in range(columns):  # without branches, which no processor could predict
+            measured = is_measured(moments, rss, level, offsets[level] + row * columns + c)
+            mean_square[count] = mean_square[seen]
+            count += measured & of_row[c]
+            seen += measured
+    return count, larger
 
 
 @kernel()
@@ -282,13 +303,14 @@ def estimate_noise(pyramid, sigma, growth, reach):
                 share *= 0.5
                 typical, smallest = smallest, quantile(values[:count], share)
             lateral = lateral_of(mean_square[:count], slope_square[:count], typical)
+            clean = clean_squares(pyramid, sigma, FLAT * typical)
         elif smallest > 0.0:
-            clean = keep_clean_squares(pyramid, level, sigma, FLAT * typical, mean_square)
-            if clean < FEW_CLEAN * count:  # most have an edge in them, or a stray pixel
-                if clean < FEWEST:
+            kept, clean = keep_clean_squares(pyramid, level, clean, mean_square)
+            if kept < FEW_CLEAN * count:  # most have an edge in them, or a stray pixel
+                if kept < FEWEST:
                     growth[level - 1 :] = growth[level - 2]
                     break
-                count = clean
+                count = kept
                 copy(mean_square, values[:count])
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
             if level == 2 and grown > MOST_OF_WAVES:
