@@ -213,12 +213,9 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
     for here in blocks:
         row, column = place(here, columns)
         mask = np.int32(0)
-        for k in range(BLOCK * BLOCK):
-            # Beyond the frame nothing is measured, and its last pixel is looked at.
-            y, x = row * BLOCK + k // BLOCK, column * BLOCK + k % BLOCK
-            inside = (y < height) & (x < width)
-            is_measured = inside & (inverse_depth[min(y, height - 1), min(x, width - 1)] > 0.0)
-            mask |= np.int32(is_measured) << np.int32(k)
+        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+            for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+                mask |= np.int32(inverse_depth[y, x] > 0.0) << np.int32(y % BLOCK * BLOCK + x % BLOCK)
         share_region[put], share_pixels[put] = region[row, column], mask
         for k in range(10):
             share_moments[put, k] = of_block[k, here]

@@ -6,6 +6,7 @@ In rounds: from joined blocks to regions, from regions to the pixels they own, a
 import numpy as np
 
 from .._jit import kernel
+from ..marked import in_words, list_marked
 from .blocks import EMPTY
 from .folds import part_again
 from .growth import grow_together
@@ -36,12 +37,16 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
     row_of, column_of = np.empty(4 * rows * columns, np.int32), np.empty(4 * rows * columns, np.int32)
     next_row, next_column = np.empty_like(row_of), np.empty_like(row_of)
     joins = np.empty(4 * rows * columns, np.int32)
+    marks = np.zeros(in_words(columns), np.bool_)
+    words, marked = marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
     count = 0
     for row in range(rows):
-        for column in range(columns):
-            if region[row, column] < 0 and owner[row, column] != EMPTY:
-                row_of[count], column_of[count] = row, column
-                count += 1
+        now, had = region[row], owner[row]
+        for c in range(columns):
+            marks[c] = (now[c] < 0) & (had[c] != EMPTY)
+        for i in range(list_marked(marks, words, True, marked)):
+            row_of[count], column_of[count] = row, marked[i]
+            count += 1
     while count > 0:
         for k in range(count):
             row, column = row_of[k], column_of[k]
@@ -85,12 +90,17 @@ def move_on(region, before, pyramid, planes):
     moments, alpha = pyramid.moments, planes.alpha
     rows, columns = region.shape
     moved, left = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
+    marks = np.zeros(in_words(columns), np.bool_)
+    words, marked = marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
     count = 0
     for row in range(rows):
-        for column in range(columns):
-            if region[row, column] != before[row, column] and region[row, column] >= 0 and before[row, column] >= 0:
-                moved[count], left[count] = row * columns + column, before[row, column]
-                count += 1
+        now, was = region[row], before[row]
+        for c in range(columns):
+            marks[c] = (now[c] != was[c]) & (now[c] >= 0) & (was[c] >= 0)
+        for i in range(list_marked(marks, words, True, marked)):
+            c = marked[i]
+            moved[count], left[count] = row * columns + c, was[c]
+            count += 1
     k = 0
     while k < count:
         here, a = moved[k], left[k]
