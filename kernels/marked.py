@@ -27,3 +27,17 @@ def list_marked(marks, words, mark, where):
             where[count] = k
             count += marks[k] == mark
     return count
+
+
+@kernel(inline="compiled")
+def list_both(marks, words, mark, where, other, elsewhere):
+    """As `list_marked`, in one pass, for ``mark`` and an ``other``, which goes ``elsewhere``; returns both counts."""
+    count = other_count = 0
+    for w in range(len(words)):
+        if words[w] == 0:
+            continue
+        for k in range(w * WORD, (w + 1) * WORD):
+            where[count] = elsewhere[other_count] = k
+            count += marks[k] == mark
+            other_count += marks[k] == other
+    return count, other_count

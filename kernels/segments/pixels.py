@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from ..marked import in_words, list_marked
+from ..marked import in_words, list_both
 from .blocks import BLOCK, MIXED
 from .contest import (
     AREA,
@@ -84,8 +84,7 @@ def own_pixels(
     give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
     # One place more than there are blocks: the one after the last is written to, too.
     opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
-    words = tasks.view(np.uint64)
-    open_count, same_count = list_marked(tasks, words, OPEN, opened), list_marked(tasks, words, SAME, same)
+    open_count, same_count = list_both(tasks, tasks.view(np.uint64), OPEN, opened, SAME, same)
     sparse_count, count, listed = decide(
         opened[:open_count], rays, before, pyramid, sensor, planes, rules, region, owners, contended
     )

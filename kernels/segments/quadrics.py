@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from .._jit import kernel
+from ..marked import in_words, list_marked
 from .blocks import BLOCK, MIXED, UNSEEN
 from .moments import ray_of, rows_of
 
@@ -30,18 +31,22 @@ def boxes(region, box):
     box[:, 0], box[:, 2] = region.shape[0], region.shape[1]
     box[:, 1], box[:, 3] = 0, 0
     rows, columns = region.shape
+    ends = np.zeros(in_words(columns), np.bool_)  # where blocks side by side end that one region has
+    words, last = ends.view(np.uint64), np.empty(len(ends) + 1, np.int32)
+    ends[columns - 1] = True
     for row in range(rows):
+        own = region[row]
+        for c in range(columns - 1):
+            ends[c] = own[c] != own[c + 1]
         start = 0
-        for column in range(1, columns + 1):
-            a = region[row, start]
-            if column < columns and region[row, column] == a:
-                continue
+        for i in range(list_marked(ends, words, True, last)):
+            a, stop = own[start], last[i] + 1
             if a >= 0:
                 box[a, 0] = min(box[a, 0], row)
                 box[a, 1] = row + 1
                 box[a, 2] = min(box[a, 2], start)
-                box[a, 3] = max(box[a, 3], column)
-            start = column
+                box[a, 3] = max(box[a, 3], stop)
+            start = stop
 
 
 @kernel(inline="compiled")
@@ -70,6 +75,8 @@ def owned_means(owned, pyramid):
     rows, columns = region.shape
     moments = pyramid.moments
     means = np.empty((4, rows, columns), np.float32)
+    mixed = np.zeros(in_words(columns), np.bool_)
+    words, marked = mixed.view(np.uint64), np.empty(len(mixed) + 1, np.int32)
     for row in range(rows):
         here = slice(row * columns, (row + 1) * columns)
         n, s_u, s_v, s_q, _ = rows_of(moments, 0, here)
@@ -80,10 +87,12 @@ def owned_means(owned, pyramid):
             of_u[column] = s_u[column] * per_pixel
             of_v[column] = s_v[column] * per_pixel
             of_q[column] = s_q[column] * per_pixel
+        own, owner = region[row], block[row]
         for column in range(columns):
-            a = region[row, column]
-            if a < 0 or block[row, column] != MIXED:
-                continue
+            mixed[column] = (own[column] >= 0) & (owner[column] == MIXED)
+        for i in range(list_marked(mixed, words, True, marked)):
+            column = marked[i]
+            a = own[column]
             n_a, u_a, v_a, q_a = 0.0, 0.0, 0.0, 0.0
             first = first_share[row, column]
             for s in range(first, first + shares_of[row, column]):
