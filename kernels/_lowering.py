@@ -1,4 +1,4 @@
-"""How Numba translates arrays in these kernels: three costs of what Python allows, and kernels do not need.
+"""How Numba translates arrays in these kernels: four costs of what Python allows, and kernels do not need.
 
 - An index counts from the end only if it is spelled out, as in ``a[-1]``. Numba would test every other, too, unless the
   compiler can see that it is not negative: 2 to 5 % of the time. ``NUMBA_BOUNDSCHECK=1`` finds those that are.
@@ -7,6 +7,9 @@
 - Arrays that kernels make begin where lines of the cache do. Numba has them begin at a multiple of 32 bytes, by chance
   half of them in the middle of a line. Then each of their vectors that is as long as a line lies in two, and sums take
   up to a quarter more time.
+- Data of an array that a kernel makes lie within what it allocated for it, where nothing else does. Numba looks up
+  their place, and the compiler takes them for anybody's: before each loop it would compare all arrays' places, and go
+  slowly where there are too many, or the loop is short. That is 7 % of the code.
 """
 
 import contextlib
@@ -48,6 +51,10 @@ def as_kernels_need() -> Iterator[None]:
 
             stack.enter_context(_replaced(arrayobj, "fix_integer_index", _index_from(arrayobj.fix_integer_index)))
         with contextlib.suppress(ImportError, AttributeError):
+            from numba.core.runtime.context import NRTContext
+
+            stack.enter_context(_replaced(NRTContext, "meminfo_data", _data_within(NRTContext.meminfo_data)))
+        with contextlib.suppress(ImportError, AttributeError):
             from numba.core.pythonapi import PythonAPI
 
             stack.enter_context(_replaced(PythonAPI, "nrt_adapt_ndarray_from_python", _borrow_array))
@@ -73,3 +80,16 @@ def _borrow_array(python: Any, array: Any, struct: Any) -> Any:
 
     kind = ir.FunctionType(ir.IntType(32), [python.pyobj, python.voidptr])
     return python.builder.call(python._get_function(kind, name="numba_adapt_ndarray"), (array, struct))
+
+
+def _data_within(data_of: Any) -> Any:
+    """Where the data of a new array lie, as a distance from the beginning of what was allocated for it."""
+    from llvmlite import ir
+    from numba.core import types
+
+    def data_within(context: Any, builder: Any, allocated: Any) -> Any:
+        size = ir.IntType(types.intp.bitwidth)
+        data = builder.ptrtoint(data_of(context, builder, allocated), size)
+        return builder.gep(allocated, [builder.sub(data, builder.ptrtoint(allocated, size))])
+
+    return data_within

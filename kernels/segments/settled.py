@@ -20,6 +20,8 @@ from .noise import about_plane, grown_variance, sensor_variance
 DONE, OPEN, ALONE, SAME = 0, 1, 2, 3
 # No region, as a number above those of all regions.
 NO_REGION = np.int32(np.iinfo(np.int32).max)
+# No region, and not what a block without one has: what a plane that has moved became.
+MOVED = np.int32(-2)
 # A block with more measured pixels than this is a solid one: what is missing there are holes.
 SPARSE = BLOCK * BLOCK // 2
 # Deviations by which planes may move without anything that they own being looked at again.
@@ -63,9 +65,12 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = region.shape
     regions = len(number)
-    became = np.empty(regions + 1, np.int32)  # the last row is for blocks of no region
-    became[regions] = -1
+    # What regions became, and those of them whose planes have not moved anywhere in the frame; the last entries are for
+    # blocks of no region.
+    became, still = np.empty(regions + 1, np.int32), np.full(regions + 1, MOVED)
+    became[regions] = still[regions] = -1
     moved = np.zeros((3, regions + 1))  # in deviations
+    has_lens = centre_u.shape[0] > 1
     for b in range(regions):
         a = number[b]
         became[b] = a
@@ -76,22 +81,25 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         deviation = math.sqrt(about_plane(sensor, planes, a))
         for k in range(3):
             moved[k, b] = (alpha[a, k] - last_alpha[b, k]) / deviation
+        is_still = not has_lens  # with one, the blocks in the corners need not be the outermost
+        for k in range(4):
+            u, v = centre_u[0, (columns - 1) * (k & 1)], centre_v[(rows - 1) * (k >> 1), 0]
+            is_still &= abs(moved[0, b] * u + moved[1, b] * v + moved[2, b]) <= STILL  # of no plane it is NaN
+        if is_still:
+            still[b] = a
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
-    u, v = np.empty(columns), np.empty(columns)
+    marks = np.zeros(in_words(columns), np.bool_)
+    words, marked = marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
     for row in range(rows):
         own, last = region[row], last_region[row]
-        if row == 0 or centre_u.shape[0] > 1:
-            copy(centre_u[row], u)
-        if centre_v.shape[1] > 1:
-            copy(centre_v[row], v)
-        else:
-            v[:] = centre_v[row, 0]
-        line = changed[row + 1, 1:]
         for c in range(columns):
+            marks[c] = own[c] != still[last[c] if last[c] >= 0 else regions]
+        of_u, of_v = centre_u[row if has_lens else 0], centre_v[row]
+        for i in range(list_marked(marks, words, True, marked)):
+            c = marked[i]
             b = last[c] if last[c] >= 0 else regions
-            d = moved[0, b] * u[c] + moved[1, b] * v[c] + moved[2, b]
-            # Where there was no plane d is NaN.
-            line[c] = (own[c] != became[b]) | (not abs(d) <= STILL)
+            d = moved[0, b] * of_u[c] + moved[1, b] * of_v[c if has_lens else 0] + moved[2, b]
+            changed[row + 1, c + 1] = (own[c] != became[b]) | (not abs(d) <= STILL)
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
         above, here, below, line, owners = (changed[row], changed[row + 1], changed[row + 2], task[row], owner[row])
