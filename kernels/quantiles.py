@@ -1,39 +1,47 @@
 """Quantiles, by selection."""
 
+import math
+
+import numpy as np
+
 from ._jit import kernel
-
-
-@kernel(inline=True)
-def bring_forward(values, first, stop, pivot, equal):
-    """Move values below the pivot, or also those ``equal`` to it, to a part's front; returns where the rest begins.
-
-    Without branches, which no processor could predict. NaN counts as equal, so that a part is never left as it is.
-    """
-    front = first
-    for i in range(first, stop):
-        value = values[i]
-        values[i] = values[front]
-        values[front] = value
-        front += not (value > pivot) if equal else value < pivot
-    return front
+from .copying import copy
 
 
 @kernel()
 def quantile(values, share):
-    """As `numpy.quantile`, for two values or more and a ``share`` below 1; ``values`` (N,) is reordered."""
+    """As `numpy.quantile`, for two values or more and a ``share`` below 1."""
     position = share * (len(values) - 1)
     k = int(position)
-    first, stop = 0, len(values)
-    while stop - first > 1:
-        pivot = values[(first + stop) // 2]
-        front = bring_forward(values, first, stop, pivot, False)
-        if k < front:
-            stop = front
-            continue
-        first = bring_forward(values, front, stop, pivot, True)
-        if k < first:  # it is the pivot
+    weight = position - k
+    # Of the values, those among which the k-th is, and the smallest above them. NaN counts as equal to any.
+    part, count, following = np.empty(len(values) + 1), len(values), math.inf
+    copy(values, part[:count])
+    while True:
+        pivot = part[count // 2]
+        below = above = 0
+        for i in range(count):
+            below += part[i] < pivot
+            above += part[i] > pivot
+        kept = 0
+        if k < below:
+            for i in range(count):  # without branches, which no processor could predict
+                value = part[i]
+                part[kept] = value
+                kept += value < pivot
+            following = pivot
+        elif k >= count - above:
+            for i in range(count):
+                value = part[i]
+                part[kept] = value
+                kept += value > pivot
+            k -= count - above
+        else:
             break
-    following = values[k + 1]
-    for i in range(k + 2, len(values)):
-        following = min(following, values[i])
-    return values[k] + (position - k) * (following - values[k])
+        count = kept
+    if k + 1 < count - above:
+        following = pivot
+    else:
+        for i in range(count):
+            following = min(following, part[i] if part[i] > pivot else math.inf)
+    return pivot + weight * (following - pivot)

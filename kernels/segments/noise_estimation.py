@@ -158,7 +158,7 @@ def is_of_depth(pyramid):
             count += 1
     if count < 3 * FEWEST:
         return False
-    far, near = quantile(q[:count].copy(), OUTER), quantile(q[:count].copy(), 1.0 - OUTER)
+    far, near = quantile(q[:count], OUTER), quantile(q[:count], 1.0 - OUTER)
     if not near >= APART * far > 0.0:
         return False
     third = (near / far) ** (1.0 / 3.0)
