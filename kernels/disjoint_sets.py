@@ -6,9 +6,9 @@ from ._jit import kernel
 @kernel(inline="compiled")
 def root_of(parent, i):
     """Root of the tree that ``i`` is in."""
-    above = parent[i]
-    while above != i:
-        i, above = above, parent[above]
+    i = parent[i]  # most are the root or name it: the processor predicts this loop's end, not whether there is a step
+    while parent[i] != i:
+        i = parent[i]
     return i
 
 
