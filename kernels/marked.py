@@ -1,4 +1,6 @@
-"""Where marks are, of which most are none."""
+"""Where marks are, or bits, of which most are none."""
+
+import numpy as np
 
 from ._jit import kernel
 
@@ -41,3 +43,31 @@ def list_both(marks, words, mark, where, other, elsewhere):
             count += marks[k] == mark
             other_count += marks[k] == other
     return count, other_count
+
+
+@kernel(inline="compiled")
+def how_many(bits):
+    """Number of bits that are set."""
+    # Steps that the compiler knows: in 64 bits, it makes them one instruction of the processor.
+    bits = np.uint64(bits)
+    bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    bits = (bits & np.uint64(0x3333333333333333)) + ((bits >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    bits = (bits + (bits >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int32(bits * np.uint64(0x0101010101010101) >> np.uint64(56))
+
+
+@kernel(inline="compiled")
+def list_bits(words, where):
+    """Write where ``words`` (K,) uint64 have bits: 64·word + bit, in order; returns how many they have.
+
+    Of bytes that are seen as words, that is 8·byte + bit, and takes less time than `list_marked` if they have several.
+    """
+    count = 0
+    for w in range(len(words)):
+        bits = words[w]
+        while bits != 0:
+            below = ~bits & (bits - np.uint64(1))  # those lower than the lowest
+            where[count] = 64 * w + how_many(below)
+            count += 1
+            bits &= bits - np.uint64(1)
+    return count

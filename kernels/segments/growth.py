@@ -8,9 +8,15 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import root_of
-from ..marked import in_words, list_marked
+from ..marked import in_words, list_bits
 from .merge import describe
 from .moments import residual_of_two
+
+
+@kernel(inline="compiled")
+def differ(a, b):
+    """1 if ``a`` and ``b`` are two regions, else 0."""
+    return 1 if (a >= 0) & (b >= 0) & (a != b) else 0
 
 
 @kernel()
@@ -40,17 +46,16 @@ def grow_together(region, moments, noise, rules, parent):
         parent[a] = a
     most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
     last_a, last_b = np.full(2, -1), np.full(2, -1)  # the last pair refused, in each direction
-    # For each block of a row, and each direction: whether there is another region.
-    touching = np.zeros(in_words(2 * columns), np.bool_)
-    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.int32)
+    # For each block of a row, a byte: bit 0 is for another region to the right, bit 1 for one below.
+    touching = np.zeros(in_words(columns), np.uint8)
+    words, touches = touching.view(np.uint64), np.empty(2 * columns, np.int32)
     for row in range(rows):
         own, below = region[row], region[min(row + 1, rows - 1)]
         for c in range(columns - 1):
-            touching[2 * c] = (own[c] >= 0) & (own[c + 1] >= 0) & (own[c] != own[c + 1])
-        for c in range(columns):
-            touching[2 * c + 1] = (own[c] >= 0) & (below[c] >= 0) & (own[c] != below[c])
-        for n in range(list_marked(touching, words, True, touches)):
-            side, c = touches[n] & 1, touches[n] >> 1
+            touching[c] = differ(own[c], own[c + 1]) + 2 * differ(own[c], below[c])
+        touching[columns - 1] = 2 * differ(own[columns - 1], below[columns - 1])
+        for n in range(list_bits(words, touches)):
+            side, c = touches[n] & 1, touches[n] >> 3
             here, there = own[c], below[c] if side == 1 else own[c + 1]
             a, b = root_of(parent, here), root_of(parent, there)
             parent[here], parent[there] = a, b  # so that no way is long

@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
-from ..marked import in_words, list_marked
+from ..marked import in_words, list_bits
 from .moments import difference, rise, solve
 from .noise import sensor_variance, variance, waviness
 
@@ -26,8 +26,10 @@ CHANCE = 7.8
 FEW_SLOTS = 1 << 12
 # Odd numbers, whose multiples look random.
 ODD, OTHER_ODD = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
-# Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left.
-DOWN, RIGHT = np.array([0, 1, 1, 1]), np.array([1, 0, 1, -1])
+# Neighbours of a block, each pair of blocks once: right, below, below to the right and to the left; and after each the
+# one behind it, which is a neighbour if the block in between has no region.
+DOWN, RIGHT = np.array([0, 0, 1, 2, 1, 2, 1, 2]), np.array([1, 2, 0, 0, 1, 2, -1, -2])
+SIDES = len(DOWN) // 2
 
 
 @kernel(inline="compiled")
@@ -60,6 +62,13 @@ def row_of(a, b, pairs, count, table, size):
         slot = (slot + 1) & (size - 1)
 
 
+@kernel(inline="compiled")
+def touch(a, near, behind):
+    """1 if region ``a`` touches another that is ``near``, 2 if none is near, but another ``behind``, else 0."""
+    far = 2 if (behind >= 0) & (behind != a) else 0
+    return np.uint8((1 if near != a else 0) if near >= 0 else far)
+
+
 @kernel()
 def neighbours(region, rays, contacts):
     """Write the pairs of different regions whose blocks lie side by side or corner to corner.
@@ -78,7 +87,6 @@ def neighbours(region, rays, contacts):
         Number of pairs.
     """
     centre_u, centre_v = rays.centre_u, rays.centre_v
-    step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
     pairs, where, table = contacts
     rows, columns = region.shape
     # With a rim of no regions: a block's neighbours, and theirs, can be read without asking where the frame ends.
@@ -86,38 +94,35 @@ def neighbours(region, rays, contacts):
     around = np.full((rows + 2, width), np.int32(-1))
     for row in range(rows):
         copy(region[row], around[row, 2 : columns + 2])
-    flat = around.reshape(-1)
-    # For each block of a row and each direction: whether there is another region.
-    touching = np.zeros(in_words(len(DOWN) * columns), np.bool_)
-    words, touches = touching.view(np.uint64), np.empty(len(touching) + 1, np.int32)
-    steps = DOWN * width + RIGHT  # of ``flat``
+    # By one index, and what to add to it in each direction; where (u, v) are the same for all rows or columns, nothing.
+    flat, flat_u, flat_v = around.reshape(-1), centre_u.reshape(-1), centre_v.reshape(-1)
+    down_u, down_v = columns if len(centre_u) > 1 else 0, centre_v.shape[1]
+    right_v = 1 if down_v > 1 else 0
+    steps, steps_u, steps_v = DOWN * width + RIGHT, DOWN * down_u + RIGHT, DOWN * down_v + RIGHT * right_v
+    # For each block of a row, a byte: bit k is whether there is another region in direction k.
+    touching = np.zeros(in_words(columns), np.uint8)
+    words, touches = touching.view(np.uint64), np.empty(SIDES * columns, np.int32)
     size = min(FEW_SLOTS, len(table))
     count = 0
     for row in range(rows):
         own, below, beyond = around[row], around[row + 1], around[row + 2]
         for c in range(columns):
             a = own[c + 2]
-            # A gap of one block: look across it.
-            right = own[c + 3] if own[c + 3] >= 0 else own[c + 4]
-            down = below[c + 2] if below[c + 2] >= 0 else beyond[c + 2]
-            down_right = below[c + 3] if below[c + 3] >= 0 else beyond[c + 4]
-            down_left = below[c + 1] if below[c + 1] >= 0 else beyond[c]
-            touching[4 * c] = (a >= 0) & (right >= 0) & (right != a)
-            touching[4 * c + 1] = (a >= 0) & (down >= 0) & (down != a)
-            touching[4 * c + 2] = (a >= 0) & (down_right >= 0) & (down_right != a)
-            touching[4 * c + 3] = (a >= 0) & (down_left >= 0) & (down_left != a)
-        needed = min(2 * (count + len(DOWN) * columns), len(table))
+            sides = touch(a, own[c + 3], own[c + 4])
+            sides |= touch(a, below[c + 2], beyond[c + 2]) << 2
+            sides |= touch(a, below[c + 3], beyond[c + 4]) << 4
+            sides |= touch(a, below[c + 1], beyond[c]) << 6
+            touching[c] = sides if a >= 0 else 0
+        needed = min(2 * (count + len(touches)), len(table))
         if size < needed:
             while size < needed:
                 size = min(4 * size, len(table))
             for i in range(count):
                 row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
-        for n in range(list_marked(touching, words, True, touches)):
-            k, c = touches[n] & 3, touches[n] >> 2
-            step = steps[k]
-            here = row * width + c + 2
-            far = np.int64(flat[here + step] < 0)
-            own, b = flat[here], flat[here + step + far * step]
+        for n in range(list_bits(words, touches)):
+            k, c = touches[n] & 7, touches[n] >> 3
+            here, here_u, here_v = row * width + c + 2, row * down_u + c, row * down_v + c * right_v
+            own, b = flat[here], flat[here + steps[k]]
             a, b = min(own, b), max(own, b)
             i = row_of(a, b, pairs, count, table, size)
             if i == count:
@@ -125,11 +130,9 @@ def neighbours(region, rays, contacts):
                 pairs[i, 1] = b
                 where[i, 0] = where[i, 1] = where[i, 2] = 0.0
                 count += 1
-            y = row + DOWN[k] + far * DOWN[k]
-            x = c + RIGHT[k] + far * RIGHT[k]
             where[i, 0] += 1.0
-            where[i, 1] += 0.5 * (centre_u[row * step_v, c] + centre_u[y * step_v, x])
-            where[i, 2] += 0.5 * (centre_v[row, c * step_u] + centre_v[y, x * step_u])
+            where[i, 1] += 0.5 * (flat_u[here_u] + flat_u[here_u + steps_u[k]])
+            where[i, 2] += 0.5 * (flat_v[here_v] + flat_v[here_v + steps_v[k]])
     return count
 
 

@@ -5,11 +5,12 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
+from ..marked import how_many
 from .blocks import BLOCK
 from .labels import label_runs
 from .moments import add, ray_of, residual
 from .records import Parts
-from .runs import WHOLE, find_runs, first_of, how_many
+from .runs import WHOLE, find_runs, first_of
 
 
 @kernel()

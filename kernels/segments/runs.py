@@ -7,7 +7,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import unite
-from ..marked import in_words, list_marked
+from ..marked import how_many, in_words, list_marked
 from .blocks import BLOCK, MIXED
 
 # Share of a run of whole blocks, which has none.
@@ -25,17 +25,6 @@ GAP = 3
 PIECES = (BLOCK // 2) ** 2
 # First run of a block that has none.
 NONE = np.int32(-1)
-
-
-@kernel(inline="compiled")
-def how_many(pixels):
-    """Number of pixels of a block."""
-    # Steps that the compiler knows: in 64 bits, it makes them one instruction of the processor, as it does `first_of`.
-    bits = np.uint64(pixels)
-    bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
-    bits = (bits & np.uint64(0x3333333333333333)) + ((bits >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    bits = (bits + (bits >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int32(bits * np.uint64(0x0101010101010101) >> np.uint64(56))
 
 
 @kernel(inline="compiled")
