@@ -190,17 +190,31 @@ def describe(moments, chosen, noise, described):
     sigma, x, y = noise.sigma, noise.lateral_variance_x, noise.lateral_variance_y
     lens, growth = noise.lens, noise.growth
     alpha, rss, variances, waviness_square = described
-    for a in range(len(chosen)):
-        if not chosen[a]:
-            continue
-        n = moments[a, 0]
-        rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = solve(
-            n, moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4], moments[a, 5], moments[a, 6],
-            moments[a, 7], moments[a, 8], moments[a, 9],
-        )  # fmt: skip
-        sensor = sensor_variance(moments[a, 3] / max(n, 1.0), sigma)
-        variances[a] = sensor + x * alpha[a, 0] ** 2 + y * alpha[a, 1] ** 2 if rss[a] >= 0.0 else 0.0
-        waviness_square[a] = waviness(n, growth) ** 2
+    # Moments; the residual, the plane and the mean inverse depth.
+    m, regions = np.empty((15, TOGETHER)), np.empty(TOGETHER, np.int64)
+    start = 0
+    while start < len(chosen):
+        number = 0
+        while start < len(chosen) and number < TOGETHER:
+            regions[number] = start
+            number += chosen[start]
+            start += 1
+        for i in range(number):
+            a = regions[i]
+            for j in range(10):
+                m[j, i] = moments[a, j]
+        for i in range(number):
+            error, of_u, of_v, of_1 = solve(
+                m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
+            )
+            m[10, i], m[11, i], m[12, i], m[13, i] = error, of_u, of_v, of_1
+            m[14, i] = m[3, i] / max(m[0, i], 1.0)
+        for i in range(number):
+            a = regions[i]
+            rss[a], alpha[a, 0], alpha[a, 1], alpha[a, 2] = m[10, i], m[11, i], m[12, i], m[13, i]
+            sensor = sensor_variance(m[14, i], sigma)
+            variances[a] = sensor + x * m[11, i] ** 2 + y * m[12, i] ** 2 if m[10, i] >= 0.0 else 0.0
+            waviness_square[a] = waviness(m[0, i], growth) ** 2
     for a in range(len(chosen) if lens.shape[1] > 0 else 0):
         if chosen[a] and rss[a] >= 0.0:
             variances[a] = variance(moments[a], alpha[a], noise)
