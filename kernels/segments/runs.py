@@ -23,8 +23,6 @@ BLOCK_ACROSS, BLOCK_DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
 GAP = 3
 # Pieces that a share has at most: of any four pixels in a square only one can be alone.
 PIECES = (BLOCK // 2) ** 2
-# First run of a block that has none.
-NONE = np.int32(-1)
 
 
 @kernel(inline="compiled")
@@ -149,9 +147,9 @@ def list_runs(
 ):  # fmt: skip
     """Write the runs of a row of blocks after the first ``count``, and its loose pixels; returns the numbers of both.
 
-    ``at``, ``many`` and ``taken`` (C,) int32 are written: the first run of each block, how many it has, and the pixels
-    that these have. ``top`` is the first row of pixels; the other arguments are fields of `Owners`, of that row,
-    `Shares` and `Runs`.
+    ``at``, ``many`` and ``taken`` (C,) int32 are written: the first run of each block, or the next one if it has none,
+    how many it has, and the pixels that these have. ``top`` is the first row of pixels; the other arguments are fields
+    of `Owners`, of that row, `Shares` and `Runs`.
     """
     columns = len(owner)
     # The pixels within the image of whole blocks that reach beyond it.
@@ -162,7 +160,7 @@ def list_runs(
         left = column
         column += 1
         b = owner[left]
-        at[left], many[left], taken[left] = NONE, 0, 0
+        at[left], many[left], taken[left] = count, 0, 0
         if b >= 0:
             a = number[b]
             if a < 0:
@@ -211,8 +209,6 @@ def list_runs(
                     count += 1
             others = measured[left] & ~taken[left]
             many[left] = count - first
-            if count > first:
-                at[left] = first
             while others != 0:
                 p = first_of(others)
                 others &= others - np.int32(1)
@@ -251,7 +247,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     first, start, stop, share, pixels, label, filled_x, filled_y, across, down, parent, _ = runs
     rows, columns = owner.shape
     # Of the blocks of this row, and of the one above: see `list_runs`; with a rim.
-    here, above = np.full(columns + 2, NONE), np.full(columns + 2, NONE)
+    here, above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     taken_here, taken_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     changes = np.zeros(in_words(columns), np.bool_)
@@ -260,6 +256,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     for row in range(rows):
         first[row] = count
         here, above = above, here
+        here[0] = count
         many_here, many_above = many_above, many_here
         taken_here, taken_above = taken_above, taken_here
         count, loose_count = list_runs(
@@ -267,11 +264,13 @@ def find_runs(owners, shares, number, height, width, runs, loose):
             row * BLOCK, height, width, count, start, stop, share, pixels, label, filled_x, filled_y, across, down,
             parent, here[1:-1], many_here[1:-1], taken_here[1:-1], loose, loose_count,
         )  # fmt: skip
+        here[columns + 1] = count
         # Where a block's runs and those above are the same as at the block before, there is nothing new.
         for c in range(columns):
             changes[c] = (many_here[c + 1] > 0) & (
-                (here[c] != here[c + 1]) | (many_here[c + 1] > 1) | (above[c] != above[c + 1])
-                | (above[c + 1] != above[c + 2]) | (many_above[c + 1] > 1)
+                (here[c] != here[c + 1]) | (many_here[c] != 1) | (many_here[c + 1] > 1)
+                | (above[c] != above[c + 1]) | (many_above[c] != many_above[c + 1])
+                | (above[c + 1] != above[c + 2]) | (many_above[c + 1] != many_above[c + 2]) | (many_above[c + 1] > 1)
             )  # fmt: skip
         for i in range(list_marked(changes, words, True, changed)):
             c = np.int64(changed[i])
@@ -287,21 +286,21 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                         ):
                             unite(parent, j, k)
                             across[k] -= how_many((filled_x[j] >> BLOCK_ACROSS) & filled_x[k] & LEFT)
-                for side in range(-1, 2):
-                    d = c + 1 + side
-                    for j in range(above[d], above[d] + many_above[d]):
-                        if label[j] != a:
-                            continue
-                        if side != 0:
-                            if parent[j] != parent[k] and meet_at_corner(pixels[j], own, side) != 0:
-                                unite(parent, j, k)
-                        elif meet_down(pixels[j], own) != 0 or meet_over_gap(
-                            pixels[j], ALL & ~taken_above[d], own, free, False
-                        ):
+                # The runs above, from the block on the left to that on the right, follow one another.
+                for j in range(above[c], above[c + 2] + many_above[c + 2]):
+                    if label[j] != a:
+                        continue
+                    if stop[j] <= c or start[j] > c:
+                        side = -1 if stop[j] <= c else 1
+                        if parent[j] != parent[k] and meet_at_corner(pixels[j], own, side) != 0:
                             unite(parent, j, k)
-                            if share[k] != WHOLE or share[j] != WHOLE:
-                                down[k] -= how_many((filled_y[j] >> BLOCK_DOWN) & filled_y[k] & TOP)
-                            elif c == max(start[j], start[k]):
-                                down[k] -= min(min(stop[j], stop[k]) * BLOCK, width) - c * BLOCK
+                    elif meet_down(pixels[j], own) != 0 or meet_over_gap(
+                        pixels[j], ALL & ~taken_above[c + 1], own, free, False
+                    ):
+                        unite(parent, j, k)
+                        if share[k] != WHOLE or share[j] != WHOLE:
+                            down[k] -= how_many((filled_y[j] >> BLOCK_DOWN) & filled_y[k] & TOP)
+                        elif c == max(start[j], start[k]):
+                            down[k] -= min(min(stop[j], stop[k]) * BLOCK, width) - c * BLOCK
     first[rows] = count
     return count, loose_count
