@@ -21,7 +21,7 @@ Habits of these kernels, each because it was measured:
   apart, and uses vectors.
 - Slices are made, and indices with conditions are worked out, before they are used: a slice in a loop, or an array that
   waits while its index branches, costs a counted reference each time. A kernel that makes no arrays says so
-  (``arrays=False``), and counts none: others count those to all arrays that they get, at each call.
+  (``arrays=False``), and counts none: others ask at each call, for each array, whether its references count.
 - Fields of tuples get names before a loop: looking into a tuple within it costs more than most of what is done there.
 - What a loop looks up by an index is an array: of a tuple, each entry becomes a branch.
 - Kernels that Python calls return numbers, and write all else to arrays that they are given: to make an array or a

@@ -9,7 +9,7 @@
   up to a quarter more time.
 - Data of an array that a kernel makes lie within what it allocated for it, where nothing else does. Numba looks up
   their place, and the compiler takes them for anybody's: before each loop it would compare all arrays' places, and go
-  slowly where there are too many, or the loop is short. That is 7 % of the code.
+  slowly where there are too many, or the loop is short.
 """
 
 import contextlib
@@ -83,7 +83,10 @@ def _borrow_array(python: Any, array: Any, struct: Any) -> Any:
 
 
 def _data_within(data_of: Any) -> Any:
-    """Where the data of a new array lie, as a distance from the beginning of what was allocated for it."""
+    """Where the data of a new array lie, as a distance from the beginning of what was allocated for it.
+
+    Of that the compiler knows that it overlaps nothing older.
+    """
     from llvmlite import ir
     from numba.core import types
 

@@ -282,6 +282,23 @@ def test_references_to_arrays_of_python_are_not_counted():
     assert "NRT_adapt_ndarray_from_python" in elsewhere_code
 
 
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_loops_do_not_compare_where_arrays_of_kernels_lie():
+    def last_sum(values):
+        a, b = np.empty(len(values)), np.empty(len(values))
+        for i in range(len(values)):
+            a[i] = 2.0 * i
+        for i in range(len(values)):
+            b[i] = a[i] + values[i]
+        return b[len(values) - 1]
+
+    kernel, elsewhere = _jit.kernel()(last_sum), numba.njit(last_sum)
+    assert kernel(np.arange(100.0)) == elsewhere(np.arange(100.0)) == 297.0
+    (code,), (elsewhere_code,) = kernel.inspect_llvm().values(), elsewhere.inspect_llvm().values()
+    assert "memcheck" not in code
+    assert config.BOUNDSCHECK or "memcheck" in elsewhere_code
+
+
 def test_what_a_later_numba_may_not_have_is_left_alone():
     class Later:
         pass
