@@ -14,6 +14,13 @@ def in_words(count):
     return -(-count // WORD) * WORD
 
 
+@kernel(inline=True)
+def room_for_marks(count):
+    """Marks for ``count`` places or more, none of them set, the same as words, and room to list them: `list_marked`."""
+    marks = np.zeros(in_words(count), np.bool_)
+    return marks, marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
+
+
 @kernel(inline="compiled")
 def list_marked(marks, words, mark, where):
     """Write where ``marks``, (K,) of one byte that fill whole words, are ``mark``, not 0; returns how many are.

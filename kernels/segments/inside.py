@@ -9,7 +9,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from ..marked import in_words, list_marked
+from ..marked import list_marked, room_for_marks
 from ..statistics.pixel_runs import add_row
 from .moments import add, ray_of, residual
 from .planes import fit_planes
@@ -71,9 +71,9 @@ def inside_moments(label, reason, missing, inverse_depth, rays, moments, inside)
         ``moments`` again, where too few pixels would be left, or they would determine no plane.
     """
     height, width = label.shape
-    torn, edge = np.zeros((2, width + 1), np.bool_), np.zeros(in_words(width), np.bool_)
+    torn = np.zeros((2, width + 1), np.bool_)
+    edge, words, columns = room_for_marks(width)  # those of a row's edges
     of_row = edge[:width]
-    words, columns = edge.view(np.uint64), np.empty(len(edge) + 1, np.int32)  # those of a row's edges
     inside[:] = 0.0  # at first the sums over the edges
     for y in range(height):
         find_edges(label, reason, missing, y, torn, of_row)
@@ -96,8 +96,8 @@ def runs_inside(label, reason, missing, moments, inside, found):
     """
     height, width = label.shape
     torn, edge = np.zeros((2, width + 1), np.bool_), np.empty(width, np.bool_)
-    line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.int32)
+    line = np.empty(width, np.int32)
+    change, words, columns = room_for_marks(width)
     whole = np.empty(len(moments) + 1, np.bool_)
     for k in range(len(moments)):
         whole[k + 1] = inside[k, 0] == moments[k, 0]

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from .._jit import kernel
-from ..marked import in_words, list_marked
+from ..marked import list_marked, room_for_marks
 from .blocks import BLOCK, MIXED, UNSEEN
 from .moments import ray_of, rows_of
 
@@ -31,8 +31,7 @@ def boxes(region, box):
     box[:, 0], box[:, 2] = region.shape[0], region.shape[1]
     box[:, 1], box[:, 3] = 0, 0
     rows, columns = region.shape
-    ends = np.zeros(in_words(columns), np.bool_)  # where blocks side by side end that one region has
-    words, last = ends.view(np.uint64), np.empty(len(ends) + 1, np.int32)
+    ends, words, last = room_for_marks(columns)  # where blocks side by side end that one region has
     ends[columns - 1] = True
     for row in range(rows):
         own = region[row]
@@ -75,8 +74,7 @@ def owned_means(owned, pyramid):
     rows, columns = region.shape
     moments = pyramid.moments
     means = np.empty((4, rows, columns), np.float32)
-    mixed = np.zeros(in_words(columns), np.bool_)
-    words, marked = mixed.view(np.uint64), np.empty(len(mixed) + 1, np.int32)
+    mixed, words, marked = room_for_marks(columns)
     for row in range(rows):
         here = slice(row * columns, (row + 1) * columns)
         n, s_u, s_v, s_q, _ = rows_of(moments, 0, here)

@@ -6,7 +6,7 @@ In rounds: from joined blocks to regions, from regions to the pixels they own, a
 import numpy as np
 
 from .._jit import kernel
-from ..marked import in_words, list_marked
+from ..marked import list_marked, room_for_marks
 from .blocks import EMPTY
 from .folds import part_again
 from .growth import grow_together
@@ -37,8 +37,7 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
     row_of, column_of = np.empty(4 * rows * columns, np.int32), np.empty(4 * rows * columns, np.int32)
     next_row, next_column = np.empty_like(row_of), np.empty_like(row_of)
     joins = np.empty(4 * rows * columns, np.int32)
-    marks = np.zeros(in_words(columns), np.bool_)
-    words, marked = marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
+    marks, words, marked = room_for_marks(columns)
     count = 0
     for row in range(rows):
         now, had = region[row], owner[row]
@@ -90,8 +89,7 @@ def move_on(region, before, pyramid, planes):
     moments, alpha = pyramid.moments, planes.alpha
     rows, columns = region.shape
     moved, left = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
-    marks = np.zeros(in_words(columns), np.bool_)
-    words, marked = marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
+    marks, words, marked = room_for_marks(columns)
     count = 0
     for row in range(rows):
         now, was = region[row], before[row]

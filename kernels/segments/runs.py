@@ -7,7 +7,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import unite
-from ..marked import how_many, in_words, list_marked
+from ..marked import how_many, list_marked, room_for_marks
 from .blocks import BLOCK, MIXED
 
 # Share of a run of whole blocks, which has none.
@@ -250,8 +250,7 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     here, above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     taken_here, taken_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
-    changes = np.zeros(in_words(columns), np.bool_)
-    words, changed = changes.view(np.uint64), np.empty(len(changes) + 1, np.int32)
+    changes, words, changed = room_for_marks(columns)
     count = loose_count = 0
     for row in range(rows):
         first[row] = count

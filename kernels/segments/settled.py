@@ -10,7 +10,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from ..marked import in_words, list_marked
+from ..marked import in_words, list_marked, room_for_marks
 from .blocks import BLOCK, EMPTY, MIXED
 from .moments import rows_of
 from .noise import about_plane, grown_variance, sensor_variance
@@ -88,8 +88,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         if is_still:
             still[b] = a
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
-    marks = np.zeros(in_words(columns), np.bool_)
-    words, marked = marks.view(np.uint64), np.empty(len(marks) + 1, np.int32)
+    marks, words, marked = room_for_marks(columns)
     for row in range(rows):
         own, last = region[row], last_region[row]
         for c in range(columns):
@@ -121,8 +120,7 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
     rows, columns = region.shape
     allowed = settled * settled
     # Where blocks that are ALONE begin and end in a row. All in between have one region: each has no other around it.
-    turns = np.zeros(in_words(columns + 1), np.bool_)
-    words, ends = turns.view(np.uint64), np.empty(len(turns) + 1, np.int32)
+    turns, words, ends = room_for_marks(columns + 1)
     of_plane, limit = np.empty(columns), np.empty(columns)
     for row in range(rows):
         own, line, owner = region[row], task[row], owners.block[row]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._jit import kernel
-from ..marked import in_words, list_marked
+from ..marked import list_marked, room_for_marks
 
 
 class PixelRuns(NamedTuple):
@@ -75,8 +75,8 @@ def runs_of_labels(labels, raw, lowest, highest, found):
     room for as many runs as there are pixels.
     """
     width = labels.shape[1]
-    line, change = np.empty(width, np.int32), np.zeros(in_words(width), np.bool_)
-    words, columns = change.view(np.uint64), np.empty(len(change) + 1, np.int32)
+    line = np.empty(width, np.int32)
+    change, words, columns = room_for_marks(width)
     number = 0
     for row in range(len(labels)):
         label, values = labels[row], raw[row]
