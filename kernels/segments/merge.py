@@ -69,9 +69,17 @@ def touch(a, near, behind):
     return np.uint8((1 if near != a else 0) if near >= 0 else far)
 
 
+@kernel(inline="compiled")
+def touch_at_corner(a, near, behind, beside, below):
+    """The same across a corner, which counts only where the sides at it do not: of the blocks beside and below."""
+    is_apart = (beside != a) & (beside != near) & (below != a) & (below != near)
+    far = 2 if (behind >= 0) & (behind != a) else 0
+    return np.uint8((1 if is_apart & (near != a) else 0) if near >= 0 else far)
+
+
 @kernel()
 def neighbours(region, rays, contacts):
-    """Write the pairs of different regions whose blocks lie side by side or corner to corner.
+    """Write the pairs of different regions whose blocks lie side by side, or else corner to corner.
 
     Parameters
     ----------
@@ -110,8 +118,8 @@ def neighbours(region, rays, contacts):
             a = own[c + 2]
             sides = touch(a, own[c + 3], own[c + 4])
             sides |= touch(a, below[c + 2], beyond[c + 2]) << 2
-            sides |= touch(a, below[c + 3], beyond[c + 4]) << 4
-            sides |= touch(a, below[c + 1], beyond[c]) << 6
+            sides |= touch_at_corner(a, below[c + 3], beyond[c + 4], own[c + 3], below[c + 2]) << 4
+            sides |= touch_at_corner(a, below[c + 1], beyond[c], own[c + 1], below[c + 2]) << 6
             touching[c] = sides if a >= 0 else 0
         needed = min(2 * (count + len(touches)), len(table))
         if size < needed:
