@@ -211,11 +211,9 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
         of_row = region[row]
         of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
         for column in range(first_column, min(window[3], box[a, 3]), step):
-            if of_row[column] != a:
-                continue
             room[0, count], room[1, count] = of_n[column], of_u[column]
             room[2, count], room[3, count] = of_v[column], of_q[column]
-            count += 1
+            count += of_row[column] == a
             if count == TOGETHER:
                 pixels += add_products(room, count, reference, deviation, centre, scale, products)
                 count = 0
