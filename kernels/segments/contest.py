@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from .._jit import kernel
+from ..marked import how_many
 from .blocks import BLOCK
 from .moments import difference
 
@@ -22,7 +23,17 @@ SIDE = BLOCK + 2  # of a block with the pixels around it
 AREA = SIDE * SIDE
 LANES = 64  # blocks that are processed together
 ROOM = 4 * AREA + BLOCK * SIDE  # rows of ``space`` in `share_out`
+# Of each of the 3x3 blocks around one: 1, and in further groups of four bits another 1 if it is to the left, to the
+# right, above, and below.
+PLACE = np.array([0x1011, 0x1001, 0x1101, 0x11, 0x1, 0x101, 0x10011, 0x10001, 0x10101], np.int32)
+LOG_2 = np.float32(math.log(2.0))
 NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel is near
+
+
+@kernel(inline=True)
+def place(block, columns):
+    """Row and column of a block, by unsigned numbers of half the size, which are divided in half the time."""
+    return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))
 
 
 @kernel(inline=True)
@@ -34,40 +45,84 @@ def place_of(a, listed, count):
     return i
 
 
-@kernel(inline=True)
-def contenders(around, row, column, centre_u, centre_v, near, candidate, centre):
+@kernel(arrays=False)
+def regions_around(blocks, start, around, near, places, first, is_new):
+    """The regions in the 3x3 blocks around each of LANES blocks, and which of these are theirs.
+
+    Parameters
+    ----------
+    blocks, start
+        Blocks, row · C + column, and which of them is the first one.
+    around : (R + 2, C + 2) int32
+        Region of each block, with a rim of none, -1.
+    near : (NEIGHBOURS, LANES) int32, written
+        The regions of the 3x3 blocks.
+    places : (NEIGHBOURS, LANES) int32, written
+        Where a region comes first among these: the sum of PLACE over all blocks that are its.
+    first : (LANES,) int32, written
+        Bit k is whether a region comes first in the k-th block.
+    is_new
+        Room, as ``first``.
+    """
+    columns = around.shape[1] - 2
+    for n in range(min(LANES, len(blocks) - start)):
+        row, column = place(blocks[start + n], columns)
+        for k in range(NEIGHBOURS):
+            near[k, n] = around[row + k // 3, column + k % 3]
+    for n in range(LANES):
+        first[n] = 0
+    for k in range(NEIGHBOURS):
+        for n in range(LANES):
+            is_new[n] = near[k, n] >= 0
+            places[k, n] = PLACE[k]
+        for i in range(k):
+            for n in range(LANES):
+                is_same = near[i, n] == near[k, n]
+                places[i, n] += PLACE[k] if is_same else np.int32(0)
+                is_new[n] = np.int32(0) if is_same else is_new[n]
+        for n in range(LANES):
+            first[n] |= is_new[n] << np.int32(k)
+
+
+@kernel(inline="compiled")
+def contenders(near, places, first, n, row, column, centre_u, centre_v, candidate, centre):
     """The regions in the 3x3 blocks around one, and where their blocks lie; returns their number.
 
-    ``around`` holds the region of each block, with a rim of none. ``candidate`` (NEIGHBOURS,) int64 and ``centre``
-    (NEIGHBOURS, 3) are written, the latter, where there are several, with the sums of (u, v) of the blocks' centres and
-    the number of blocks. ``near`` (NEIGHBOURS,) int64 is room.
+    ``near``, ``places`` and ``first`` are those of `regions_around`, and the block's are those with index ``n``.
+    ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, the latter, where there are several,
+    with the sums of (u, v) of the blocks' centres, as if these lay in straight lines, and the number of blocks.
     """
-    last_row, last_column = around.shape[0] - 3, around.shape[1] - 3
+    left = first[n]
+    count = how_many(left)
+    if count == 1:
+        candidate[0] = near[how_many((left & -left) - np.int32(1)), n]
+    if count < 2:
+        return count
     step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
-    for k in range(NEIGHBOURS):
-        near[k] = around[row + k // 3, column + k % 3]
-    # Without branches, which no processor could predict: all is read first, and then chosen from.
-    count = 0
-    for k in range(NEIGHBOURS):
-        is_new = near[k] >= 0
-        for i in range(k):
-            is_new &= near[i] != near[k]
-        candidate[count] = near[k]
-        count += is_new
-    for i in range(count if count > 1 else 0):
-        u = v = blocks = 0.0
-        for k in range(NEIGHBOURS):
-            y, x = min(max(row + k // 3 - 1, 0), last_row), min(max(column + k % 3 - 1, 0), last_column)
-            of_u, of_v = centre_u[y * step_v, x], centre_v[y, x * step_u]
-            is_its = near[k] == candidate[i]
-            u += of_u if is_its else 0.0
-            v += of_v if is_its else 0.0
-            blocks += 1.0 if is_its else 0.0
-        centre[i, 0], centre[i, 1], centre[i, 2] = u, v, blocks
+    y, x = row * step_v, column * step_u
+    above, below = max(row - 1, 0), min(row + 1, centre_v.shape[0] - 1)
+    before, behind = max(column - 1, 0), min(column + 1, centre_u.shape[1] - 1)
+    u, v = centre_u[y, column], centre_v[row, x]
+    u_left, v_left = centre_u[y, before] - u, centre_v[row, before * step_u] - v
+    u_right, v_right = centre_u[y, behind] - u, centre_v[row, behind * step_u] - v
+    u_above, v_above = centre_u[above * step_v, column] - u, centre_v[above, x] - v
+    u_below, v_below = centre_u[below * step_v, column] - u, centre_v[below, x] - v
+    i = 0
+    while left != 0:
+        k = how_many((left & -left) - np.int32(1))
+        left &= left - np.int32(1)
+        candidate[i] = near[k, n]
+        where = places[k, n]
+        blocks, on_left, on_right = where & 15, where >> 4 & 15, where >> 8 & 15
+        higher, lower = where >> 12 & 15, where >> 16
+        centre[i, 0] = blocks * u + on_left * u_left + on_right * u_right + higher * u_above + lower * u_below
+        centre[i, 1] = blocks * v + on_left * v_left + on_right * v_right + higher * v_above + lower * v_below
+        centre[i, 2] = blocks
+        i += 1
     return count
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column, distance):
     """Whether no other contender comes near to region a's plane in a block, or only beyond where they meet.
 
@@ -273,6 +328,30 @@ def measured_pixels(q, pixels):
         p = middle(i)
         for n in range(LANES):
             pixels[NEIGHBOURS, n] |= np.int32(q[p, n] > 0.0) << np.int32(i)
+
+
+@kernel(inline=True)
+def weigh_contenders(contending, variance, variance_bits, mantissa, mantissa_bits, plane, penalty):
+    """Write 1 over contenders' standard deviation to ``plane``, and the logarithm of their variance to ``penalty``.
+
+    ``variance`` (NEIGHBOURS, LANES) float32 is also seen as int32, and so is ``mantissa`` (LANES,), which is room. The
+    other two are those of `share_out`. A logarithm of the library would be taken of one number after the other.
+    """
+    for k in range(contending):
+        for n in range(LANES):
+            plane[4 * k + 3, n] = np.float32(1.0) / np.sqrt(variance[k, n])
+            mantissa_bits[n] = (variance_bits[k, n] & np.int32(0x7FFFFF)) | np.int32(0x3F800000)
+        for n in range(LANES):
+            # ln m = 2 artanh s with s = (m - 1) / (m + 1), at most 1/3, by its series: 1e-6 is left.
+            s = (mantissa[n] - np.float32(1.0)) / (mantissa[n] + np.float32(1.0))
+            t = s * s
+            series = np.float32(1.0 / 9.0)
+            series = series * t + np.float32(1.0 / 7.0)
+            series = series * t + np.float32(1.0 / 5.0)
+            series = series * t + np.float32(1.0 / 3.0)
+            series = series * t + np.float32(1.0)
+            exponent = np.float32((variance_bits[k, n] >> np.int32(23)) - np.int32(127))
+            penalty[k, n] = np.float32(2.0) * s * series + exponent * LOG_2
 
 
 @kernel(inline=True)

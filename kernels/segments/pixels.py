@@ -19,13 +19,16 @@ from .contest import (
     gather,
     is_undisputed,
     line_between,
+    place,
+    regions_around,
     share_out,
     steps_of,
+    weigh_contenders,
 )
 from .moments import misfit
 from .noise import grown_variance
 from .records import Shares
-from .settled import OPEN, SAME, SPARSE, add_up, give_whole, keep_unchanged, look_around
+from .settled import OPEN, SAME, SPARSE, add_up, give_whole, hand_out, keep_unchanged, look_around, take_back
 
 
 @kernel(inline=True)
@@ -66,7 +69,8 @@ def own_pixels(
         From the last round.
     contended : Contended
         Room for as many blocks as there are, and NEIGHBOURS regions for each.
-    region_moments : (N, 10) float64, written
+    region_moments : (N, 10) float64, changed
+        After the first round only what changes hands is taken out and put in.
 
     Returns
     -------
@@ -85,20 +89,27 @@ def own_pixels(
     # One place more than there are blocks: the one after the last is written to, too.
     opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
     open_count, same_count = list_both(tasks, tasks.view(np.uint64), OPEN, opened, SAME, same)
+    opened = opened[:open_count]
+    sparse, had = np.empty(open_count, np.int32), np.empty(open_count, np.int32)
+    if not is_first:
+        take_back(opened, number, owners, shares, region_moments, had)
     sparse_count, count, listed = decide(
-        opened[:open_count], rays, before, pyramid, sensor, planes, rules, region, owners, contended
+        opened, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse
     )
     shares_of = owners.count.reshape(-1)
     room = sparse_count + listed
     for i in same[:same_count]:
         room += shares_of[i]
     new = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 10)))
-    put = take_over(same[:same_count], number, owners, shares, new)
-    put = share_sparse(opened[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
+    put = kept = take_over(same[:same_count], number, owners, shares, new)
+    put = share_sparse(sparse[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
     put = contest(
         contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
     )
-    add_up(pyramid, owners, new, put, region_moments)
+    if is_first:
+        add_up(pyramid, owners, new, put, region_moments)
+    else:
+        hand_out(opened, had, pyramid, owners, new, kept, put, region_moments)
     return new
 
 
@@ -133,16 +144,17 @@ def take_over(blocks, number, owners, shares, new):
 
 
 @kernel()
-def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners, contended):
+def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse):
     """Give blocks whole to a region without rivals, if they fit it; list the others.
 
     Parameters
     ----------
     blocks : (K,) int32
-        On return the first are those that went whole to a region with few measured pixels: see `share_sparse`.
     rays, before, pyramid, sensor, planes, rules, region, owners
         As in `own_pixels`.
     contended : Contended, written
+    sparse : (K,) int32, written
+        The first are those that went whole to a region with few measured pixels: see `share_sparse`.
 
     Returns
     -------
@@ -161,13 +173,19 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     owner = owners.block
     block, many, first, all_candidates, all_centres = contended
     settled_square, reach = rules.settled * rules.settled, rules.reach
-    near, candidate = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS, np.int64)
-    centre = np.empty((NEIGHBOURS, 3))
-    sparse = count = listed = 0
-    for here in blocks:
+    # Of fixed sizes: see `kernels`.
+    near, places = np.zeros((NEIGHBOURS, LANES), np.int32), np.empty((NEIGHBOURS, LANES), np.int32)
+    firsts, is_new = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
+    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
+    sparse_count = count = listed = 0
+    for k in range(len(blocks)):
+        here = blocks[k]
         row, column = place(here, columns)
         pixels = of_block[0, here]
-        contending = contenders(around, row, column, centre_u, centre_v, near, candidate, centre)
+        n = k % LANES
+        if n == 0:
+            regions_around(blocks, k, around, near, places, firsts, is_new)
+        contending = contenders(near, places, firsts, n, row, column, centre_u, centre_v, candidate, centre)
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
         fits = False
         if a >= 0:
@@ -178,8 +196,8 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
                 fits = is_undisputed(a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance)
         if fits:
             owner[row, column] = region[row, column] = a
-            blocks[sparse] = here
-            sparse += pixels <= SPARSE
+            sparse[sparse_count] = here
+            sparse_count += pixels <= SPARSE
             continue
         owner[row, column] = MIXED
         block[count], many[count], first[count] = here, contending, listed
@@ -189,13 +207,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
                 all_centres[listed, k] = centre[i, k]
             listed += 1
         count += 1
-    return sparse, count, listed
-
-
-@kernel(inline=True)
-def place(block, columns):
-    """Row and column of a block, by unsigned numbers of half the size, which are divided in half the time."""
-    return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))
+    return sparse_count, count, listed
 
 
 @kernel(arrays=False)
@@ -250,6 +262,8 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
     winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
     owned, pixels = np.empty((NEIGHBOURS * 10, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
     listed = np.empty(LANES, np.int64)
+    variance, mantissa = np.ones((NEIGHBOURS, LANES), np.float32), np.empty(LANES, np.float32)
+    variance_bits, mantissa_bits = variance.view(np.int32), mantissa.view(np.int32)
     for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks processed together
         contending = least
         lanes = 0
@@ -261,14 +275,12 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                 contending = max(contending, many[c])
                 for j in range(many[c], most):  # unused slots get a plane that no pixel is near
                     plane[4 * j, lanes] = plane[4 * j + 1, lanes] = 0.0
-                    plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = NOWHERE, 1.0
+                    plane[4 * j + 2, lanes], variance[j, lanes] = NOWHERE, 1.0
                 for j in range(many[c]):
                     b = candidate[first[c] + j]
                     total = grown_variance(sensor[here], slope_variance[b], stretch[here], waviness_square[b])
                     plane[4 * j, lanes], plane[4 * j + 1, lanes] = alpha[b, 0], alpha[b, 1]
-                    plane[4 * j + 2, lanes], plane[4 * j + 3, lanes] = alpha[b, 2], 1.0 / math.sqrt(total)
-                    if most > 1:  # else nobody asks for it
-                        penalty[j, lanes] = math.log(total)
+                    plane[4 * j + 2, lanes], variance[j, lanes] = alpha[b, 2], total
                     for i in range(j):
                         a = candidate[first[c] + i]
                         pair = 3 * (j * (j - 1) // 2 + i)
@@ -282,6 +294,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
             for n in range(lanes, LANES):
                 for p in range(AREA):
                     q[p, n] = 0.0
+            weigh_contenders(contending, variance, variance_bits, mantissa, mantissa_bits, plane, penalty)
             share_out(contending, space, steps, plane, penalty, line, limit, close, square, sums, winner, owned, pixels)
             for n in range(lanes):
                 c = listed[n]

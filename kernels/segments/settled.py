@@ -1,4 +1,4 @@
-"""Segmentation: the blocks whose pixels go to a region without being looked at.
+"""Segmentation: the blocks whose pixels go to a region without being looked at, and the moments of what regions have.
 
 A block whose whole neighbourhood is one region hands its pixels to it, if its moments say that they fit; and where
 no region and no plane has changed since the last round, nobody has to look again.
@@ -24,6 +24,8 @@ NO_REGION = np.int32(np.iinfo(np.int32).max)
 MOVED = np.int32(-2)
 # A block with more measured pixels than this is a solid one: what is missing there are holes.
 SPARSE = BLOCK * BLOCK // 2
+# Of a block that has changed: it is in another region, and not only that one's plane that has moved.
+OTHER = 2
 # Deviations by which planes may move without anything that they own being looked at again.
 STILL = 0.25
 
@@ -60,7 +62,8 @@ def look_around(region, owner, task):
 def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays, moments, owner, task):
     """Leave alone the blocks around which no region has changed since the last round, and no plane has moved.
 
-    Their ``task`` becomes DONE, or SAME if they are MIXED; the rest is as in `pixels.own_pixels`.
+    Their ``task`` becomes DONE, or SAME if they are MIXED. Others that are ALONE become OPEN if the region in which
+    they are did not have them whole: only blocks that are OPEN change hands. The rest is as in `pixels.own_pixels`.
     """
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = region.shape
@@ -98,7 +101,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
             c = marked[i]
             b = last[c] if last[c] >= 0 else regions
             d = moved[0, b] * of_u[c] + moved[1, b] * of_v[c if has_lens else 0] + moved[2, b]
-            changed[row + 1, c + 1] = (own[c] != became[b]) | (not abs(d) <= STILL)
+            changed[row + 1, c + 1] = OTHER if own[c] != became[b] else not abs(d) <= STILL
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
         above, here, below, line, owners = (changed[row], changed[row + 1], changed[row + 2], task[row], owner[row])
@@ -106,7 +109,9 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
             nearby[c] = above[c] | here[c] | below[c]
         for c in range(columns):
             kept = SAME if owners[c] == MIXED else DONE
-            line[c] = line[c] if nearby[c] | nearby[c + 1] | nearby[c + 2] else kept
+            changes_hands = (line[c] == ALONE) & ((here[c + 1] == OTHER) | (owners[c] == MIXED))
+            again = OPEN if changes_hands else line[c]
+            line[c] = again if nearby[c] | nearby[c + 1] | nearby[c + 2] else kept
 
 
 @kernel()
@@ -176,7 +181,7 @@ def add_square(of_squares, i, moments, a):
 
 @kernel()
 def add_up(pyramid, owners, shares, count, region_moments):
-    """Sum up what each region has: in whole blocks, and in the first ``count`` shares.
+    """Sum up what each region has, after the first round: in whole blocks, and in the first ``count`` shares.
 
     Of 4x4 blocks that one region has the pyramid knows the moments, and of 2x2.
     """
@@ -215,3 +220,54 @@ def add_up(pyramid, owners, shares, count, region_moments):
         a = share_region[s]
         for k in range(10):
             moments[10 * a + k] += share_moments[s, k]
+
+
+@kernel(arrays=False)
+def take_back(blocks, number, owners, shares, region_moments, had):
+    """Take the shares that regions have of ``blocks`` from their moments, and note which of them has one whole.
+
+    Parameters
+    ----------
+    blocks : (K,) int32
+        row · C + column.
+    number, owners, shares
+        Of the last round, as in `pixels.own_pixels`.
+    region_moments : (N, 10) float64, changed
+    had : (K,) int32, written
+        The region, by its new number, that had all of a block, or -1.
+    """
+    owner, first, shares_of = owners.block.reshape(-1), owners.first.reshape(-1), owners.count.reshape(-1)
+    share_region, share_moments = shares.region, shares.moments
+    for k in range(len(blocks)):
+        i = blocks[k]
+        had[k] = number[owner[i]] if owner[i] >= 0 else -1
+        if owner[i] != MIXED:
+            continue
+        for s in range(first[i], first[i] + shares_of[i]):
+            a = number[share_region[s]]
+            if a >= 0:
+                for j in range(10):
+                    region_moments[a, j] -= share_moments[s, j]
+
+
+@kernel(arrays=False)
+def hand_out(blocks, had, pyramid, owners, shares, start, stop, region_moments):
+    """Add what regions have of ``blocks`` now to their moments, in place of what was theirs before: see `take_back`.
+
+    ``owners`` and ``shares`` are those of this round; the blocks' shares are those from ``start`` to ``stop``.
+    """
+    moments, owner = pyramid.moments, owners.block.reshape(-1)
+    share_region, share_moments = shares.region, shares.moments
+    for k in range(len(blocks)):
+        i = blocks[k]
+        was, now = had[k], owner[i]
+        if was >= 0 and was != now:
+            for j in range(10):
+                region_moments[was, j] -= moments[j, i]
+        if now >= 0 and was != now:
+            for j in range(10):
+                region_moments[now, j] += moments[j, i]
+    for s in range(start, stop):
+        a = share_region[s]
+        for j in range(10):
+            region_moments[a, j] += share_moments[s, j]

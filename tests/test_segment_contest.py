@@ -1,0 +1,137 @@
+"""Segmentation: who contends for a block, how contenders are weighed, and what changes hands, against plain NumPy."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from segment_frames import CAMERA
+
+from rgbd_planes import Camera
+from rgbd_planes.kernels.segments.blocks import EMPTY, MIXED
+from rgbd_planes.kernels.segments.contest import LANES, NEIGHBOURS, contenders, regions_around, weigh_contenders
+from rgbd_planes.kernels.segments.records import Owners, Pyramid, Shares
+from rgbd_planes.kernels.segments.settled import add_up, hand_out, take_back
+from rgbd_planes.segmentation.workspace import rays_of
+
+
+@pytest.mark.parametrize("blocks", [1, LANES, LANES + 5])
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
+def test_contenders_are_the_regions_around_in_their_order(blocks, distortion, rng):
+    camera = Camera(**{**CAMERA.to_dict(), "distortion": distortion})
+    rays = rays_of(camera)
+    shape = rays.centre_v.shape[0], rays.centre_u.shape[1]
+    around = np.full((shape[0] + 2, shape[1] + 2), -1, np.int32)
+    region = around[1:-1, 1:-1]
+    region[:] = np.kron(rng.integers(-1, 4, (-(-shape[0] // 2), -(-shape[1] // 2))), np.ones((2, 2)))[
+        : shape[0], : shape[1]
+    ]
+    region[5:9, 5:9] = np.arange(16).reshape(4, 4)  # nine contenders
+    listed = rng.choice(shape[0] * shape[1], blocks, replace=False).astype(np.int32)
+    listed[0], listed[-1] = 6 * shape[1] + 6, 0  # and a corner of the image
+    u, v = (np.broadcast_to(of, shape) for of in (rays.centre_u, rays.centre_v))
+
+    near, places = np.zeros((2, NEIGHBOURS, LANES), np.int32)
+    first, room = np.zeros((2, LANES), np.int32)
+    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
+    for k, block in enumerate(listed):
+        if k % LANES == 0:
+            regions_around(listed, k, around, near, places, first, room)
+        row, column = divmod(int(block), shape[1])
+        at = near, places, first, k % LANES, row, column, rays.centre_u, rays.centre_v
+        count = contenders(*at, candidate, centre)
+        nine = around[row : row + 3, column : column + 3].ravel()
+        assert candidate[:count].tolist() == list(dict.fromkeys(nine[nine >= 0].tolist()))
+        for a, found in zip(candidate[:count], centre if count > 1 else (), strict=False):
+            y, x = np.divmod(np.flatnonzero(nine == a), 3)
+            y, x = row + y - 1, column + x - 1
+            expected = u[y, x].sum(), v[y, x].sum(), len(y)
+            assert found == pytest.approx(expected, abs=0.02 / camera.fx if distortion else 1e-12)
+
+
+def test_contenders_are_weighed_by_their_variance():
+    variance = np.exp(np.linspace(-80.0, 80.0, NEIGHBOURS * LANES)).astype(np.float32).reshape(NEIGHBOURS, LANES)
+    mantissa, plane, penalty = np.empty(LANES, np.float32), *np.zeros((2, 4 * NEIGHBOURS, LANES), np.float32)
+    weigh_contenders(
+        NEIGHBOURS, variance, variance.view(np.int32), mantissa, mantissa.view(np.int32), plane, penalty[:NEIGHBOURS]
+    )
+    assert plane[3::4] == pytest.approx(1.0 / np.sqrt(variance.astype(np.float64)), rel=1e-6)
+    assert penalty[:NEIGHBOURS] == pytest.approx(np.log(variance.astype(np.float64)), abs=1e-5)
+
+
+ROWS, COLUMNS, REGIONS = 4, 8, 5
+
+
+def some_owners(rng):
+    """Owners of blocks, and shares in those that are MIXED."""
+    owner = rng.integers(-1, REGIONS, (ROWS, COLUMNS))
+    owner = np.where(owner < 0, MIXED, owner).astype(np.int32)
+    owner[0, :2] = EMPTY
+    count = np.where(owner == MIXED, rng.integers(0, 4, owner.shape), 0).astype(np.int32)
+    first = (np.cumsum(count.ravel()) - count.ravel()).reshape(owner.shape).astype(np.int32)
+    total = int(count.sum())
+    shares = Shares(rng.integers(0, REGIONS, total).astype(np.int32), np.ones(total, np.int32), rng.random((total, 10)))
+    return Owners(owner, first, count, np.zeros_like(owner)), shares
+
+
+def what_regions_have(of_block, owners, shares, number):
+    moments = np.zeros((REGIONS, 10))
+    for a in range(REGIONS):
+        if number[a] >= 0:
+            moments[number[a]] += of_block[:, owners.block.ravel() == a].sum(axis=1)
+            moments[number[a]] += shares.moments[shares.region == a].sum(axis=0)
+    return moments
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
+def test_regions_have_what_they_had_but_for_what_changes_hands(seed, opened):
+    """Regions are renumbered meanwhile, two become one, and one is dropped."""
+    rng = np.random.default_rng(seed)
+    blocks = ROWS * COLUMNS
+    of_block = rng.random((10, blocks))
+    owners, shares = some_owners(rng)
+    number = np.array([3, 0, 0, -1, 1])
+    moments = what_regions_have(of_block, owners, shares, number)
+
+    after, handed = some_owners(rng)
+    is_open = rng.random(blocks) < opened
+    is_open |= (owners.block.ravel() == MIXED) | (after.block.ravel() == MIXED)
+    is_open &= owners.block.ravel() != EMPTY
+    is_open |= owners.block.ravel() == 3  # the dropped one's
+    renumbered = np.where(owners.block.ravel() >= 0, number[owners.block.ravel()], owners.block.ravel())
+    after.block.ravel()[~is_open] = renumbered[~is_open]  # others stay whose they are
+    stays = rng.random(blocks) < 0.3  # and some that are looked at
+    stays &= renumbered >= 0
+    after.block.ravel()[stays] = renumbered[stays]
+    after.count[after.block != MIXED] = 0
+    in_use = np.concatenate(
+        [np.arange(f, f + c) for f, c in zip(after.first.ravel(), after.count.ravel(), strict=True)] or [[]]
+    ).astype(int)
+    handed = Shares(*(field[in_use] for field in handed))
+
+    listed, had = np.flatnonzero(is_open).astype(np.int32), np.empty(is_open.sum(), np.int32)
+    pyramid = Pyramid(of_block, *[np.empty(0)] * 4)
+    take_back(listed, number, owners, shares, moments, had)
+    hand_out(listed, had, pyramid, after, handed, 0, len(in_use), moments)
+    expected = what_regions_have(of_block, after, handed, np.arange(REGIONS))
+    np.testing.assert_allclose(moments, expected, atol=1e-12)
+
+
+def test_after_the_first_round_all_that_regions_have_is_added_up(rng):
+    """From blocks, and from squares of 2x2 and 4x4 of them that one region has."""
+    shapes = np.array([[8, 12], [4, 6], [2, 3], [1, 2]])
+    levels = [rng.random((10, 8, 12))]
+    for rows, columns in shapes[1:3]:
+        levels.append(levels[-1].reshape(10, rows, 2, columns, 2).sum(axis=(2, 4)))
+    sums = np.concatenate([level.reshape(10, -1) for level in levels], axis=1)
+    offsets = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
+    owner = np.kron(rng.integers(0, REGIONS, (2, 3)), np.ones((4, 4), int)).astype(np.int32)
+    owner[:4, :4] = np.kron(rng.integers(0, REGIONS, (2, 2)), np.ones((2, 2), int))
+    owner[4:6, 5:7] = MIXED, EMPTY
+    shares = Shares(np.array([2, 1, 2], np.int32), np.ones(3, np.int32), rng.random((3, 10)))
+    owners = Owners(owner, *np.zeros((3, 8, 12), np.int32))
+    moments = np.full((REGIONS, 10), np.nan)
+    add_up(Pyramid(sums, np.empty(0), np.empty(0), offsets, shapes), owners, shares, 2, moments)
+    counted = Shares(*(field[:2] for field in shares))
+    expected = what_regions_have(sums[:, : owner.size], owners, counted, np.arange(REGIONS))
+    np.testing.assert_allclose(moments, expected, rtol=1e-12)
