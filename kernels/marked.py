@@ -6,6 +6,8 @@ from ._jit import kernel
 
 # Marks that are tested together.
 WORD = 8
+# Words that are looked at together, each of which becomes a bit.
+WORDS = 64
 
 
 @kernel(inline="compiled")
@@ -22,37 +24,6 @@ def room_for_marks(count):
 
 
 @kernel(inline="compiled")
-def list_marked(marks, words, mark, where):
-    """Write where ``marks``, (K,) of one byte that fill whole words, are ``mark``, not 0; returns how many are.
-
-    ``words`` are the same marks as uint64: a view costs counted references. ``where`` has room for K + 1: the place
-    after the last is written to, too.
-    """
-    count = 0
-    for w in range(len(words)):
-        if words[w] == 0:
-            continue
-        for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
-            where[count] = k
-            count += marks[k] == mark
-    return count
-
-
-@kernel(inline="compiled")
-def list_both(marks, words, mark, where, other, elsewhere):
-    """As `list_marked`, in one pass, for ``mark`` and an ``other``, which goes ``elsewhere``; returns both counts."""
-    count = other_count = 0
-    for w in range(len(words)):
-        if words[w] == 0:
-            continue
-        for k in range(w * WORD, (w + 1) * WORD):
-            where[count] = elsewhere[other_count] = k
-            count += marks[k] == mark
-            other_count += marks[k] == other
-    return count, other_count
-
-
-@kernel(inline="compiled")
 def how_many(bits):
     """Number of bits that are set."""
     # Steps that the compiler knows: in 64 bits, it makes them one instruction of the processor.
@@ -61,6 +32,57 @@ def how_many(bits):
     bits = (bits & np.uint64(0x3333333333333333)) + ((bits >> np.uint64(2)) & np.uint64(0x3333333333333333))
     bits = (bits + (bits >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
     return np.int32(bits * np.uint64(0x0101010101010101) >> np.uint64(56))
+
+
+@kernel(inline="compiled")
+def lowest(bits):
+    """Which is the lowest bit that is set; clear it, by ``bits &= bits - 1``, and call again to visit all."""
+    bits = np.uint64(bits)
+    return how_many(~bits & (bits - np.uint64(1)))
+
+
+@kernel(inline="compiled")
+def some_of(words, start):
+    """Of the WORDS words from ``start`` on, or as many as there are, a bit for each that is not 0."""
+    bits = np.uint64(0)
+    for k in range(min(WORDS, len(words) - start)):
+        bits |= np.uint64(words[start + k] != 0) << np.uint64(k)
+    return bits
+
+
+@kernel(inline="compiled")
+def list_marked(marks, words, mark, where):
+    """Write where ``marks``, (K,) of one byte that fill whole words, are ``mark``, not 0; returns how many are.
+
+    ``words`` are the same marks as uint64: a view costs counted references. ``where`` has room for K + 1: the place
+    after the last is written to, too.
+    """
+    count = 0
+    for start in range(0, len(words), WORDS):
+        some = some_of(words, start)
+        while some != 0:
+            w = start + lowest(some)
+            some &= some - np.uint64(1)
+            for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
+                where[count] = k
+                count += marks[k] == mark
+    return count
+
+
+@kernel(inline="compiled")
+def list_both(marks, words, mark, where, other, elsewhere):
+    """As `list_marked`, in one pass, for ``mark`` and an ``other``, which goes ``elsewhere``; returns both counts."""
+    count = other_count = 0
+    for start in range(0, len(words), WORDS):
+        some = some_of(words, start)
+        while some != 0:
+            w = start + lowest(some)
+            some &= some - np.uint64(1)
+            for k in range(w * WORD, (w + 1) * WORD):
+                where[count] = elsewhere[other_count] = k
+                count += marks[k] == mark
+                other_count += marks[k] == other
+    return count, other_count
 
 
 @kernel(inline="compiled")
@@ -73,8 +95,7 @@ def list_bits(words, where):
     for w in range(len(words)):
         bits = words[w]
         while bits != 0:
-            below = ~bits & (bits - np.uint64(1))  # those lower than the lowest
-            where[count] = 64 * w + how_many(below)
+            where[count] = 64 * w + lowest(bits)
             count += 1
             bits &= bits - np.uint64(1)
     return count

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .._jit import kernel
-from ..marked import how_many
+from ..marked import how_many, lowest
 from .blocks import BLOCK
 from .moments import difference
 
@@ -72,13 +72,15 @@ def regions_around(blocks, start, around, near, places, first, is_new):
     for n in range(LANES):
         first[n] = 0
     for k in range(NEIGHBOURS):
+        of_k = PLACE[k]
+        for n in range(LANES):
+            places[k, n] = of_k
         for n in range(LANES):
             is_new[n] = near[k, n] >= 0
-            places[k, n] = PLACE[k]
         for i in range(k):
             for n in range(LANES):
                 is_same = near[i, n] == near[k, n]
-                places[i, n] += PLACE[k] if is_same else np.int32(0)
+                places[i, n] += of_k if is_same else np.int32(0)
                 is_new[n] = np.int32(0) if is_same else is_new[n]
         for n in range(LANES):
             first[n] |= is_new[n] << np.int32(k)
@@ -95,7 +97,7 @@ def contenders(near, places, first, n, row, column, centre_u, centre_v, candidat
     left = first[n]
     count = how_many(left)
     if count == 1:
-        candidate[0] = near[how_many((left & -left) - np.int32(1)), n]
+        candidate[0] = near[lowest(left), n]
     if count < 2:
         return count
     step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
@@ -109,7 +111,7 @@ def contenders(near, places, first, n, row, column, centre_u, centre_v, candidat
     u_below, v_below = centre_u[below * step_v, column] - u, centre_v[below, x] - v
     i = 0
     while left != 0:
-        k = how_many((left & -left) - np.int32(1))
+        k = lowest(left)
         left &= left - np.int32(1)
         candidate[i] = near[k, n]
         where = places[k, n]

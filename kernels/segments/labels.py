@@ -4,8 +4,9 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
+from ..marked import lowest
 from .blocks import BLOCK
-from .runs import WHOLE, first_of, in_squares
+from .runs import WHOLE, in_squares
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
 COMPANY = 3
@@ -113,7 +114,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
                 a, b, is_stray, pixels = run_label[i], why[part[i]], stray[part[i]], run_pixels[i]
                 corner = top * width + left
                 while pixels != 0:
-                    p = first_of(pixels)
+                    p = lowest(pixels)
                     pixels &= pixels - np.int32(1)
                     here = corner + p // BLOCK * width + p % BLOCK
                     labels[here] = a
@@ -193,7 +194,7 @@ def settle_strays(runs, inverse_depth, unclaimed, least, loose, loose_count, lab
             few = pixels & ~in_squares(pixels)
             corner = row * BLOCK * width + run_start[i] * BLOCK
             while few != 0:
-                p = first_of(few)
+                p = lowest(few)
                 few &= few - np.int32(1)
                 here = corner + p // BLOCK * width + p % BLOCK
                 same = 0

@@ -5,19 +5,19 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
-from ..marked import how_many
+from ..marked import how_many, lowest
 from .blocks import BLOCK
 from .labels import label_runs
 from .moments import add, ray_of, residual
 from .records import Parts
-from .runs import WHOLE, find_runs, first_of
+from .runs import WHOLE, find_runs
 
 
 @kernel()
 def add_piece(pixels, row, column, inverse_depth, rays, moments, k):
     """Add pixels of a block to row ``k`` of moments."""
     while pixels != 0:
-        p = first_of(pixels)
+        p = lowest(pixels)
         pixels &= pixels - np.int32(1)
         y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
         u, v = ray_of(rays, y, x)
@@ -73,7 +73,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
             if run_share[i] != WHOLE:
                 mask = run_pixels[i]
                 pixels = how_many(mask)
-                p = first_of(mask)
+                p = lowest(mask)
                 y, x = y + p // BLOCK, x + p % BLOCK
             elif root == i or y * width + x < first[part[root]]:
                 y, x = first_of_run(run_start[i], run_stop[i], row, inverse_depth)

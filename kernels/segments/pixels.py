@@ -203,8 +203,8 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
         block[count], many[count], first[count] = here, contending, listed
         for i in range(contending):
             all_candidates[listed] = candidate[i]
-            for k in range(3):
-                all_centres[listed, k] = centre[i, k]
+            for j in range(3):
+                all_centres[listed, j] = centre[i, j]
             listed += 1
         count += 1
     return sparse_count, count, listed
@@ -261,43 +261,46 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
     sums = np.empty(((NEIGHBOURS + 1) * BLOCK * BLOCK, LANES), np.float32)
     winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
     owned, pixels = np.empty((NEIGHBOURS * 10, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
-    listed = np.empty(LANES, np.int64)
     variance, mantissa = np.ones((NEIGHBOURS, LANES), np.float32), np.empty(LANES, np.float32)
     variance_bits, mantissa_bits = variance.view(np.int32), mantissa.view(np.int32)
-    for least, most in ((0, 1), (2, 2), (3, NEIGHBOURS)):  # contenders of blocks processed together
-        contending = least
-        lanes = 0
-        for c in range(count + 1):
-            if c < count and least <= many[c] <= most:
+    # Blocks with one contender or none, with two, and with more.
+    group, in_group = np.empty((3, count), np.int32), np.zeros(3, np.int64)
+    for c in range(count):
+        g = np.int64(many[c] > 1) + np.int64(many[c] > 2)
+        group[g, in_group[g]] = c
+        in_group[g] += 1
+    for g in range(3):
+        most = g + 1 if g < 2 else NEIGHBOURS
+        for start in range(0, in_group[g], LANES):
+            lanes = min(in_group[g] - start, LANES)
+            contending = min(g, 1)
+            for n in range(lanes):
+                c = group[g, start + n]
                 here = block[c]
                 row, column = place(here, columns)
-                gather(inverse_depth, tan_x, tan_y, row, column, lanes, q, u, v)
+                gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v)
                 contending = max(contending, many[c])
                 for j in range(many[c], most):  # unused slots get a plane that no pixel is near
-                    plane[4 * j, lanes] = plane[4 * j + 1, lanes] = 0.0
-                    plane[4 * j + 2, lanes], variance[j, lanes] = NOWHERE, 1.0
+                    plane[4 * j, n] = plane[4 * j + 1, n] = 0.0
+                    plane[4 * j + 2, n], variance[j, n] = NOWHERE, 1.0
                 for j in range(many[c]):
                     b = candidate[first[c] + j]
                     total = grown_variance(sensor[here], slope_variance[b], stretch[here], waviness_square[b])
-                    plane[4 * j, lanes], plane[4 * j + 1, lanes] = alpha[b, 0], alpha[b, 1]
-                    plane[4 * j + 2, lanes], variance[j, lanes] = alpha[b, 2], total
+                    plane[4 * j, n], plane[4 * j + 1, n] = alpha[b, 0], alpha[b, 1]
+                    plane[4 * j + 2, n], variance[j, n] = alpha[b, 2], total
                     for i in range(j):
                         a = candidate[first[c] + i]
                         pair = 3 * (j * (j - 1) // 2 + i)
-                        line[pair, lanes], line[pair + 1, lanes], line[pair + 2, lanes] = line_between(
+                        line[pair, n], line[pair + 1, n], line[pair + 2, n] = line_between(
                             a, b, alpha, centre, first[c] + i, first[c] + j
                         )
-                listed[lanes] = c
-                lanes += 1
-            if lanes < LANES and (c < count or lanes == 0):
-                continue
             for n in range(lanes, LANES):
                 for p in range(AREA):
                     q[p, n] = 0.0
             weigh_contenders(contending, variance, variance_bits, mantissa, mantissa_bits, plane, penalty)
             share_out(contending, space, steps, plane, penalty, line, limit, close, square, sums, winner, owned, pixels)
             for n in range(lanes):
-                c = listed[n]
+                c = group[g, start + n]
                 row, column = place(block[c], columns)
                 own, third = before[row, column], of_block[0, block[c]] / 3.0
                 measured[row, column], first_share[row, column] = pixels[NEIGHBOURS, n], put
@@ -318,5 +321,4 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                         largest, most_pixels = a, of_own
                 shares_of[row, column] = put - first_share[row, column]
                 region[row, column] = own if stays else largest
-            contending, lanes = least, 0
     return put

@@ -7,12 +7,13 @@ None of their pixels is far off, but all are, on the same side.
 import numpy as np
 
 from .._jit import kernel
+from ..marked import lowest
 from .blocks import BLOCK
+from .contest import place
 from .moments import add, ray_of
 from .noise import waviness
-from .pixels import place
 from .planes import fit_planes
-from .runs import WHOLE, first_of
+from .runs import WHOLE
 
 # Pixels of such a group, and the largest share of its plane's: what is larger has been looked at before, as a region.
 LEAST, MOST, SHARE = 16, 128, 0.01
@@ -131,7 +132,7 @@ def let_go(
             most = np.int64(min(SHARE * moments[k, 0], MOST))
             pixels = run_pixels[i]
             while pixels != 0:
-                p = first_of(pixels)
+                p = lowest(pixels)
                 pixels &= pixels - np.int32(1)
                 y, x = row * BLOCK + p // BLOCK, run_start[i] * BLOCK + p % BLOCK
                 here = y * width + x

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import unite
-from ..marked import how_many, list_marked, room_for_marks
+from ..marked import how_many, list_marked, lowest, room_for_marks
 from .blocks import BLOCK, MIXED
 
 # Share of a run of whole blocks, which has none.
@@ -23,12 +23,6 @@ BLOCK_ACROSS, BLOCK_DOWN = np.int32(BLOCK - 1), np.int32(BLOCK * (BLOCK - 1))
 GAP = 3
 # Pieces that a share has at most: of any four pixels in a square only one can be alone.
 PIECES = (BLOCK // 2) ** 2
-
-
-@kernel(inline="compiled")
-def first_of(pixels):
-    """Index BLOCK·y + x of the first pixel, the lowest set bit; clear it and call again to visit all."""
-    return how_many((pixels & -pixels) - np.int32(1))
 
 
 @kernel(inline="compiled")
@@ -210,7 +204,7 @@ def list_runs(
             others = measured[left] & ~taken[left]
             many[left] = count - first
             while others != 0:
-                p = first_of(others)
+                p = lowest(others)
                 others &= others - np.int32(1)
                 loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
                 loose_count += 1
