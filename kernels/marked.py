@@ -35,7 +35,7 @@ def how_many(bits):
 
 
 @kernel(inline="compiled")
-def lowest(bits):
+def lowest_bit(bits):
     """Which is the lowest bit that is set; clear it, by ``bits &= bits - 1``, and call again to visit all."""
     bits = np.uint64(bits)
     return how_many(~bits & (bits - np.uint64(1)))
@@ -61,7 +61,7 @@ def list_marked(marks, words, mark, where):
     for start in range(0, len(words), WORDS):
         some = some_of(words, start)
         while some != 0:
-            w = start + lowest(some)
+            w = start + lowest_bit(some)
             some &= some - np.uint64(1)
             for k in range(w * WORD, (w + 1) * WORD):  # without branches, which no processor could predict
                 where[count] = k
@@ -76,7 +76,7 @@ def list_both(marks, words, mark, where, other, elsewhere):
     for start in range(0, len(words), WORDS):
         some = some_of(words, start)
         while some != 0:
-            w = start + lowest(some)
+            w = start + lowest_bit(some)
             some &= some - np.uint64(1)
             for k in range(w * WORD, (w + 1) * WORD):
                 where[count] = elsewhere[other_count] = k
@@ -95,7 +95,7 @@ def list_bits(words, where):
     for w in range(len(words)):
         bits = words[w]
         while bits != 0:
-            where[count] = 64 * w + lowest(bits)
+            where[count] = 64 * w + lowest_bit(bits)
             count += 1
             bits &= bits - np.uint64(1)
     return count

@@ -148,7 +148,7 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
 
 
 def test_blocks_are_left_alone_where_nothing_around_them_has_changed(rng):
-    """No region and no plane: other blocks keep what is to be done with them."""
+    """No region and no plane. Others keep what is to be done with them; but what may get another owner is OPEN."""
     region = np.kron(np.arange(-1, 5).reshape(2, 3), np.ones((30, 27), int))[:, :80].astype(np.int32)
     number = np.array([4, 0, 1, 2, 3, -1])  # of the regions before: they are in another order, and one is dropped
     before = np.where(region < 0, -1, np.argsort(number[:5])[region]).astype(np.int32)

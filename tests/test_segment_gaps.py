@@ -241,6 +241,7 @@ def test_regions_touch_at_sides_and_corners_and_over_a_gap_of_one_block(regions,
 
 @pytest.mark.parametrize("regions", [40, 4000])
 def test_regions_that_were_joined_touch_where_their_parts_did(regions, rng):
+    """And so they touch the same regions as if they had always been one; there, corners of parts would not count."""
     rays, work, again = rays_of(CAMERA), Workspace(CAMERA), Workspace(CAMERA)
     region = rng.integers(-1, regions, work.blocks).astype(np.int32)
     parent = np.minimum(rng.integers(0, regions, regions), np.arange(regions))

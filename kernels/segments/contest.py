@@ -4,8 +4,8 @@ Where two planes are far apart, the residual averaged over the pixel and its nei
 within the noise, which is along the line in which they meet, the side of that line decides: it is the only thing there
 that is free of noise.
 
-Blocks with equally many contenders are processed together, LANES of them: one for each lane of the processor's vectors,
-pixel by pixel. So there are no branches, which no processor could predict.
+Blocks with one contender, with two, and with more are processed together, LANES of them: one for each lane of the
+processor's vectors, pixel by pixel. So there are no branches, which no processor could predict.
 """
 
 import math
@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .._jit import kernel
-from ..marked import how_many, lowest
+from ..marked import how_many, lowest_bit
 from .blocks import BLOCK
 from .moments import difference
 
@@ -23,9 +23,9 @@ SIDE = BLOCK + 2  # of a block with the pixels around it
 AREA = SIDE * SIDE
 LANES = 64  # blocks that are processed together
 ROOM = 4 * AREA + BLOCK * SIDE  # rows of ``space`` in `share_out`
-# Of each of the 3x3 blocks around one: 1, and in further groups of four bits another 1 if it is to the left, to the
-# right, above, and below.
-PLACE = np.array([0x1011, 0x1001, 0x1101, 0x11, 0x1, 0x101, 0x10011, 0x10001, 0x10101], np.int32)
+# For each of the 3x3 blocks around one: 1, and in further groups of four bits another 1 if it is to the left of the one
+# in the middle, to the right, above, and below.
+DIRECTIONS = np.array([0x1011, 0x1001, 0x1101, 0x11, 0x1, 0x101, 0x10011, 0x10001, 0x10101], np.int32)
 LOG_2 = np.float32(math.log(2.0))
 NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel is near
 
@@ -37,7 +37,7 @@ def place(block, columns):
 
 
 @kernel(inline=True)
-def place_of(a, listed, count):
+def index_of(a, listed, count):
     """Index of a region in a list of ``count``, or ``count`` if it is not in it."""
     i = 0
     while i < count and listed[i] != a:
@@ -46,23 +46,23 @@ def place_of(a, listed, count):
 
 
 @kernel(arrays=False)
-def regions_around(blocks, start, around, near, places, first, is_new):
-    """The regions in the 3x3 blocks around each of LANES blocks, and which of these are theirs.
+def regions_around(blocks, start, around, near, directions, new, is_new):
+    """The regions in the 3x3 blocks around each of LANES blocks, and in which of the nine each region is.
 
     Parameters
     ----------
     blocks, start
-        Blocks, row · C + column, and which of them is the first one.
+        Blocks, row · C + column; those from ``start`` on are meant, as many as there are.
     around : (R + 2, C + 2) int32
         Region of each block, with a rim of none, -1.
     near : (NEIGHBOURS, LANES) int32, written
-        The regions of the 3x3 blocks.
-    places : (NEIGHBOURS, LANES) int32, written
-        Where a region comes first among these: the sum of PLACE over all blocks that are its.
-    first : (LANES,) int32, written
-        Bit k is whether a region comes first in the k-th block.
+        The regions of the nine blocks, row by row.
+    directions : (NEIGHBOURS, LANES) int32, written
+        For the first of the nine that a region has: the sum of DIRECTIONS over all that it has.
+    new : (LANES,) int32, written
+        Bit k is set if the k-th of the nine has a region that none of those before it has.
     is_new
-        Room, as ``first``.
+        Room, as ``new``.
     """
     columns = around.shape[1] - 2
     for n in range(min(LANES, len(blocks) - start)):
@@ -70,57 +70,61 @@ def regions_around(blocks, start, around, near, places, first, is_new):
         for k in range(NEIGHBOURS):
             near[k, n] = around[row + k // 3, column + k % 3]
     for n in range(LANES):
-        first[n] = 0
+        new[n] = 0
     for k in range(NEIGHBOURS):
-        of_k = PLACE[k]
+        of_k = DIRECTIONS[k]
         for n in range(LANES):
-            places[k, n] = of_k
+            directions[k, n] = of_k
         for n in range(LANES):
             is_new[n] = near[k, n] >= 0
         for i in range(k):
             for n in range(LANES):
                 is_same = near[i, n] == near[k, n]
-                places[i, n] += of_k if is_same else np.int32(0)
+                directions[i, n] += of_k if is_same else np.int32(0)
                 is_new[n] = np.int32(0) if is_same else is_new[n]
         for n in range(LANES):
-            first[n] |= is_new[n] << np.int32(k)
+            new[n] |= is_new[n] << np.int32(k)
 
 
 @kernel(inline="compiled")
-def contenders(near, places, first, n, row, column, centre_u, centre_v, candidate, centre):
+def contenders(near, directions, new, n, row, column, centre_u, centre_v, candidate, centre):
     """The regions in the 3x3 blocks around one, and where their blocks lie; returns their number.
 
-    ``near``, ``places`` and ``first`` are those of `regions_around`, and the block's are those with index ``n``.
-    ``candidate`` (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, the latter, where there are several,
-    with the sums of (u, v) of the blocks' centres, as if these lay in straight lines, and the number of blocks.
+    ``near``, ``directions`` and ``new`` are those of `regions_around`, where the block has index ``n``. ``candidate``
+    (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, the latter, where there are several, with the sums
+    of (u, v) of the blocks' centres and the number of blocks.
     """
-    left = first[n]
-    count = how_many(left)
+    bits = new[n]
+    count = how_many(bits)
     if count == 1:
-        candidate[0] = near[lowest(left), n]
+        candidate[0] = near[lowest_bit(bits), n]
     if count < 2:
         return count
-    step_v, step_u = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
-    y, x = row * step_v, column * step_u
-    above, below = max(row - 1, 0), min(row + 1, centre_v.shape[0] - 1)
-    before, behind = max(column - 1, 0), min(column + 1, centre_u.shape[1] - 1)
-    u, v = centre_u[y, column], centre_v[row, x]
-    u_left, v_left = centre_u[y, before] - u, centre_v[row, before * step_u] - v
-    u_right, v_right = centre_u[y, behind] - u, centre_v[row, behind * step_u] - v
-    u_above, v_above = centre_u[above * step_v, column] - u, centre_v[above, x] - v
-    u_below, v_below = centre_u[below * step_v, column] - u, centre_v[below, x] - v
+    has_lens = centre_u.shape[0] > 1
+    last_row, last_column = centre_v.shape[0] - 1, centre_u.shape[1] - 1
+    left, right = max(column - 1, 0), min(column + 1, last_column)
+    above, below = max(row - 1, 0), min(row + 1, last_row)
+    u, u_left, u_right = centre_u[0, column], centre_u[0, left], centre_u[0, right]
+    v, v_above, v_below = centre_v[row, 0], centre_v[above, 0], centre_v[below, 0]
     i = 0
-    while left != 0:
-        k = lowest(left)
-        left &= left - np.int32(1)
+    while bits != 0:
+        k = lowest_bit(bits)
+        bits &= bits - np.int32(1)
         candidate[i] = near[k, n]
-        where = places[k, n]
+        where = directions[k, n]
         blocks, on_left, on_right = where & 15, where >> 4 & 15, where >> 8 & 15
         higher, lower = where >> 12 & 15, where >> 16
-        centre[i, 0] = blocks * u + on_left * u_left + on_right * u_right + higher * u_above + lower * u_below
-        centre[i, 1] = blocks * v + on_left * v_left + on_right * v_right + higher * v_above + lower * v_below
+        centre[i, 0] = (blocks - on_left - on_right) * u + on_left * u_left + on_right * u_right
+        centre[i, 1] = (blocks - higher - lower) * v + higher * v_above + lower * v_below
         centre[i, 2] = blocks
         i += 1
+    if has_lens:  # then u differs from row to row, too, and v from column to column
+        for j in range(count):
+            centre[j, 0] = centre[j, 1] = 0.0
+            for k in range(NEIGHBOURS):
+                if near[k, n] == candidate[j]:
+                    centre[j, 0] += centre_u[row + k // 3 - 1, column + k % 3 - 1]
+                    centre[j, 1] += centre_v[row + k // 3 - 1, column + k % 3 - 1]
     return count
 
 
@@ -133,7 +137,7 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
     top, left = row * BLOCK, column * BLOCK
     bottom, right = min(top + BLOCK, tan_y.shape[0]) - 1, min(left + BLOCK, tan_x.shape[1]) - 1
     step_y, step_x = np.int64(tan_x.shape[0] > 1), np.int64(tan_y.shape[1] > 1)
-    own = place_of(a, candidate, count)
+    own = index_of(a, candidate, count)
     disputed = False
     for i in range(count):
         if i == own:

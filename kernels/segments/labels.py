@@ -4,7 +4,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..copying import copy
-from ..marked import lowest
+from ..marked import lowest_bit
 from .blocks import BLOCK
 from .runs import WHOLE, in_squares
 
@@ -114,7 +114,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
                 a, b, is_stray, pixels = run_label[i], why[part[i]], stray[part[i]], run_pixels[i]
                 corner = top * width + left
                 while pixels != 0:
-                    p = lowest(pixels)
+                    p = lowest_bit(pixels)
                     pixels &= pixels - np.int32(1)
                     here = corner + p // BLOCK * width + p % BLOCK
                     labels[here] = a
@@ -194,7 +194,7 @@ def settle_strays(runs, inverse_depth, unclaimed, least, loose, loose_count, lab
             few = pixels & ~in_squares(pixels)
             corner = row * BLOCK * width + run_start[i] * BLOCK
             while few != 0:
-                p = lowest(few)
+                p = lowest_bit(few)
                 few &= few - np.int32(1)
                 here = corner + p // BLOCK * width + p % BLOCK
                 same = 0

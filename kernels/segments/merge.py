@@ -71,7 +71,10 @@ def touch(a, near, behind):
 
 @kernel(inline="compiled")
 def touch_at_corner(a, near, behind, beside, below):
-    """The same across a corner, which counts only where the sides at it do not: of the blocks beside and below."""
+    """The same across a corner: regions touch there only if neither has one of the other two blocks at that corner.
+
+    These are ``beside`` and ``below``; what is ``behind`` touches all the same.
+    """
     is_apart = (beside != a) & (beside != near) & (below != a) & (below != near)
     far = 2 if (behind >= 0) & (behind != a) else 0
     return np.uint8((1 if is_apart & (near != a) else 0) if near >= 0 else far)
@@ -413,7 +416,8 @@ def number_regions(parent, moments, least, number):
 def rename_pairs(pairs, count, number):
     """Give the regions of the first ``count`` pairs their new ``number`` (N,); returns whether all have one.
 
-    If a region is dropped, contacts change, since `neighbours` looks across its blocks.
+    If a region is dropped, contacts change, since `neighbours` looks across its blocks. Else they are the same regions
+    that touch; only at corners, contacts of parts that have become one count, too.
     """
     kept = True
     for a in range(len(number)):

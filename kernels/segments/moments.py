@@ -3,7 +3,8 @@
 Moments are the ten sums [n, Σu, Σv, Σq, Σuu, Σuv, Σuq, Σvv, Σvq, Σqq] over valid pixels, (u, v) =
 (tanθx, tanθy), all about the origin: so the moments of any union of blocks are the sum of theirs, and the
 plane, the residual and the covariance of the union follow without touching a pixel again. In double
-precision the cancellation this costs is far below any sensor's noise: 1e-8 of the inverse depth.
+precision the cancellation this costs is far below any sensor's noise: 1e-8 of the inverse depth, also where
+most of the frame has been added to a region of tens of pixels and taken out again.
 """
 
 import math

@@ -5,7 +5,7 @@ import numpy as np
 from .._jit import kernel
 from ..copying import copy
 from ..disjoint_sets import root_of
-from ..marked import how_many, lowest
+from ..marked import how_many, lowest_bit
 from .blocks import BLOCK
 from .labels import label_runs
 from .moments import add, ray_of, residual
@@ -17,7 +17,7 @@ from .runs import WHOLE, find_runs
 def add_piece(pixels, row, column, inverse_depth, rays, moments, k):
     """Add pixels of a block to row ``k`` of moments."""
     while pixels != 0:
-        p = lowest(pixels)
+        p = lowest_bit(pixels)
         pixels &= pixels - np.int32(1)
         y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
         u, v = ray_of(rays, y, x)
@@ -73,7 +73,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
             if run_share[i] != WHOLE:
                 mask = run_pixels[i]
                 pixels = how_many(mask)
-                p = lowest(mask)
+                p = lowest_bit(mask)
                 y, x = y + p // BLOCK, x + p % BLOCK
             elif root == i or y * width + x < first[part[root]]:
                 y, x = first_of_run(run_start[i], run_stop[i], row, inverse_depth)

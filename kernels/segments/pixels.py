@@ -70,7 +70,8 @@ def own_pixels(
     contended : Contended
         Room for as many blocks as there are, and NEIGHBOURS regions for each.
     region_moments : (N, 10) float64, changed
-        After the first round only what changes hands is taken out and put in.
+        Of what regions had after the last round, as they are numbered now. In the first round they are summed up anew,
+        in later ones what changes hands is taken out and put in.
 
     Returns
     -------
@@ -150,6 +151,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     Parameters
     ----------
     blocks : (K,) int32
+        Those that are OPEN, row · C + column.
     rays, before, pyramid, sensor, planes, rules, region, owners
         As in `own_pixels`.
     contended : Contended, written
@@ -174,8 +176,8 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     block, many, first, all_candidates, all_centres = contended
     settled_square, reach = rules.settled * rules.settled, rules.reach
     # Of fixed sizes: see `kernels`.
-    near, places = np.zeros((NEIGHBOURS, LANES), np.int32), np.empty((NEIGHBOURS, LANES), np.int32)
-    firsts, is_new = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
+    near, directions = np.zeros((NEIGHBOURS, LANES), np.int32), np.empty((NEIGHBOURS, LANES), np.int32)
+    new, is_new = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
     candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
     sparse_count = count = listed = 0
     for k in range(len(blocks)):
@@ -184,8 +186,8 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
         pixels = of_block[0, here]
         n = k % LANES
         if n == 0:
-            regions_around(blocks, k, around, near, places, firsts, is_new)
-        contending = contenders(near, places, firsts, n, row, column, centre_u, centre_v, candidate, centre)
+            regions_around(blocks, k, around, near, directions, new, is_new)
+        contending = contenders(near, directions, new, n, row, column, centre_u, centre_v, candidate, centre)
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
         fits = False
         if a >= 0:
@@ -273,7 +275,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
         most = g + 1 if g < 2 else NEIGHBOURS
         for start in range(0, in_group[g], LANES):
             lanes = min(in_group[g] - start, LANES)
-            contending = min(g, 1)
+            contending = 0
             for n in range(lanes):
                 c = group[g, start + n]
                 here = block[c]

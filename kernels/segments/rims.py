@@ -7,7 +7,7 @@ None of their pixels is far off, but all are, on the same side.
 import numpy as np
 
 from .._jit import kernel
-from ..marked import lowest
+from ..marked import lowest_bit
 from .blocks import BLOCK
 from .contest import place
 from .moments import add, ray_of
@@ -132,7 +132,7 @@ def let_go(
             most = np.int64(min(SHARE * moments[k, 0], MOST))
             pixels = run_pixels[i]
             while pixels != 0:
-                p = lowest(pixels)
+                p = lowest_bit(pixels)
                 pixels &= pixels - np.int32(1)
                 y, x = row * BLOCK + p // BLOCK, run_start[i] * BLOCK + p % BLOCK
                 here = y * width + x

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..disjoint_sets import unite
-from ..marked import how_many, list_marked, lowest, room_for_marks
+from ..marked import how_many, list_marked, lowest_bit, room_for_marks
 from .blocks import BLOCK, MIXED
 
 # Share of a run of whole blocks, which has none.
@@ -204,7 +204,7 @@ def list_runs(
             others = measured[left] & ~taken[left]
             many[left] = count - first
             while others != 0:
-                p = lowest(others)
+                p = lowest_bit(others)
                 others &= others - np.int32(1)
                 loose[loose_count] = (top + p // BLOCK) * width + left * BLOCK + p % BLOCK
                 loose_count += 1

@@ -24,7 +24,8 @@ NO_REGION = np.int32(np.iinfo(np.int32).max)
 MOVED = np.int32(-2)
 # A block with more measured pixels than this is a solid one: what is missing there are holes.
 SPARSE = BLOCK * BLOCK // 2
-# Of a block that has changed: it is in another region, and not only that one's plane that has moved.
+# Of a block that has changed: it is in another region than before, or in none, or was in none. In others only the plane
+# of their region has moved.
 OTHER = 2
 # Deviations by which planes may move without anything that they own being looked at again.
 STILL = 0.25
@@ -62,8 +63,10 @@ def look_around(region, owner, task):
 def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays, moments, owner, task):
     """Leave alone the blocks around which no region has changed since the last round, and no plane has moved.
 
-    Their ``task`` becomes DONE, or SAME if they are MIXED. Others that are ALONE become OPEN if the region in which
-    they are did not have them whole: only blocks that are OPEN change hands. The rest is as in `pixels.own_pixels`.
+    Their ``task`` becomes DONE, or SAME if they are MIXED. Of the others those that are ALONE become OPEN if their
+    region did not have them whole in the last round, since only what is OPEN changes hands: a block that a region had
+    whole was in it before the last round, or in none, and then it is OTHER or its neighbours have changed. The rest is
+    as in `pixels.own_pixels`.
     """
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = region.shape
@@ -181,7 +184,7 @@ def add_square(of_squares, i, moments, a):
 
 @kernel()
 def add_up(pyramid, owners, shares, count, region_moments):
-    """Sum up what each region has, after the first round: in whole blocks, and in the first ``count`` shares.
+    """Sum up what each region has, in the first round: in whole blocks, and in the first ``count`` shares.
 
     Of 4x4 blocks that one region has the pyramid knows the moments, and of 2x2.
     """
