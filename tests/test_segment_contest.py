@@ -11,7 +11,7 @@ from rgbd_planes import Camera
 from rgbd_planes.kernels.segments.blocks import EMPTY, MIXED
 from rgbd_planes.kernels.segments.contest import LANES, NEIGHBOURS, contenders, regions_around, weigh_contenders
 from rgbd_planes.kernels.segments.records import Owners, Pyramid, Shares
-from rgbd_planes.kernels.segments.settled import add_up, hand_out, take_back
+from rgbd_planes.kernels.segments.settled import add_shares, add_up, hand_out, take_back
 from rgbd_planes.segmentation.workspace import rays_of
 
 FISHEYE = Camera(480, 480, 155.0, 155.0, 239.5, 239.5, distortion_model="fisheye")
@@ -112,7 +112,8 @@ def test_regions_have_what_they_had_but_for_what_changes_hands(seed, opened):
     listed, had = np.flatnonzero(is_open).astype(np.int32), np.empty(is_open.sum(), np.int32)
     pyramid = Pyramid(of_block, *[np.empty(0)] * 4)
     take_back(listed, number, owners, shares, moments, had)
-    hand_out(listed, had, pyramid, after, handed, 0, len(in_use), moments)
+    hand_out(listed, had, pyramid, after, moments)
+    add_shares(handed, 0, len(in_use), moments)
     expected = what_regions_have(of_block, after, handed, np.arange(REGIONS))
     np.testing.assert_allclose(moments, expected, atol=1e-12)
 
@@ -131,7 +132,8 @@ def test_in_the_first_round_all_that_regions_have_is_added_up(rng):
     shares = Shares(np.array([2, 1, 2], np.int32), np.ones(3, np.int32), rng.random((3, 10)))
     owners = Owners(owner, *np.zeros((3, 8, 12), np.int32))
     moments = np.full((REGIONS, 10), np.nan)
-    add_up(Pyramid(sums, np.empty(0), np.empty(0), offsets, shapes), owners, shares, 2, moments)
+    add_up(Pyramid(sums, np.empty(0), np.empty(0), offsets, shapes), owners, moments)
+    add_shares(shares, 0, 2, moments)
     counted = Shares(*(field[:2] for field in shares))
     expected = what_regions_have(sums[:, : owner.size], owners, counted, np.arange(REGIONS))
     np.testing.assert_allclose(moments, expected, rtol=1e-12)

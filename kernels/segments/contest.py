@@ -114,17 +114,17 @@ def contenders(near, directions, new, n, row, column, centre_u, centre_v, candid
         where = directions[k, n]
         blocks, on_left, on_right = where & 15, where >> 4 & 15, where >> 8 & 15
         higher, lower = where >> 12 & 15, where >> 16
-        centre[i, 0] = (blocks - on_left - on_right) * u + on_left * u_left + on_right * u_right
-        centre[i, 1] = (blocks - higher - lower) * v + higher * v_above + lower * v_below
+        if has_lens:  # u differs from row to row, too, and v from column to column
+            centre[i, 0] = centre[i, 1] = 0.0
+            for j in range(NEIGHBOURS):
+                if near[j, n] == candidate[i]:
+                    centre[i, 0] += centre_u[row + j // 3 - 1, column + j % 3 - 1]
+                    centre[i, 1] += centre_v[row + j // 3 - 1, column + j % 3 - 1]
+        else:
+            centre[i, 0] = (blocks - on_left - on_right) * u + on_left * u_left + on_right * u_right
+            centre[i, 1] = (blocks - higher - lower) * v + higher * v_above + lower * v_below
         centre[i, 2] = blocks
         i += 1
-    if has_lens:  # then u differs from row to row, too, and v from column to column
-        for j in range(count):
-            centre[j, 0] = centre[j, 1] = 0.0
-            for k in range(NEIGHBOURS):
-                if near[k, n] == candidate[j]:
-                    centre[j, 0] += centre_u[row + k // 3 - 1, column + k % 3 - 1]
-                    centre[j, 1] += centre_v[row + k // 3 - 1, column + k % 3 - 1]
     return count
 
 

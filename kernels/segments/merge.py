@@ -76,8 +76,7 @@ def touch_at_corner(a, near, behind, beside, below):
     These are ``beside`` and ``below``; what is ``behind`` touches all the same.
     """
     is_apart = (beside != a) & (beside != near) & (below != a) & (below != near)
-    far = 2 if (behind >= 0) & (behind != a) else 0
-    return np.uint8((1 if is_apart & (near != a) else 0) if near >= 0 else far)
+    return touch(a, near, behind) & np.uint8(3 if is_apart else 2)
 
 
 @kernel()

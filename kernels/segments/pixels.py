@@ -28,7 +28,18 @@ from .contest import (
 from .moments import misfit
 from .noise import grown_variance
 from .records import Shares
-from .settled import OPEN, SAME, SPARSE, add_up, give_whole, hand_out, keep_unchanged, look_around, take_back
+from .settled import (
+    OPEN,
+    SAME,
+    SPARSE,
+    add_shares,
+    add_up,
+    give_whole,
+    hand_out,
+    keep_unchanged,
+    look_around,
+    take_back,
+)
 
 
 @kernel(inline=True)
@@ -108,9 +119,10 @@ def own_pixels(
         contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
     )
     if is_first:
-        add_up(pyramid, owners, new, put, region_moments)
+        add_up(pyramid, owners, region_moments)
     else:
-        hand_out(opened, had, pyramid, owners, new, kept, put, region_moments)
+        hand_out(opened, had, pyramid, owners, region_moments)
+    add_shares(new, kept, put, region_moments)  # those of blocks that stay the SAME are in
     return new
 
 

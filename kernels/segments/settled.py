@@ -183,14 +183,13 @@ def add_square(of_squares, i, moments, a):
 
 
 @kernel()
-def add_up(pyramid, owners, shares, count, region_moments):
-    """Sum up what each region has, in the first round: in whole blocks, and in the first ``count`` shares.
+def add_up(pyramid, owners, region_moments):
+    """Sum up the whole blocks that each region has, in the first round.
 
     Of 4x4 blocks that one region has the pyramid knows the moments, and of 2x2.
     """
     of_squares, offsets, shapes = pyramid.moments.reshape(-1), pyramid.offsets, pyramid.shapes
-    owner, share_region, share_moments = owners.block, shares.region, shares.moments
-    moments = region_moments.reshape(-1)
+    owner, moments = owners.block, region_moments.reshape(-1)
     moments[:] = 0.0
     rows, columns = owner.shape
     same = np.empty(columns, np.bool_)
@@ -219,10 +218,16 @@ def add_up(pyramid, owners, shares, count, region_moments):
                         for k in range(x, x + 2):
                             if owner[r, k] >= 0:
                                 add_square(of_squares, r * columns + k, moments, owner[r, k])
-    for s in range(count):
+
+
+@kernel(arrays=False)
+def add_shares(shares, start, stop, region_moments):
+    """Add the shares from ``start`` to ``stop`` to the moments of their regions."""
+    share_region, share_moments = shares.region, shares.moments
+    for s in range(start, stop):
         a = share_region[s]
         for k in range(10):
-            moments[10 * a + k] += share_moments[s, k]
+            region_moments[a, k] += share_moments[s, k]
 
 
 @kernel(arrays=False)
@@ -254,13 +259,12 @@ def take_back(blocks, number, owners, shares, region_moments, had):
 
 
 @kernel(arrays=False)
-def hand_out(blocks, had, pyramid, owners, shares, start, stop, region_moments):
-    """Add what regions have of ``blocks`` now to their moments, in place of what was theirs before: see `take_back`.
+def hand_out(blocks, had, pyramid, owners, region_moments):
+    """Move those of ``blocks`` that regions have whole, or ``had``, from one region's moments to another's.
 
-    ``owners`` and ``shares`` are those of this round; the blocks' shares are those from ``start`` to ``stop``.
+    ``had`` is that of `take_back`, and ``owners`` are those of this round.
     """
     moments, owner = pyramid.moments, owners.block.reshape(-1)
-    share_region, share_moments = shares.region, shares.moments
     for k in range(len(blocks)):
         i = blocks[k]
         was, now = had[k], owner[i]
@@ -270,7 +274,3 @@ def hand_out(blocks, had, pyramid, owners, shares, start, stop, region_moments):
         if now >= 0 and was != now:
             for j in range(10):
                 region_moments[now, j] += moments[j, i]
-    for s in range(start, stop):
-        a = share_region[s]
-        for j in range(10):
-            region_moments[a, j] += share_moments[s, j]
