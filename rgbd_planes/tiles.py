@@ -338,7 +338,8 @@ class TileFitter(FixedArguments):
         assess, columns = self._assessment.of(arrays), self._grid[1]
 
         def fit_and_assess(frame: DepthFrame) -> Work:
-            self._warn_of_noise(frame)
+            if not self._noise_is_asked.locked():
+                self._warn_of_noise(frame)
             fit_rows = fit(frame)
 
             def work(start: int, stop: int) -> None:

@@ -5,6 +5,8 @@ nearest cache, one quantity per row of a small room. All loops but those that re
 whatever these hold, and so vectorise without a remainder.
 """
 
+import math
+
 import numpy as np
 
 from .._jit import kernel
@@ -16,6 +18,7 @@ from .residuals import by_count, residual_ratio, uneven_freedom
 from .room import (
     BETWEEN,
     COMMON,
+    DEVIATE,
     ERROR,
     LATERAL,
     LIMIT,
@@ -25,6 +28,7 @@ from .room import (
     OF_DEPTHS,
     OF_LENS,
     OF_SHAPE,
+    PER_FREEDOM,
     RATIO,
     ROOT,
     ROUNDING,
@@ -143,23 +147,29 @@ def assess(
         residual_ratio(room)
         if uneven and of_pixels.shape[0] < OF_SHAPE:  # otherwise ``tables`` have it
             uneven_freedom(room)
+        has_spread = noise[INVERSE_FREEDOM] > 0.0
+        if has_spread:
+            variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, TILES_AT_ONCE)
+        else:
+            for i in range(TILES_AT_ONCE):
+                room[ROOT, i] = math.sqrt(room[PER_FREEDOM, i])
         if limits.shape[0] > 0:
-            if noise[INVERSE_FREEDOM] > 0.0:
-                variance_ratio.limits(limits[0], noise[INVERSE_FREEDOM], tails, TILES_AT_ONCE)
+            mark = status[frame, first:last]
+            if has_spread:
+                for i in range(last - first):
+                    if room[DEVIATE, i] > limits[0]:
+                        mark[i] = ROUGH
             else:
                 for i in range(TILES_AT_ONCE):
                     limit = 0.0
                     for k in range(LIMITS - 1, -1, -1):
                         limit = limit * room[ROOT, i] + limits[k]
                     room[LIMIT, i] = limit
-            mark = status[frame, first:last]
-            for i in range(last - first):
-                if room[RATIO, i] > room[LIMIT, i]:
-                    mark[i] = ROUGH
+                for i in range(last - first):
+                    if room[RATIO, i] > room[LIMIT, i]:
+                        mark[i] = ROUGH
         if everything:
-            if noise[INVERSE_FREEDOM] > 0.0:
-                variance_ratio.deviates(noise[INVERSE_FREEDOM], tails, TILES_AT_ONCE)
-            else:
+            if not has_spread:
                 chi_square.deviates(tails, TILES_AT_ONCE)
             normal_distribution.tails(tails, TILES_AT_ONCE)
             if of_pixels.shape[0] >= OF_SHAPE:

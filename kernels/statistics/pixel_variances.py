@@ -79,10 +79,9 @@ def pixel_variance(noise, count, room):
             room[POSITION, i] = position
         for i in range(count):
             k = VARIANCES + np.int64(room[SHARED, i])
-            below = noise[k]
-            room[FOUND, i], room[STEP, i] = below, noise[k + 1] - below
-            k = max(k, VARIANCES + 1)
-            room[BEND, i] = noise[k + 1] - 2.0 * noise[k] + noise[k - 1]
+            before, found, behind = noise[k - 1], noise[k], noise[k + 1]
+            room[FOUND, i], room[STEP, i] = found, behind - found
+            room[BEND, i] = behind - 2.0 * found + before
         for i in range(TILES_AT_ONCE):
             variance, step = room[FOUND, i], room[STEP, i]
             position = room[POSITION, i]

@@ -1,7 +1,5 @@
 """What the squared residuals of a block of tiles may be, and how many degrees of freedom they have."""
 
-import math
-
 import numpy as np
 
 from .._jit import kernel
@@ -13,8 +11,8 @@ from .room import (
     INDEPENDENT,
     MEAN_Q,
     OF_COUNT,
+    PER_FREEDOM,
     RATIO,
-    ROOT,
     ROUNDING,
     SHARED,
     TABLE_COLUMNS,
@@ -53,7 +51,7 @@ def by_count(counts, tables, room):
 
 @kernel(inline=True)
 def residual_ratio(room):
-    """Sum of squared residuals over its expected value, and 1/√(degrees of freedom), into two rows of the room.
+    """Sum of squared residuals over its expected value, and one over its degrees of freedom, into the room.
 
     With C and P as in `assess` and the variance a of errors that are independent, half the variance of the sum is
     tr((PC + a·P)²) = tr((PC)²) + 2a·tr(PC) + a²·tr(P).
@@ -74,7 +72,7 @@ def residual_ratio(room):
         room[RATIO, i] = (n if n > 3.0 else 0.0) * error * error * inverse
         share = inverse * square
         inverse = half_variance * share * share
-        room[ROOT, i] = math.sqrt(min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM))
+        room[PER_FREEDOM, i] = min(max(inverse, 1e-9), 1.0 / chi_square.LEAST_FREEDOM)
 
 
 @kernel(inline=True)
@@ -85,4 +83,4 @@ def uneven_freedom(room):
             continue
         share = (room[SHARED, i] + room[ROUNDING, i]) / max(room[SHARED, i] + room[INDEPENDENT, i], 1e-150)
         more = max(room[UNEVENNESS, i] * room[UNEVENNESS, i] - 1.0, 0.0) * share * share
-        room[ROOT, i] = min(room[ROOT, i] * math.sqrt(1.0 + more), chi_square.LEAST_FREEDOM**-0.5)
+        room[PER_FREEDOM, i] = min(room[PER_FREEDOM, i] * (1.0 + more), 1.0 / chi_square.LEAST_FREEDOM)

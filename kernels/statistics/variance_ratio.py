@@ -16,25 +16,6 @@ from .normal_distribution import WHOLE, WHOLE_BITS
 OF_ROOT = 1023.0 * 2.0**20 * (2.0 / 3.0) - 37000.0
 
 
-@kernel(inline=True)
-def two_ninths(inverse_freedom, root):
-    """2/9 over the degrees of freedom of both variances: the residual's, 1/root², and the noise's."""
-    return (2.0 / 9.0) * root * root, (2.0 / 9.0) * inverse_freedom
-
-
-@kernel(inline=True)
-def limits(deviate, inverse_freedom, work, count):
-    """Write to ``work[2]`` the ratios exceeded with the probability of a normal deviate; arguments as in `deviates`."""
-    limit = work[2]
-    for i in range(count):
-        v, w = two_ninths(inverse_freedom, work[1, i])
-        a, b = 1.0 - w, 1.0 - v
-        over = a * a - deviate * deviate * w
-        inside = max(a * a * v + b * b * w - deviate * deviate * v * w, 0.0)
-        root = max(a * b + deviate * math.sqrt(inside), 0.0) / max(over, 1e-100)
-        limit[i] = root * root * root * (1.0 - 2.0 * inverse_freedom)
-
-
 @kernel(reduction=True, inline=True)
 def deviates(inverse_freedom, work, count):
     """Write to ``work[4]`` normal deviates exceeded with the probabilities of a residual over its mean at ``work[0]``.
@@ -44,12 +25,12 @@ def deviates(inverse_freedom, work, count):
     inverse_freedom : float
         One over ν, where the variance of the noise is distributed as (ν - 2) / χ²(ν).
     work : (normal_distribution.WORK, N) float64
-        Its second row is 1/√(degrees of freedom), for degrees of freedom of at least 1.
+        Its second row is one over the degrees of freedom, which are at least 1.
     count : int
         Number of values.
     """
-    ratio, root, cube_root, guess, deviate = work[0], work[1], work[2], work[3], work[4]
-    scale = 1.0 / (1.0 - 2.0 * inverse_freedom)
+    ratio, per_freedom, cube_root, guess, deviate = work[0], work[1], work[2], work[3], work[4]
+    scale, w = 1.0 / (1.0 - 2.0 * inverse_freedom), (2.0 / 9.0) * inverse_freedom
     for i in range(count):
         cube_root[i] = min(max(ratio[i] * scale, 1e-18), 1e18)
     bits, guess_bits = cube_root.view(np.int64), guess.view(np.int64)
@@ -65,5 +46,5 @@ def deviates(inverse_freedom, work, count):
         for _ in range(2):
             cube = c * c * c
             c *= (cube + 2.0 * x) / (2.0 * cube + x)
-        v, w = two_ninths(inverse_freedom, root[i])
+        v = (2.0 / 9.0) * per_freedom[i]
         deviate[i] = ((1.0 - w) * c - (1.0 - v)) / math.sqrt(w * c * c + v)

@@ -10,8 +10,9 @@ from .._jit import kernel
 # tanθy, to be multiplied by the squared slopes of q, and those of rounding in depth and in disparity. One over the
 # degrees of freedom of a variance that differs from place to place, 0 for one that does not. The exponent of
 # 1 + tan²θx + tan²θy, by which the variance of q by other errors grows. Then a scale and this variance on the axis, at
-# q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q.
-LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, FALLOFF, SCALE, VARIANCES = range(8)
+# q = -1/scale, 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q. The first of them
+# says only how the table bends at 0.
+LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, FALLOFF, SCALE, BEFORE, VARIANCES = range(9)
 # Three places of Gauss's quadrature along a side, in standard deviations of values spread evenly along it, and their
 # weights.
 PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])

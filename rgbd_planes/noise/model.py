@@ -226,10 +226,11 @@ class NoiseModel:
     def _variances(self) -> Floats:
         """σq² before rounding, on the axis, as `kernels.statistics.variances` has it: a scale, and a table."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
-            return np.array([1.0, self.coefficients[0] ** 2])
+            return np.array([1.0, *2 * [self.coefficients[0] ** 2]])
         table = self._table() ** 2
         table[-1] = max(table[-2:])  # beyond, it goes on by its last step: not down to less than nothing
-        return np.concatenate([[_SCALE], table])
+        before = 3.0 * (table[0] - table[1]) + table[2]  # as bent at 0 as one step on
+        return np.concatenate([[_SCALE, before], table])
 
     def _table(self) -> Floats:
         """σq before rounding, on the axis, at all inverse depths, 1.2e-3 to 20 1/m."""
