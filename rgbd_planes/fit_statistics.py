@@ -68,7 +68,7 @@ class FitStatistics:
         frames, cells = fits.shape[:dimensions], fits.shape[dimensions:]
         self.rows = aligned((*frames, RESULTS, *cells))
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
-        assessment = Assessment(fits.camera, fits.method, 0.0, fits._sizes, fits._footprint, fits._growth)
+        assessment = fits._assessment
         # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.
         kept = {name: getattr(fits, name) for name in _ARGUMENTS}
         arrays = {name: array if array.flags.writeable else array.copy() for name, array in kept.items()}

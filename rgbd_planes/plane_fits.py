@@ -20,7 +20,7 @@ from rgbd_planes.wording import two_digits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rgbd_planes.fit_statistics import FitStatistics
+    from rgbd_planes.fit_statistics import Assessment, FitStatistics
     from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 
 
@@ -160,19 +160,18 @@ class PlaneFits:
         return min(self._moments.ndim - 1, 2)
 
     @property
-    def _sizes(self) -> npt.NDArray[Any]:
-        """(N, 2): for each part of one frame, the size that `fit_statistics.Assessment` takes."""
-        return like_rectangles(self._footprint)
+    def _assessment(self) -> Assessment:
+        """What writes the statistics of the parts of a frame; it tests nothing."""
+        from rgbd_planes.fit_statistics import Assessment
+
+        footprint = self._footprint
+        growth = growth_of_parts(self.camera, footprint)
+        return Assessment(self.camera, self.method, 0.0, like_rectangles(footprint), footprint, growth)
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
         """(N, 5): for each part of one frame, what `noise.residuals.like_rectangles` takes."""
         raise NotImplementedError
-
-    @property
-    def _growth(self) -> Floats:
-        """(2, N): for each part of one frame, `noise.falloff.growth_of_parts`."""
-        return growth_of_parts(self.camera, self._footprint)
 
     @property
     def _error_sums(self) -> Floats | None:

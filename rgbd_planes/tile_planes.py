@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -20,8 +21,17 @@ from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_
 from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
-    from rgbd_planes.fit_statistics import FitStatistics
+    from rgbd_planes.fit_statistics import Assessment, FitStatistics
     from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
+
+
+@functools.lru_cache(maxsize=16)
+def _assessment_of(camera: Camera, method: str, tile: tuple[int, int]) -> Assessment:
+    """What writes the statistics of any frame that is fitted so: to make it takes as long as to use it."""
+    from rgbd_planes.fit_statistics import Assessment
+
+    sizes, footprint = tile_windows(camera.shape, tile)[:, 2:], tile_footprints(camera.shape, tile)
+    return Assessment(camera, method, 0.0, sizes, footprint, growth_of_tiles(camera, tile))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,8 +65,8 @@ class TilePlanes(Savable, PlacedFits):
         return f"Tiles of {self.tile[0]} x {self.tile[1]} pixels"
 
     @property
-    def _sizes(self) -> npt.NDArray[np.int64]:
-        return tile_windows(self.camera.shape, self.tile)[:, 2:]
+    def _assessment(self) -> Assessment:
+        return _assessment_of(self.camera, self.method, self.tile)
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
@@ -75,10 +85,6 @@ class TilePlanes(Savable, PlacedFits):
         from rgbd_planes.pixel_runs import runs_of_windows
 
         return runs_of_windows(tile_windows(self.camera.shape, self.tile), self.valid_count.ravel())
-
-    @property
-    def _growth(self) -> npt.NDArray[np.float64]:
-        return growth_of_tiles(self.camera, self.tile)
 
     def __getitem__(self, frame: int | slice) -> TilePlanes:
         """The planes of one frame of a batch, or of a slice, without copying.

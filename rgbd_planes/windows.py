@@ -63,8 +63,8 @@ class WindowPlanes(Savable, PlacedFits):
         return dict(zip(("top", "left", "height", "width"), self.windows.T, strict=True))
 
     @property
-    def _sizes(self) -> npt.NDArray[np.int64]:
-        return self.windows[:, 2:]
+    def _assessment(self) -> Assessment:
+        return _assessment_of(self.camera, self.method, 0.0, self.windows)
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:
@@ -75,10 +75,6 @@ class WindowPlanes(Savable, PlacedFits):
         from rgbd_planes.pixel_runs import runs_of_windows
 
         return runs_of_windows(self.windows, self.valid_count.ravel())
-
-    @property
-    def _growth(self) -> npt.NDArray[np.float64]:
-        return growth_of_windows(self.camera, self.windows)
 
     @property
     def _title(self) -> str:
@@ -160,14 +156,11 @@ def fit_windows(
     warn_of_noise(frame, camera.noise)
 
     arrays = allocate((), (len(rectangles),))
-    sizes = rectangles[:, 2:]
-    areas = sizes.prod(axis=1)
+    areas = rectangles[:, 2:].prod(axis=1)
     pixels = int(areas.sum())
     if implementation is None:
         implementation = "naive" if pixels <= _AS_TABLES * frame.raw.size else "integral"
-    footprint = footprints(rectangles)
-    growth = growth_of_windows(camera, rectangles)
-    assess = Assessment(camera, method, significance, sizes, footprint, growth).of(arrays)
+    assess = _assessment_of(camera, method, significance, rectangles).of(arrays)
     needed = valid_needed(areas, max_missing)
     threads = choose_num_threads(num_threads, pixels if implementation == "naive" else frame.raw.size)
     with announced(("windows", method, implementation, camera.is_distorted, frame.raw.dtype)):
@@ -183,6 +176,13 @@ def fit_windows(
 
         run_in_ranges(fit_some, len(rectangles), threads)
     return WindowPlanes(camera=camera, method=method, windows=rectangles, _of_frame=source.total, **arrays)
+
+
+def _assessment_of(
+    camera: Camera, method: str, significance: float | None, windows: npt.NDArray[np.int64]
+) -> Assessment:
+    growth = growth_of_windows(camera, windows)
+    return Assessment(camera, method, significance, windows[:, 2:], footprints(windows), growth)
 
 
 def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
