@@ -21,6 +21,7 @@ FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; 
 RINGS = ("centre", "middle", "edge")
 """Of the image: equally many tiles are nearest to its middle, farthest from it, and in between."""
 WITH_RINGS = ("azure_kinect_nfov", "kinect1_7scenes_seq")
+APART = (4, 16)  # pixels from a labelled plane's border, between which tiles are told apart
 
 
 @dataclass(frozen=True)
@@ -116,13 +117,28 @@ class RealResult:
     angle_of_all: float
     rings: tuple[tuple[float, float], ...] = ()
     """Of each of `RINGS`: the root mean square residual over the model's, and the share that is rejected."""
+    borders: tuple[float, ...] = ()
+    """Shares of labelled tiles that are rejected: nearer to the border than `APART`, between these, and farther."""
+
+
+def from_border(labels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(H, W) float64: distance of each pixel from the next one that has another label, in pixels."""
+    from scipy.ndimage import distance_transform_edt
+
+    inside = np.ones(labels.shape, bool)
+    for axis in (0, 1):
+        here, there = np.swapaxes(labels, 0, axis), np.swapaxes(inside, 0, axis)
+        differ = here[1:] != here[:-1]
+        there[1:] &= ~differ
+        there[:-1] &= ~differ
+    return np.full(labels.shape, np.inf) if inside.all() else np.asarray(distance_transform_edt(inside) + 1.0)
 
 
 def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealResult:
     """Shares rejected at 1 and at 0.1 %; predicted over observed rms angle to the whole flat part."""
     camera = replace(data.camera, noise=noise)
     plain = replace(data.camera, noise=rp.noise.kinect_v1())
-    p, q, predicted, observed, accepted, excess, distance = [], [], [], [], [], [], []
+    p, q, predicted, observed, accepted, excess, distance, border = [], [], [], [], [], [], [], []
     for depth, labels in zip(data.second, data.labels, strict=True):
         regions = flat_regions(depth, data.camera, labels)
         tiles = rp.fit_tiles(depth, camera, size, max_missing=0.1, significance=0.0)
@@ -136,6 +152,9 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         q.append(replace(tiles, camera=plain).p_value[inside])
         excess.append(_residual_over_expected(tiles, inside))
         distance.append(np.hypot(*(size * (np.argwhere(inside) + 0.5) - np.array(camera.shape) / 2.0).T))
+        if labels is not None:
+            nearest = np.minimum.reduceat(np.minimum.reduceat(from_border(regions), rows, axis=0), columns, axis=1)
+            border.append(nearest[inside])
         merged = rp.merge(tiles, region, significance=0.0)
         # Regions of few tiles are mostly the tile itself.
         enough = np.bincount(region.ravel(), minlength=len(merged.status) + 1)[1:] >= 9
@@ -147,6 +166,10 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         predicted.append(tiles.angle_std[chosen])
     p_all, seen, expected, flat = (np.concatenate(parts) for parts in (p, observed, predicted, accepted))
     rings = np.array_split(np.argsort(np.concatenate(distance), kind="stable"), len(RINGS))
+    bands = []
+    if border:
+        band = np.searchsorted(APART, np.concatenate(border), side="right")
+        bands = [float(np.mean(p_all[band == i] < 0.01)) if (band == i).any() else np.nan for i in range(3)]
     square = np.minimum(np.concatenate(excess), 9.0)  # no single edge is to be all that counts
     return RealResult(
         tiles=len(p_all),
@@ -159,6 +182,7 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         rings=tuple(
             (float(np.sqrt(np.mean(square[ring]))), float(np.mean(p_all[ring] < 0.01))) for ring in rings if len(ring)
         ),
+        borders=tuple(bands),
     )
 
 
@@ -206,6 +230,7 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
                     f"{name}angle_of_all": result.angle_of_all if measured else None,
                     "independent": result.rejected_independent,
                 }
+                row[f"{name}borders"] = result.borders
                 if not name:
                     row["rings"] = result.rings
             rows.append(row)
@@ -302,7 +327,24 @@ def table(rows: list[dict[str, Any]]) -> str:
                 f"| {f'**{share}**' if wrong_beyond_chance(row['rejected'], row['tiles']) else share} "
                 f"| {low:.1f}–{high:.1f} % | {100.0 * row['own_rejected']:.1f} % |"
             )
-    return "\n".join([*lines, "", *ring_table(rows)])
+    return "\n".join([*lines, "", *border_table(rows), "", *ring_table(rows)])
+
+
+def border_table(rows: list[dict[str, Any]]) -> list[str]:
+    """Labelled tiles by how far they are from the border of their plane."""
+    near, far = APART
+    lines = [
+        f"Of the labelled tiles, those less than {near} pixels from the border of their plane, {near} to {far}, and "
+        "more; rejected by the other half's noise, and by their own:",
+        "",
+        f"| frames | tile | less than {near} | to {far} | more | by its own: less than {near} | to {far} | more |",
+        "|---" + "|---:" * 7 + "|",
+    ]
+    for row in rows:
+        if row["borders"] and row["rejected"] is not None:
+            shares = " | ".join(f"{100.0 * share:.1f} %" for share in (*row["borders"], *row["own_borders"]))
+            lines.append(f"| {SETS[row['data']]} | {row['size']} | {shares} |")
+    return lines
 
 
 def ring_table(rows: list[dict[str, Any]]) -> list[str]:

@@ -273,6 +273,24 @@ def test_rings_show_what_the_model_lacks(rng):
     assert plain[2][1] > 0.3
 
 
+def test_tiles_near_the_border_of_a_plane_are_told_apart(rng):
+    """Where noise grows towards the border of a labelled plane, that shows; elsewhere nothing does."""
+    labels = np.ones((160, 240), np.int64)
+    labels[:, 120:] = 2
+    distance = uncertainty_real.from_border(labels)
+    assert distance[80, [119, 120, 118, 100, 0]].tolist() == [1.0, 1.0, 2.0, 20.0, 120.0]
+    assert np.isinf(uncertainty_real.from_border(np.ones((4, 5), np.int64))).all()
+    camera = rp.Camera(240, 160, 200.0, 200.0, 119.5, 79.5)
+    noise = rp.noise.NoiseModel((1.4e-3,))
+    for more, low, high in ((1.0, 0.0, 0.05), (1.5, 0.5, 1.0)):
+        error = noise.coefficients[0] * np.where(distance < 16.0, more, 1.0) * rng.standard_normal(labels.shape)
+        data = uncertainty_real.RealSet("a", camera, [], [1.0 / (0.5 + error)], [labels])
+        nearest, between, farther = uncertainty_real.real_result(data, noise, 8).borders
+        assert low <= nearest <= high
+        assert low <= between <= high
+        assert farther < 0.03
+
+
 def test_changes_of_ids_are_counted(monkeypatch):
     views = tracking.turning(8.0)[:4]
     row = tracking.changes(views)
