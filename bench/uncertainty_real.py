@@ -18,6 +18,7 @@ from tests.real_data import FOLDER as DATA
 from tests.real_data import needed
 
 FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
+SQUARE = 192  # pixels: the side of the squares into which a single frame is cut
 RINGS = ("centre", "middle", "edge")
 """Of the image: equally many tiles are nearest to its middle, farthest from it, and in between."""
 WITH_RINGS = ("azure_kinect_nfov", "kinect1_7scenes_seq")
@@ -59,8 +60,8 @@ def real_sets() -> list[RealSet]:
         frames = [read_depth(path) for path in paths]
         labels = [labels_of(path) for path in paths]
         if len(frames) == 1:
-            # Squares of 192 pixels of the one frame, as on a chessboard.
-            row, column = np.indices(camera.shape) // 192
+            # Squares of the one frame, as on a chessboard.
+            row, column = np.indices(camera.shape) // SQUARE
             halves = [[np.where((row + column) % 2 == i, frames[0], 0).astype(frames[0].dtype)] for i in (0, 1)]
             of: list[list[NDArray[Any] | None]] = [[None], [None]]
         else:
@@ -117,6 +118,8 @@ class RealResult:
     angle_of_all: float
     rings: tuple[tuple[float, float], ...] = ()
     """Of each of `RINGS`: the root mean square residual over the model's, and the share that is rejected."""
+    images: tuple[tuple[int, int], ...] = ()
+    """Of each image, or square of a single one: tiles, and how many are rejected."""
     borders: tuple[float, ...] = ()
     """Shares of labelled tiles that are rejected: nearer to the border than `APART`, between these, and farther."""
 
@@ -139,6 +142,7 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
     camera = replace(data.camera, noise=noise)
     plain = replace(data.camera, noise=rp.noise.kinect_v1())
     p, q, predicted, observed, accepted, excess, distance, border = [], [], [], [], [], [], [], []
+    images: list[tuple[int, int]] = []
     for depth, labels in zip(data.second, data.labels, strict=True):
         regions = flat_regions(depth, data.camera, labels)
         tiles = rp.fit_tiles(depth, camera, size, max_missing=0.1, significance=0.0)
@@ -149,6 +153,10 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         region = np.where((low == high) & tiles.fitted & whole, low, 0)
         inside = region > 0
         p.append(tiles.p_value[inside])
+        parts = np.zeros((inside.sum(), 2), np.int64) if len(data.second) > 1 else np.argwhere(inside) * size // SQUARE
+        for part in np.unique(parts, axis=0):
+            rejected = p[-1][(parts == part).all(axis=1)] < 0.01
+            images.append((len(rejected), int(rejected.sum())))
         q.append(replace(tiles, camera=plain).p_value[inside])
         excess.append(_residual_over_expected(tiles, inside))
         distance.append(np.hypot(*(size * (np.argwhere(inside) + 0.5) - np.array(camera.shape) / 2.0).T))
@@ -182,6 +190,7 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
         rings=tuple(
             (float(np.sqrt(np.mean(square[ring]))), float(np.mean(p_all[ring] < 0.01))) for ring in rings if len(ring)
         ),
+        images=tuple(images),
         borders=tuple(bands),
     )
 
@@ -232,7 +241,7 @@ def measure(folder: Path | None = None) -> list[dict[str, Any]]:
                 }
                 row[f"{name}borders"] = result.borders
                 if not name:
-                    row["rings"] = result.rings
+                    row |= {"rings": result.rings, "images": result.images}
             rows.append(row)
     return rows
 
@@ -253,9 +262,22 @@ def interval(share: float, tiles: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def wrong_beyond_chance(share: float, tiles: int) -> bool:
-    """Whether the share's whole interval is wrong."""
-    low, high = interval(share, tiles)
+def interval_of_images(images: list[tuple[int, int]]) -> tuple[float, float]:
+    """The same if images, not tiles, are independent: of a ratio of means, to first order, and at least `interval`."""
+    from scipy.stats import t
+
+    tiles, rejected = np.array(images, float).T
+    share = rejected.sum() / tiles.sum()
+    low, high = interval(share, int(tiles.sum()))
+    if len(tiles) < 2:
+        return 0.0, 1.0
+    error = np.sqrt(len(tiles) / (len(tiles) - 1) * np.sum((rejected - share * tiles) ** 2)) / tiles.sum()
+    reach = float(t.ppf(0.975, len(tiles) - 1) * error)
+    return min(max(share - reach, 0.0), low), max(min(share + reach, 1.0), high)
+
+
+def wrong_beyond_chance(low: float, high: float) -> bool:
+    """Whether a share's whole interval is wrong."""
     return high < ENDS["rejected"][0] or low > ENDS["rejected"][1]
 
 
@@ -268,7 +290,9 @@ def table(rows: list[dict[str, Any]]) -> str:
         return f"{sum(right(kind, value) for value in values)} of {len(values)}"
 
     def wrong(name: str) -> int:
-        return sum(wrong_beyond_chance(row[name], row["tiles"]) for row in tested)
+        return sum(wrong_beyond_chance(*interval(row[name], row["tiles"])) for row in tested)
+
+    by_image = sum(wrong_beyond_chance(*interval_of_images(row["images"])) for row in tested)
 
     def median(name: str) -> str:
         return f"{100.0 * float(np.median([row[name] for row in tested])):.2f} %"
@@ -305,6 +329,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         f"{count('angle', 'angle')} angles, of {FEWEST_ANGLES} tiles or more that are not rejected: if those that are "
         f"count, too, {count('angle', 'angle_of_all')}. {wrong('rejected')} shares are wrong "
         "beyond chance: the 95 % intervals of the other wrong ones, as if tiles were independent, reach what is right. "
+        "Tiles of one image, or of one square of a single frame, have its noise in common. As if only images and "
+        f"squares were independent, {by_image} shares are wrong beyond chance. "
         f"With the noise of the very half that is tested, {count('rejected', 'own_rejected')} shares and "
         f"{count('angle', 'own_angle')} angles are right (shares wrong beyond chance: {wrong('own_rejected')}). "
         f"In the median of the sets, the p-values of {median('thousandth')} of the tiles are below 0.001, and by their "
@@ -315,17 +341,21 @@ def table(rows: list[dict[str, Any]]) -> str:
         "The shares that are not right (bold: beyond chance), with their intervals, and what they are by their own "
         "half's noise:",
         "",
-        "| frames | tile | tiles | rejected by the other half's noise | 95 % | by its own |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| frames | tile | tiles | rejected by the other half's noise | 95 %, by tile | 95 %, by image or square "
+        "| by its own |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for row in tested:
         if not right("rejected", row["rejected"]):
-            low, high = (100.0 * end for end in interval(row["rejected"], row["tiles"]))
+            ends = interval(row["rejected"], row["tiles"])
+            both = (
+                f"{100.0 * low:.1f}–{100.0 * high:.1f} %" for low, high in (ends, interval_of_images(row["images"]))
+            )
             share = f"{100.0 * row['rejected']:.1f} %"
             lines.append(
                 f"| {SETS[row['data']]} | {row['size']} | {row['tiles']} "
-                f"| {f'**{share}**' if wrong_beyond_chance(row['rejected'], row['tiles']) else share} "
-                f"| {low:.1f}–{high:.1f} % | {100.0 * row['own_rejected']:.1f} % |"
+                f"| {f'**{share}**' if wrong_beyond_chance(*ends) else share} "
+                f"| {' | '.join(both)} | {100.0 * row['own_rejected']:.1f} % |"
             )
     return "\n".join([*lines, "", *border_table(rows), "", *ring_table(rows)])
 

@@ -203,7 +203,10 @@ def test_limits_of_the_machine_are_measured(tmp_path):
 
 def test_shares_of_few_tiles_say_little():
     """None of 384 may be three in a thousand, none of 2000 may not; the interval is that of its definition."""
-    wrong = uncertainty_real.wrong_beyond_chance
+
+    def wrong(share: float, tiles: int) -> bool:
+        return uncertainty_real.wrong_beyond_chance(*uncertainty_real.interval(share, tiles))
+
     assert not wrong(0.0, 384)
     assert wrong(0.0, 2000)
     assert not wrong(0.05, 300)
@@ -212,6 +215,24 @@ def test_shares_of_few_tiles_say_little():
     k, n = np.arange(301), np.array([[low], [high]])
     at = stats.binom.pmf(k, 300, n)
     np.testing.assert_allclose([at[0, 15:].sum(), at[1, :16].sum()], 0.025, rtol=1e-6)
+
+
+def test_images_that_differ_say_less_than_their_tiles(rng):
+    """Of images whose shares differ, the interval holds the true share as often as it says; of like ones, and of none
+    rejected, it is that of their tiles; a single one says nothing.
+    """
+    held = 0
+    for _ in range(400):
+        shares = rng.beta(2.0, 18.0, size=8)
+        tiles = rng.integers(500, 1500, size=8)
+        images = list(zip(tiles.tolist(), rng.binomial(tiles, shares).tolist(), strict=True))
+        low, high = uncertainty_real.interval_of_images(images)
+        held += low <= 0.1 <= high
+    assert 0.89 < held / 400 < 0.99
+    alike = uncertainty_real.interval_of_images([(500, 25)] * 4)
+    assert alike == uncertainty_real.interval(0.05, 2000)
+    assert uncertainty_real.interval_of_images([(1000, 0)] * 2) == uncertainty_real.interval(0.0, 2000)
+    assert uncertainty_real.interval_of_images([(1000, 20)]) == (0.0, 1.0)
 
 
 def test_few_angles_are_no_measurement(monkeypatch):
