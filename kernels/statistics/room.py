@@ -13,7 +13,8 @@ PER_PIXEL, MEAN_Q, SHARED, INDEPENDENT = 18, 19, 20, 21
 OF_COUNT, TABLE_COLUMNS = 22, 6
 # What is written in the end; until then the covariances' rows are used for other things.
 P, ALPHA, PLANE, ANGLE, OFFSET = 28, 29, 35, 45, 46
-RATIO, PER_FREEDOM, ROOT = P, P + 1, P + 1
+RATIO, PER_FREEDOM = P, P + 1
+ROOT = PER_FREEDOM  # of it, in its place
 POSITION, FOUND, STEP, BEND = P, P + 1, P + 2, P + 3
 LIMIT, DEVIATE = P + 2, P + 4
 LATERAL, SPREAD = PLANE, PLANE + 3
