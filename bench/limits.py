@@ -8,6 +8,7 @@ squares of errors over those that are expected, δᵀΣ⁻¹δ / 3, are those of
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from scipy.linalg import eigvalsh
 
 import rgbd_planes as rp
 from rgbd_planes.array_types import Floats
+from rgbd_planes.plane_fits import PlaneFits
 from tests import monte_carlo
 
 Mask = NDArray[np.bool_]
@@ -56,6 +58,43 @@ def of_masks(mask: Mask) -> tuple[float, float]:
         alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
         fits = rp.fit_labels(1.0 / _inverse_depth(camera, alpha), camera, mask)
         found.append(_ratios(camera, mask, alpha, fits))
+    return _range(found)
+
+
+def of_tiles(size: int) -> tuple[float, float]:
+    """Of tiles of planes at all angles, whose noise depends on the depth or on the place in the image."""
+    found = []
+    falling = (replace(rp.noise.kinect_v1(), falloff=4.0), replace(UNEVEN[0], falloff=2.0))
+    shared: tuple[dict[str, Any], ...] = (
+        {},
+        {"floor": 1.0},
+        {"floor": 2.0, "floor_length": 128.0},
+        {"correlation": ((0.9, 4.0),)},
+    )
+    mask = np.ones((size, size), bool)
+    for noise in (*UNEVEN, *falling):
+        for errors in shared:
+            camera = monte_carlo.tile_camera(size, replace(noise, **errors), left=500, top=100)
+            for incidence in (0.0, 30.0, 50.0, 60.0, 70.0, 75.0):
+                alpha = monte_carlo.plane_through_middle(camera, 1.5, incidence, incidence / 10.0)
+                found.append(
+                    _ratios(camera, mask, alpha, rp.fit_tiles(1.0 / _inverse_depth(camera, alpha), camera, size))
+                )
+    return _range(found)
+
+
+def of_holes() -> tuple[float, float]:
+    """Of tiles of which half is missing in one piece, or two corners, by noises that neighbours share."""
+    found = []
+    for noise in (*SHARED, *FLOORS[:2]):
+        for size in (8, 16, 24):
+            y, x = np.mgrid[:size, :size]
+            middle = abs(x - (size - 1) / 2) > 0.24 * size
+            for mask in (middle, x < size // 2, x + y < size, (x < size // 2) == (y < size // 2)):
+                camera = monte_carlo.tile_camera(size, noise)
+                alpha = monte_carlo.plane_through_middle(camera, 1.0, 20.0)
+                depth = np.where(mask, 1.0 / _inverse_depth(camera, alpha), np.nan)
+                found.append(_ratios(camera, mask, alpha, rp.fit_tiles(depth, camera, size, max_missing=1.0)))
     return _range(found)
 
 
@@ -179,10 +218,10 @@ def _inverse_depth(camera: rp.Camera, alpha: Floats) -> Floats:
     return np.asarray(alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2])
 
 
-def _ratios(camera: rp.Camera, mask: Mask, alpha: Floats, fits: rp.LabelPlanes | rp.WindowPlanes) -> Floats:
+def _ratios(camera: rp.Camera, mask: Mask, alpha: Floats, fits: PlaneFits) -> Floats:
     """The ratios of the variances that a fit to the pixels of a mask, on the plane α, reports to the exact ones."""
     exact = monte_carlo.exact_covariance(camera, mask, alpha)
-    return np.asarray(eigvalsh(fits.alpha_covariance[0], exact))
+    return np.asarray(eigvalsh(fits.alpha_covariance.reshape(-1, 3, 3)[0], exact))
 
 
 def _range(found: Sequence[Floats]) -> tuple[float, float]:
@@ -198,6 +237,9 @@ def report(runs: int) -> Iterator[str]:
     yield "Variances that are reported, over the exact ones:"
     for name, mask in masks().items():
         yield line(name, of_masks(mask))
+    for side in (8, 16, 24):
+        yield line(f"tiles of {side} pixels, noise that changes with depth or place", of_tiles(side))
+    yield line("tiles of which half is missing in one piece, noise that neighbours share", of_holes())
     yield line("a window from 1.7 to 9 m, half of it missing in one piece", of_windows())
     for degrees, focal_length in ((43, 105.0), (65, 70.0)):
         yield line(

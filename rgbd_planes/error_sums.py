@@ -72,7 +72,7 @@ class KeepsPixels:
 
 def _varies(noise: NoiseModel | None) -> bool:
     """Whether pixels at different depths, or places in the image, have different variances of q."""
-    return noise is not None and (len(noise._variances) > 3 or noise.step > 0.0 or noise.falloff > 0.0)
+    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0)
 
 
 def pixels_of_labels(

@@ -259,6 +259,8 @@ def test_limits_of_uncertainties_are_those_that_the_page_states():
     found = [limits.of_masks(mask) for mask in masks.values()]
     assert min(least for least, _ in found) == pytest.approx(0.87, abs=0.03)
     assert max(most for _, most in found) == pytest.approx(1.1, abs=0.05)
+    assert limits.of_tiles(16) == pytest.approx((0.98, 1.02), abs=0.01)
+    assert limits.of_holes() == pytest.approx((0.58, 3.5), rel=0.05)
     assert limits.of_windows() == pytest.approx((0.6, 3.6), rel=0.1)
     assert limits.of_fisheyes(105.0)[0] == pytest.approx(7.0 / 8.0, rel=0.1)
     assert limits.of_fisheyes(70.0)[0] == pytest.approx(1.0 / 3.0, rel=0.1)

@@ -232,3 +232,43 @@ def test_simulated_correlated_noise_with_missing_pixels(tile, noise, missing, rn
     for other, precision in ((labels, 0.02), (merged, 0.4), (rp.merge(merged, [1]), 0.4)):
         ratio = np.linalg.eigvals(np.linalg.solve(exact, other.alpha_covariance[0])).real
         np.testing.assert_allclose(ratio, 1.0, atol=precision)
+
+
+@pytest.mark.parametrize("incidence", [0.0, 30.0, 60.0, 70.0])
+@pytest.mark.parametrize(
+    "errors", [{}, {"floor": 1.0}, {"floor": 2.0, "floor_length": 128.0}, {"correlation": ((0.9, 4.0),)}]
+)
+@pytest.mark.parametrize(
+    "noise",
+    [
+        rp.noise.time_of_flight(0.005),
+        rp.noise.kinect_v1_nguyen(),
+        replace(rp.noise.kinect_v1(), falloff=4.0),
+        replace(rp.noise.time_of_flight(0.005), falloff=2.0),
+    ],
+    ids=["time of flight", "nguyen", "falloff", "both"],
+)
+def test_tiles_whose_noise_changes_within_them(noise, errors, incidence):
+    """Covariances are those of its pixels: an error that they share is larger where σ is, and tilts the plane."""
+    camera = monte_carlo.tile_camera(16, replace(noise, **errors), left=500, top=100)
+    alpha = monte_carlo.plane_through_middle(camera, 1.5, incidence, incidence / 10.0)
+    q = alpha[0] * camera.tan_x + alpha[1] * camera.tan_y + alpha[2]
+    exact = monte_carlo.exact_covariance(camera, np.ones(camera.shape, bool), alpha)
+    for fits in (rp.fit_tiles(1.0 / q, camera, 16), rp.fit_windows(1.0 / q, camera, [(0, 0, 16, 16)])):
+        covariance = fits.alpha_covariance.reshape(3, 3)
+        np.testing.assert_allclose(covariance, covariance.T)
+        np.testing.assert_allclose(np.linalg.eigvals(np.linalg.solve(exact, covariance)).real, 1.0, atol=0.03)
+
+
+@pytest.mark.parametrize("depth", [0.8, 1.0, 1.25])
+def test_p_values_where_noise_is_least(depth, rng):
+    """At 1 m σq has a minimum: its slope there does not say by how much it differs over a tile."""
+    noise, runs = rp.noise.axial(0.004, -0.008, 0.0045), 3000
+    camera = rp.Camera(20, 20, 70.0, 70.0, 9.5, 9.5, noise=noise)
+    q = 1.0 / depth + 2.5 * camera.tan_y
+    frames = 1.0 / (q + noise.sigma(q) * rng.standard_normal((runs, 20, 20)))
+    stack = rp.TileFitter(camera, 20).fit_batch(frames)
+    assert np.mean(stack.p_value < 0.01) == pytest.approx(0.01, abs=0.008)
+    assert np.mean(stack.p_value) == pytest.approx(0.5, abs=0.03)
+    alpha = np.array([0.0, 2.5, 1.0 / depth])
+    assert np.mean(monte_carlo.normalised_error(stack, alpha)) == pytest.approx(3.0, abs=0.2)

@@ -86,6 +86,9 @@ def check_what_follows(planes, covariance, total, seed):
         length = planes[:, 3] + np.linalg.norm(motion[:3, 3])
         check_planes(of_moved, length, total + (0.0 if pose is None else np.trace(pose)))
     for plane, of_plane, trace in zip(planes[:4], covariance[:4], total[:4], strict=True):
+        of_normal = np.linalg.eigvalsh(of_plane[:3, :3])
+        if of_normal[1] < 1e-6 * of_normal[2]:  # of pixels in a line that a lens hardly bends: nearly of rank 2
+            continue
         fused, of_fused = uncertainty.fuse_planes([plane, plane], [of_plane, 3.0 * of_plane])
         check_planes(of_fused[None], fused[3:], trace)
     on_them = -planes[:, 3:] * planes[:, :3]

@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import kernel
 from ..solve import ROUGH
 from . import chi_square, normal_distribution, variance_ratio
-from .covariances import covariances, ray_scatter, uneven_covariances
+from .covariances import covariances, ray_scatter, sigma_slopes, uneven_covariances
 from .pixel_variances import find_uneven, independent_variance, mean_inverse_depth, pixel_variance, uneven_variance
 from .residuals import by_count, residual_ratio, uneven_freedom
 from .room import (
@@ -34,6 +34,8 @@ from .room import (
     ROUNDING,
     ROWS,
     SHARED,
+    SLOPE_U,
+    SLOPE_V,
     TILES_AT_ONCE,
     U_0,
     UNEVENNESS,
@@ -43,7 +45,7 @@ from .room import (
     store,
 )
 from .rounded_tiles import find_rounded, rounded_alike, rounded_apart
-from .variances import DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM
+from .variances import DEPTH_STEP, DISPARITY_STEP, FALLOFF, INVERSE_FREEDOM, VARIANCES
 
 # Terms of the polynomial for the largest permitted residual.
 LIMITS = 11
@@ -91,6 +93,9 @@ def assess(
     tiles = status.shape[1]
     everything = results.shape[1] > 0
     room[BETWEEN] = 0.0
+    room[SLOPE_U : SLOPE_V + 1] = 0.0
+    # Where all pixels' variances are known, nothing is left to say.
+    is_graded = of_pixels.shape[0] < OF_DEPTHS and (noise.shape[0] > VARIANCES + 1 or growth.shape[1] > 0)
     begin = start
     while begin < stop:
         frame, first = begin // tiles, begin % tiles
@@ -176,6 +181,8 @@ def assess(
                 room[COMMON : COMMON + 3] = 0.0
             if has_rounding:
                 rounded_alike(noise, last - first, room)
+            if is_graded:
+                sigma_slopes(noise[FALLOFF], room)
             covariances(room)
             if uneven:
                 uneven_covariances(room, of_pixels[OF_DEPTHS:, first:last])

@@ -16,8 +16,11 @@ from .room import (
     OFFSET,
     PER_PIXEL,
     PLANE,
+    POWER,
     ROUNDING,
     SHARED,
+    SLOPE_U,
+    SLOPE_V,
     TILES_AT_ONCE,
     U_0,
     UNEVENNESS,
@@ -26,6 +29,9 @@ from .room import (
     D,
 )
 from .sandwich import sandwich
+
+# Largest variance of ln σ over a tile that counts as small, and square of the correlation of its rays.
+MOST_CHANGE, MOST_SLANTED = 0.02, 0.8
 
 
 @kernel(reduction=True, inline=True)
@@ -59,31 +65,67 @@ def ray_scatter(in_range_space, room):
             room[7, i] = (room[7, i] - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
 
 
+@kernel(inline=True)
+def sigma_slopes(falloff, room):
+    """Slopes of ln σ along u and v, by the depth and by the place in the image; 0 for tiles that `of_sigma` is not for.
+
+    These are the ones over which σ changes much, and those whose pixels lie nearly in a slanted line.
+    """
+    for i in range(TILES_AT_ONCE):
+        u, v, nearness = room[1, i], room[2, i], room[D, i] * room[MEAN_Q, i]
+        square = 1.0 + u * u + v * v
+        inverse = 1.0 / (nearness * square)
+        of_q, of_place = -0.5 * room[POWER, i] * square * inverse, falloff * nearness * inverse
+        k_u, k_v = of_q * room[N_X, i] + of_place * u, of_q * room[N_Y, i] + of_place * v
+        c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
+        change = (k_u * k_u * c_uu + 2.0 * k_u * k_v * c_uv + k_v * k_v * c_vv) * room[PER_PIXEL, i]
+        applies = change < MOST_CHANGE and c_uv * c_uv < MOST_SLANTED * c_uu * c_vv
+        room[SLOPE_U, i] = k_u if applies else 0.0
+        room[SLOPE_V, i] = k_v if applies else 0.0
+
+
+@kernel(inline=True)
+def of_sigma(k_u, k_v, of_one, f_a, f_b, f_mean):
+    """What the slopes of ln σ add to the variances of the slopes of q, to their covariance, and to those with the mean.
+
+    An error that all pixels share is larger where σ is, and tilts the plane. ``of_one`` is the variance of the mean by
+    independent errors; errors that neighbours share multiply it by ``f_mean``, and the slopes' by ``f_a`` and ``f_b``.
+    Independent errors, too, have a covariance with the mean.
+    """
+    least = min(f_a, f_b, f_mean)
+    common, both = of_one * (f_mean - least), of_one * (f_mean + least)
+    return k_u * k_u * common, k_u * k_v * common, k_v * k_v * common, k_u * both, k_v * both
+
+
 @kernel(reduction=True, inline=True)
 def covariances(room):
     """Covariances of α, σq²A⁻¹ with A = MᵀM, and of (n, d), in rows from ALPHA and from PLANE, and deviations.
 
     In the coordinates u - ū, v - v̄ the normal equations of slopes and mean separate, and each may have a variance of
-    its own.
+    its own. To first order in its changes, the slopes of ln σ say what a σ that differs over the tile makes of that.
     """
     for i in range(TILES_AT_ONCE):
         c_uu, c_uv, c_vv = room[4, i], room[5, i], room[7, i]
         nothing = 0.0 * room[D, i]  # NaN where there is no plane
         shared, independent = room[SHARED, i], room[INDEPENDENT, i] + nothing
         inverse = 1.0 / (c_uu * c_vv - c_uv * c_uv)
-        aa = (shared * room[OF_COUNT + 2, i] + independent) * inverse * c_vv
-        ab = -(shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
-        bb = (shared * room[OF_COUNT + 4, i] + independent) * inverse * c_uu
-        mean = (shared * room[OF_COUNT + 5, i] + independent) * room[PER_PIXEL, i]
-        write_covariances(i, aa, ab, bb, 0.0, 0.0, mean, room)
+        k_u, k_v, of_one = room[SLOPE_U, i], room[SLOPE_V, i], shared * room[PER_PIXEL, i]
+        f_a, f_b, f_mean = room[OF_COUNT + 2, i], room[OF_COUNT + 4, i], room[OF_COUNT + 5, i]
+        aa, ab, bb, a_mean, b_mean = of_sigma(k_u, k_v, of_one, f_a, f_b, f_mean)
+        aa += (shared * f_a + independent) * inverse * c_vv
+        ab -= (shared * room[OF_COUNT + 3, i] + independent) * inverse * c_uv
+        bb += (shared * f_b + independent) * inverse * c_uu
+        mean = of_one * f_mean + independent * room[PER_PIXEL, i]
+        write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, room)
 
 
 @kernel(reduction=True, inline=True)
 def uneven_covariances(room, of_shape):
     """As `covariances`, where some of a tile's pixels are noisier than others: see `sandwich.sandwich`.
 
-    Errors that neighbours share raise them by the same factors as if all variances were alike. If ``of_shape`` has
-    rows, they say instead what all errors along the ray make, but for the common one of rounding: see OF_SHAPE.
+    Errors that neighbours share raise them by the same factors as if all variances were alike, and by what `of_sigma`
+    says. If ``of_shape`` has rows, they say instead what all errors along the ray make, but for the common one of
+    rounding: see OF_SHAPE.
     """
     is_known = of_shape.shape[0] > 0
     for i in range(of_shape.shape[1]):
@@ -106,14 +148,18 @@ def uneven_covariances(room, of_shape):
             aa, ab, bb = aa + of_u * even[0], ab + math.sqrt(of_u * of_v) * even[1], bb + of_v * even[2]
             mean += of_mean * per_pixel
         else:
-            aa, ab, bb = (
-                shared * f_a * slopes[0],
-                shared * room[OF_COUNT + 3, i] * slopes[1],
-                shared * f_b * slopes[2],
-            )
-            a_mean = shared * math.sqrt(f_a * f_mean) * with_mean[0]
-            b_mean = shared * math.sqrt(f_b * f_mean) * with_mean[1]
-            mean = shared * f_mean * per_pixel
+            of_one = shared * per_pixel
+            k_u, k_v = 0.5 * room[0, i] * with_mean[0], 0.5 * room[0, i] * with_mean[1]
+            aa, ab, bb, a_mean, b_mean = of_sigma(k_u, k_v, of_one, f_a, f_b, f_mean)
+            aa += shared * f_a * slopes[0]
+            ab += shared * room[OF_COUNT + 3, i] * slopes[1]
+            bb += shared * f_b * slopes[2]
+            mean = of_one * f_mean
+            # Of pixels in a slanted line slopes have nearly no variance along it, and that covariance may be too large.
+            explained = aa * b_mean * b_mean - 2.0 * ab * a_mean * b_mean + bb * a_mean * a_mean
+            most = mean * (aa * bb - ab * ab)
+            share = math.sqrt(max(most, 0.0) / explained) if explained > most else 1.0
+            a_mean, b_mean = share * a_mean, share * b_mean
         aa += rounding * slopes[0] + lateral * even[0]
         ab += rounding * slopes[1] + lateral * even[1]
         bb += rounding * slopes[2] + lateral * even[2]

@@ -18,6 +18,7 @@ from .room import (
     OF_LENS,
     PER_PIXEL,
     POSITION,
+    POWER,
     ROUNDING,
     SHARED,
     SPREAD,
@@ -28,7 +29,7 @@ from .room import (
     WEIGHTED,
     D,
 )
-from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, SCALE, VARIANCES, means_over
+from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, SCALE, VARIANCES, entries_of, means_over
 
 # The mean over a tile of the variance of q along the ray is its series to second order, by the table's differences.
 # Where the table is steeper than a power STEEPEST of q, or more bent than one, it jumps. Where depths differ a
@@ -38,8 +39,8 @@ from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, SCALE, 
 # squared residual is HOPELESS times what errors explain in the middle: such a tile crosses an edge, and is no plane by
 # any mean.
 STEEPEST = 8.0
-MOST_BENT = STEEPEST * (STEEPEST - 1.0)
 LARGEST_LOSS = 0.5
+BENT_SQUARE = 0.2  # the variance of half the square of what is spread evenly, over the square of its own variance
 MOST_EVEN = 0.02
 HOPELESS = 64.0
 
@@ -59,18 +60,23 @@ def mean_inverse_depth(in_range_space, room):
 @kernel(inline=True)
 def pixel_variance(noise, count, room):
     """Variances of errors along the ray and of rounding, of the pixels of each tile of a block, and how uneven."""
-    for i in range(TILES_AT_ONCE):
-        mean_w = room[3, i] * room[PER_PIXEL, i]
-        # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
-        spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
-        w = room[W_0, i] + mean_w
-        room[SPREAD, i] = spread / (w * w)
-    if noise.shape[0] == VARIANCES + 1:
+    depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
+    is_constant = noise.shape[0] == VARIANCES + 1
+    if depth > 0.0 or not is_constant:
+        for i in range(TILES_AT_ONCE):
+            mean_w = room[3, i] * room[PER_PIXEL, i]
+            # Of q or, from the moments of (X, Y, Z), of Z: to first order the same share of the mean.
+            spread = room[9, i] * room[PER_PIXEL, i] - mean_w * mean_w
+            w = room[W_0, i] + mean_w
+            room[SPREAD, i] = spread / (w * w)
+    if is_constant:
         for i in range(TILES_AT_ONCE):
             room[SHARED, i] = noise[VARIANCES]
             room[UNEVENNESS, i] = 0.0
+            room[POWER, i] = 0.0
     else:
-        scale, last = noise[SCALE], noise.shape[0] - VARIANCES - 2.0
+        entries = entries_of(noise)
+        scale, last = noise[SCALE], entries - 2.0
         for i in range(TILES_AT_ONCE):
             position = room[MEAN_Q, i] * scale
             inside = position if position > 0.0 else 0.0  # also for NaN
@@ -79,20 +85,19 @@ def pixel_variance(noise, count, room):
             room[POSITION, i] = position
         for i in range(count):
             k = VARIANCES + np.int64(room[SHARED, i])
-            before, found, behind = noise[k - 1], noise[k], noise[k + 1]
-            room[FOUND, i], room[STEP, i] = found, behind - found
-            room[BEND, i] = behind - 2.0 * found + before
+            found = noise[k]
+            room[FOUND, i], room[STEP, i] = found, noise[k + 1] - found
+            room[BEND, i] = noise[k + entries]
         for i in range(TILES_AT_ONCE):
             variance, step = room[FOUND, i], room[STEP, i]
             position = room[POSITION, i]
             variance += (position - room[SHARED, i]) * step
-            scale = position / max(variance, 1e-300)
-            power = min(max(scale * step, -STEEPEST), STEEPEST)
-            bend = min(max(scale * position * room[BEND, i], -MOST_BENT), MOST_BENT)
-            spread = room[SPREAD, i]
+            power = min(max(position * step / max(variance, 1e-300), -STEEPEST), STEEPEST)
+            bend, spread = room[BEND, i], room[SPREAD, i]
             room[SHARED, i] = variance * (1.0 + max(0.5 * bend * spread, -LARGEST_LOSS))
-            room[UNEVENNESS, i] = spread * max(power * power, MOST_EVEN * room[0, i] * spread)
-    depth, disparity = noise[DEPTH_STEP], noise[DISPARITY_STEP]
+            of_bend = BENT_SQUARE * bend * bend
+            room[UNEVENNESS, i] = spread * max(power * power + of_bend * spread, MOST_EVEN * room[0, i] * spread)
+            room[POWER, i] = power
     if depth > 0.0:
         for i in range(TILES_AT_ONCE):
             square = room[MEAN_Q, i] * room[MEAN_Q, i]

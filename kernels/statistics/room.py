@@ -20,7 +20,8 @@ LIMIT, DEVIATE = P + 2, P + 4
 LATERAL, SPREAD = PLANE, PLANE + 3
 ROUNDING, UNEVENNESS, WEIGHTED = 47, 48, 49
 BETWEEN, COMMON = 54, 55
-ROWS = 58
+POWER, SLOPE_U, SLOPE_V = 58, 59, 60
+ROWS = 61
 # Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
 # differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
 # of those in ``noise``. And for a part of many depths: variances of q along the ray and of rounding; how uneven their

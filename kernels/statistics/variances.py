@@ -10,9 +10,9 @@ from .._jit import kernel
 # tanθy, to be multiplied by the squared slopes of q, and those of rounding in depth and in disparity. One over the
 # degrees of freedom of a variance that differs from place to place, 0 for one that does not. The exponent of
 # 1 + tan²θx + tan²θy, by which the variance of q by other errors grows. Then a scale and this variance on the axis, at
-# q = -1/scale, 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q. The first of them
-# says only how the table bends at 0.
-LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, FALLOFF, SCALE, BEFORE, VARIANCES = range(9)
+# q = 0, 1/scale, 2/scale, ..., linear in between and beyond, or a single one for all q. Behind a table of them one of
+# how they bend there: their second derivatives by q, times q² over the variance.
+LATERAL_X, LATERAL_Y, DEPTH_STEP, DISPARITY_STEP, INVERSE_FREEDOM, FALLOFF, SCALE, VARIANCES = range(8)
 # Three places of Gauss's quadrature along a side, in standard deviations of values spread evenly along it, and their
 # weights.
 PLACES = np.array([-(1.8**0.5), 0.0, 1.8**0.5])
@@ -23,13 +23,19 @@ LITTLE, PIECES = 0.2, 4
 
 
 @kernel(inline=True)
+def entries_of(noise):
+    """Number of variances in the table of ``noise``."""
+    return (noise.shape[0] - VARIANCES) // 2
+
+
+@kernel(inline=True)
 def variance_at(q, noise):
     """Variance of the errors along the ray at an inverse depth, on the axis."""
     if noise.shape[0] == VARIANCES + 1:
         return noise[VARIANCES]
     position = q * noise[SCALE]
     position = position if position > 0.0 else 0.0  # also for NaN
-    whole = np.floor(min(position, noise.shape[0] - VARIANCES - 2.0))
+    whole = np.floor(min(position, entries_of(noise) - 2.0))
     k = VARIANCES + np.int64(whole)
     return noise[k] + (position - whole) * (noise[k + 1] - noise[k])
 

@@ -21,6 +21,8 @@ from rgbd_planes.wording import counted, two_digits
 _ENTRIES, _LARGEST = 8192, 20.0
 _SCALE = _ENTRIES / _LARGEST
 SMALLEST_INVERSE_DEPTH = 0.5 / _SCALE  # 1/m: no function of inverse depth need be defined below
+_APART = 0.05  # of q: over so much of it, to either side, a table's bend is taken
+_MOST_BENT = 56.0  # that of a power of 8: a table that is bent more jumps
 _MOST_PIXELS = 1e8
 _LARGEST_FALLOFF = 50.0  # that of sensors is up to 5
 _AT_30_DEGREES = 3.0**-0.5  # tangent
@@ -226,11 +228,10 @@ class NoiseModel:
     def _variances(self) -> Floats:
         """σq² before rounding, on the axis, as `kernels.statistics.variances` has it: a scale, and a table."""
         if self.formula is None and self.samples is None and len(self.coefficients) == 1:
-            return np.array([1.0, *2 * [self.coefficients[0] ** 2]])
+            return np.array([1.0, self.coefficients[0] ** 2])
         table = self._table() ** 2
         table[-1] = max(table[-2:])  # beyond, it goes on by its last step: not down to less than nothing
-        before = 3.0 * (table[0] - table[1]) + table[2]  # as bent at 0 as one step on
-        return np.concatenate([[_SCALE, before], table])
+        return np.concatenate([[_SCALE], table, _bends_of(table)])
 
     def _table(self) -> Floats:
         """σq before rounding, on the axis, at all inverse depths, 1.2e-3 to 20 1/m."""
@@ -324,6 +325,21 @@ class NoiseModel:
         if values.get("coefficients") is None and values.get("samples") is None:
             raise ValueError(f"expected a noise model with coefficients or samples, got {dict(values)!r}")
         return model
+
+
+def _bends_of(table: Floats) -> Floats:
+    """By entry, the second derivative of a table of variances by q, times q² over the variance.
+
+    From values a twentieth of q to either side, as far as a tile may reach: what is linear in between has no derivative
+    at its knots.
+    """
+    k = np.arange(len(table), dtype=np.float64)
+    apart = np.maximum(_APART * k, 1.0)
+    beyond = np.append(table, table[-1] + (table[-1] - table[-2]) * np.ceil(apart[-1]))
+    places = np.append(k, k[-1] + np.ceil(apart[-1]))
+    before, behind = np.interp(k - apart, k, table), np.interp(k + apart, places, beyond)
+    bends = np.divide(before - 2.0 * table + behind, table, out=np.zeros(len(k)), where=table > 0.0) * (k / apart) ** 2
+    return np.asarray(np.clip(bends, -_MOST_BENT, _MOST_BENT))
 
 
 def _of_image(name: str, values: Floats, least: float) -> Floats:
