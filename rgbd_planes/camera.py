@@ -470,11 +470,11 @@ class Camera:
         Raises
         ------
         ValueError
-            The noise model is a function.
+            The noise model is a function, or the path has the suffix of another format.
         OSError
             It cannot be written there.
         """
-        with write_beside(path) as beside:
+        with write_beside(path, ".json") as beside:
             beside.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
     @classmethod

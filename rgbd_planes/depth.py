@@ -117,7 +117,7 @@ def as_depth_frame(depth: ArrayLike, camera: Camera) -> DepthFrame:
     be a measurement there, unless `invalid_values` names it.
     """
     array = plain_array("depth", depth)
-    _check_shape(depth, array, camera)
+    check_shape(depth, array, camera)
     return _read(array, camera)
 
 
@@ -155,7 +155,7 @@ def as_numbered_frame(number: int, frame: ArrayLike | Frame, camera: Camera) -> 
 def as_depth_frames(frames: NDArray[Any], camera: Camera) -> DepthFrame:
     """The same for an array of frames (F, H, W), all at once: ``raw`` has its shape."""
     array = plain_array("depth", frames)
-    _check_shape(frames[0], array[0], camera)
+    check_shape(frames[0], array[0], camera)
     return _read(array, camera)
 
 
@@ -218,7 +218,8 @@ def _read(array: NDArray[Any], camera: Camera) -> DepthFrame:
     return DepthFrame(raw, lowest, highest, depth_scale, 0.0, False, step)
 
 
-def _check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
+def check_shape(depth: ArrayLike, array: NDArray[Any], camera: Camera) -> None:
+    """Refuse what is no frame of the camera's size; ``array`` is ``depth`` as an array."""
     expected = (camera.height, camera.width)
     if array.shape == expected:
         return
@@ -290,6 +291,15 @@ def step_of(frame: DepthFrame) -> float:
         return 0.0
     values = np.unique(whole)
     return grain * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
+
+
+def spacing_of(frame: DepthFrame) -> float:
+    """As `step_of`, or of integers all of which are multiples of a larger one, as millimetres in fifths, that one."""
+    sample = some_of(frame.raw)[0]
+    values = np.unique(sample[(sample >= frame.lowest) & (sample <= frame.highest)])
+    if frame.step > 0.0 and len(values) >= _FEW_VALUES:
+        return float(np.gcd.reduce(values.astype(np.int64)))
+    return step_of(frame)
 
 
 def _without(

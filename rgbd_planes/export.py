@@ -145,11 +145,12 @@ def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
     TypeError
         They are not `TilePlanes`.
     ValueError
-        They are those of a batch, or the camera's noise model is a function.
+        They are those of a batch, or the camera's noise model is a function, or the path has the suffix of another
+        format.
     OSError
         It cannot be written there.
     """
-    with write_beside(path) as beside:
+    with write_beside(path, ".json") as beside:
         beside.write_text(json.dumps(to_dict(tiles), allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -180,7 +181,8 @@ def write_ply(
     TypeError
         The arrays are masked, or not of numbers.
     ValueError
-        Arrays of other shapes, colours outside 0..1, or a face with a point that does not exist.
+        Arrays of other shapes, colours outside 0..1, a face with a point that does not exist, or a path with the suffix
+        of another format.
     """
     xyz = _single(_triples("points", points))
     written = np.isfinite(xyz).all(axis=1) if faces is None else np.ones(len(xyz), bool)
@@ -215,7 +217,7 @@ def write_ply(
         polygons["count"], polygons["corners"] = corners.shape[1], corners
         header += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
         body += polygons.tobytes()
-    with write_beside(path) as beside:
+    with write_beside(path, ".ply") as beside:
         beside.write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + body)
 
 

@@ -24,6 +24,10 @@ _OF_FILES = frozenset(
         ".pdf",
         ".svg",
         ".ply",
+        ".obj",
+        ".rrd",
+        ".yaml",
+        ".yml",
         ".xlsx",
         ".feather",
         ".h5",
@@ -35,7 +39,7 @@ _MORE_THAN_A_FRAME = 2**28
 
 
 @contextmanager
-def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
+def write_beside(path: str | os.PathLike[str], own: str | None = None) -> Iterator[Path]:
     """A path beside `path` to write to; it takes the place of `path` once the block has ended without an error.
 
     It has the suffix of `path`, by which many writers know the format, and the permissions of a file that was there
@@ -43,9 +47,16 @@ def write_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises
     ------
+    ValueError
+        `path` has the suffix of another format than ``own``, if that is given.
     OSError
         The folder does not exist, `path` is a folder, or it cannot be written there.
     """
+    given = Path(path).suffix.lower()
+    if own is not None and given in _OF_FILES and given != own:
+        raise ValueError(
+            f"{os.fspath(path)}: expected a path that ends in {own}, which is what is written, got {given}"
+        )
     check_writable(path)
     target, replaceable = _target(path)
     # Not the whole name, which may already be as long as names can be.

@@ -153,7 +153,7 @@ def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
     with needs("rerun-sdk", "viewer"):
         import rerun as rr
     in_block = False
-    with write_beside(path) as beside:
+    with write_beside(path, ".rrd") as beside:
         try:
             with rr.RecordingStream("rgbd_planes") as stream:
                 stream.save(beside)

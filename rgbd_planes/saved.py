@@ -44,13 +44,13 @@ class Savable:
         Raises
         ------
         ValueError
-            The camera's noise model is a function.
+            The camera's noise model is a function, or the path has the suffix of another format.
         OSError
             It cannot be written there.
         """
         about, arrays = self._content()
         text = np.array(json.dumps({"class": self._kind(), **about}))
-        with write_beside(path) as beside, open(beside, "wb") as file:
+        with write_beside(path, ".npz") as beside, open(beside, "wb") as file:
             np.savez_compressed(file, about=text, **arrays)
 
     @classmethod

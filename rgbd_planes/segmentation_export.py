@@ -105,11 +105,12 @@ def write_json(
     TypeError
         It is neither a `Segmentation` nor a `LabelPlanes`, or the polygons are not `PlanePolygon`.
     ValueError
-        The camera's noise model is a function, or the polygons are not those of this segmentation.
+        The camera's noise model is a function, or the polygons are not those of this segmentation, or the path has the
+        suffix of another format.
     OSError
         It cannot be written there.
     """
-    with write_beside(path) as beside:
+    with write_beside(path, ".json") as beside:
         text = json.dumps(to_dict(segmentation, polygons), allow_nan=False)
         beside.write_text(text + "\n", encoding="utf-8")
 

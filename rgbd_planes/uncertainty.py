@@ -22,6 +22,7 @@ from rgbd_planes.rotations import nearest_rotation
 # larger: the square of its width over its length.
 _RANK = 1e-12
 _ROUNDS = 20  # at most, in which a motion is improved: 5 do for normals that err by milliradians, 8 where by degrees
+_SAME_SIDES = "expected the same planes in both frames, row by row, with normals to the same side"
 _ROUNDED = 1e-3  # how far a normal's length is from 1, at most, where its numbers have three digits or more
 
 
@@ -277,8 +278,8 @@ def align_planes(
     Raises
     ------
     ValueError
-        Fewer than three planes are in both frames, or they do not face three directions: they tell no motion; or a
-        covariance is not of rank 3.
+        Fewer than three planes are in both frames, or they do not face three directions: they tell no motion; or no
+        motion takes the normals to the same sides; or a covariance is not of rank 3.
 
     Notes
     -----
@@ -302,8 +303,12 @@ def align_planes(
         raise ValueError(f"expected planes that face three directions in both frames, got {len(first)} that do not")
     _check_rank(first, of_first)
     _check_rank(second, of_second)
-    motion = np.eye(4)
-    motion[:3, :3] = nearest_rotation(second[:, :3].T @ first[:, :3])
+    motion, products = np.eye(4), second[:, :3].T @ first[:, :3]
+    motion[:3, :3] = nearest_rotation(products)
+    # Of normals to the other side this is a rotation and a reflection, unless they hardly face three directions.
+    scatter = np.sqrt(np.trace(of_first[:, :3, :3] + of_second[:, :3, :3], axis1=1, axis2=2).sum())
+    if np.linalg.det(products) < 0.0 and np.linalg.svd(products, compute_uv=False)[-1] > 5.0 * scatter:
+        raise ValueError(f"{_SAME_SIDES}, got some that only a reflection brings together")
     axes = _axes_across(second[:, :3]) @ _about(_surest(second, of_second))
     for _ in range(_ROUNDS):
         moved, of_moved = transform_planes(first, of_first, motion)
@@ -316,6 +321,13 @@ def align_planes(
         motion[:3, 3] += step[3:]
         if (np.abs(step) < 1e-6 * np.sqrt(np.diagonal(covariance))).all():
             break
+    opposite = np.sum((first[:, :3] @ motion[:3, :3].T) * second[:, :3], axis=1) < 0.0
+    if opposite.any():
+        rows = ", ".join(map(str, np.flatnonzero(there)[opposite]))
+        raise ValueError(
+            f"{_SAME_SIDES}, got some that no motion brings together: by the nearest one normals of rows {rows} are "
+            "opposite"
+        )
     return motion, covariance
 
 

@@ -364,14 +364,21 @@ def test_nothing_goes_on_once_the_caller_has_an_error(recording, tmp_path):
     check_rows(out, rp.open_sequence(recording))
 
 
+def replace_unseen(file, content):
+    """Write as many other bytes into a file, which keeps its time."""
+    times = file.stat().st_atime_ns, file.stat().st_mtime_ns
+    file.write_bytes(content)
+    os.utime(file, ns=times)
+
+
 def test_frames_that_were_skipped_are_tried_again_where_asked_for(recording, tmp_path):
     sequence, out = rp.open_sequence(recording), tmp_path / "out"
     bad = [recording / "depth" / f"{i}.png" for i in (3, 20)]
     contents = [file.read_bytes() for file in bad]
-    for file in bad:
-        file.write_bytes(b"")
+    for file, content in zip(bad, contents, strict=True):
+        replace_unseen(file, bytes(len(content)))
     assert len(rp.fit_sequence(sequence, out, num_threads=1).problems) == 2
-    bad[0].write_bytes(contents[0])
+    replace_unseen(bad[0], contents[0])
     assert len(rp.fit_sequence(sequence, out).problems) == 2
     check_rows(out, sequence, bad=(3, 20))
     parts = {file: file.stat().st_mtime_ns for file in out.iterdir()}
@@ -512,13 +519,11 @@ def test_frames_whose_files_have_changed_are_fitted_again(recording, tmp_path):
     (recording / "depth" / "20.png").write_bytes(b"nonsense")
     assert [problem.frame for problem in rp.fit_sequence(sequence, out, num_threads=1).problems] == [20]
     rendering = scenes.room().render(CAMERA)
-    images.write_png(recording / "depth" / "20.png", rendering.measure(seed=77))  # mended: only with retry
-    assert rp.fit_sequence(sequence, out, num_threads=1).resumed == 30
-    images.write_png(recording / "depth" / "3.png", rendering.measure(holes=0.1, seed=99))
-    report = rp.fit_sequence(sequence, out, num_threads=1)
-    assert 15 < report.resumed < 30
-    assert [problem.frame for problem in report.problems] == [20]
-    assert rp.fit_sequence(sequence, out, num_threads=1, retry=True).problems == []
+    for name, seed in (("3.png", 99), ("20.png", 77)):  # the second mends what was skipped
+        images.write_png(recording / "depth" / name, rendering.measure(holes=0.1, seed=seed))
+        report = rp.fit_sequence(sequence, out, num_threads=1)
+        assert 15 < report.resumed < 30
+        assert [problem.frame for problem in report.problems] == ([20] if name == "3.png" else [])
     check_rows(out, sequence)
 
 
@@ -902,6 +907,7 @@ def test_command_writes_the_table_and_says_what_it_did(recording, tmp_path, caps
 def test_what_is_wrong_with_many_frames_is_said_once(recording, tmp_path, capsys):
     replace(CAMERA, width=60, height=80).save(tmp_path / "swapped.json")
     (recording / "depth" / "12.png").write_bytes(b"")
+    images.write_png(recording / "depth" / "0.png", np.full((80, 60), 1000, np.uint16))  # or it would be an error
     camera = str(tmp_path / "swapped.json")
     arguments = ["batch", str(recording), "--out", str(tmp_path / "t"), "--camera", camera]
     for again in range(2):  # the second time from what is written, which is said in a line more
@@ -911,8 +917,21 @@ def test_what_is_wrong_with_many_frames_is_said_once(recording, tmp_path, capsys
         transposed = "got (60, 80): is it transposed, or are the camera's width and height swapped?"
         assert sum(line.startswith("rgbd-planes batch: skipped frame ") for line in lines[:2]) == 2
         assert sum(line.endswith(transposed) for line in lines) == 2
-        assert lines[2].startswith("29 frames, 0 to 11, 13 to 29: expected a depth frame of shape")
-        assert lines[3] == "Skipped 30 of 30 frames."
+        assert lines[2].startswith("28 frames, 1 to 11, 13 to 29: expected a depth frame of shape")
+        assert lines[3] == "Skipped 29 of 30 frames."
+
+
+def test_frames_of_another_size_are_an_error_before_a_table_is_begun(recording, tmp_path, capsys):
+    replace(CAMERA, width=40, height=30).save(tmp_path / "half.json")
+    out = tmp_path / "t"
+    arguments = ["batch", str(recording), "--out", str(out)]
+    assert cli.main([*arguments, "--camera", str(tmp_path / "half.json")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(
+        "rgbd-planes batch: depth/29.png: expected a depth frame of shape (height, width) = (30, 40)"
+    )
+    assert not out.exists()
+    assert cli.main(arguments) == 0
 
 
 @pytest.fixture
@@ -1066,10 +1085,10 @@ def test_command_passes_its_options_on(recording, tmp_path):
 def test_command_tries_again_what_was_skipped(recording, tmp_path, capsys):
     frame = recording / "depth" / "3.png"
     content = frame.read_bytes()
-    frame.write_bytes(b"")
+    replace_unseen(frame, bytes(len(content)))
     arguments = ["batch", str(recording), "--out", str(tmp_path / "out")]
     assert cli.main(arguments) == 1
-    frame.write_bytes(content)
+    replace_unseen(frame, content)
     assert cli.main(arguments) == 1
     capsys.readouterr()
     assert cli.main([*arguments, "--retry"]) == 0

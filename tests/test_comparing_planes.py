@@ -523,6 +523,24 @@ def test_planes_that_tell_no_motion_are_refused(rng, chosen, message):
         rp.uncertainty.align_planes(planes[chosen], covariance[chosen], planes[chosen], covariance[chosen])
 
 
+def test_motions_need_normals_to_the_same_side(rng):
+    """Of planes whose normals point to the other side, and of others than those: no motion has an answer."""
+    planes, covariance = drawn_planes(rng, 6)
+    while np.linalg.cond(planes[1:, :3]) > 3.0:
+        planes, covariance = drawn_planes(rng, 6)
+    covariance = 1e-4 * covariance
+    others, of_others = rp.uncertainty.transform_planes(
+        planes, covariance, motion_of([0.1, 0.2, -0.3], [1.0, -2.0, 0.5])
+    )
+    planes[0] = np.nan
+    with pytest.raises(ValueError, match=r"normals to the same side, got some that only a reflection brings together"):
+        rp.uncertainty.align_planes(planes, covariance, -others, of_others)
+    turned = others.copy()
+    turned[2] *= -1.0
+    with pytest.raises(ValueError, match=r"normals to the same side, got some that "):
+        rp.uncertainty.align_planes(planes, covariance, turned, of_others)
+
+
 def test_motions_need_covariances_of_planes(rng):
     planes, covariance = drawn_planes(rng, 4)
     for pair in ((covariance, 0.0 * covariance), (0.0 * covariance, covariance)):

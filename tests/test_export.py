@@ -275,6 +275,26 @@ def test_each_message_has_a_header_of_its_own(tiles):
         assert message["header"] == parts[1]["header"] == {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "camera"}
 
 
+def test_a_path_with_the_suffix_of_another_format_is_refused(tiles, depth, tmp_path):
+    """Nothing is written, whatever was there; a suffix that names no format is the user's."""
+    points = tiles.camera.points(depth)
+    for write, wrong, own in (
+        (tiles.save, "a.json", "npz"),
+        (tiles.camera.save, "a.yaml", "json"),
+        (lambda path: rp.export.write_json(path, tiles), "a.npz", "json"),
+        (lambda path: rp.export.write_ply(path, points), "a.obj", "ply"),
+        (lambda path: rp.segmentation_export.write_json(path, rp.segment(depth, tiles.camera)), "a.CSV", "json"),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"{wrong}: expected a path that ends in .{own}, which is what is written"
+        ):
+            write(tmp_path / wrong)
+        assert not list(tmp_path.iterdir())
+    for name in ("a", "a.tiles", "a.JSON"):
+        tiles.camera.save(tmp_path / name)
+        assert rp.Camera.load(tmp_path / name) == tiles.camera
+
+
 def test_what_is_no_tiles_is_refused(tmp_path, tiles):
     for write in (lambda: export.write_tiles_ply(tiles, tmp_path / "t.ply"), lambda: export.to_open3d(None)):
         with pytest.raises((TypeError, ImportError), match=r"expected TilePlanes, got|open3d"):

@@ -690,6 +690,10 @@ def test_integers_that_were_made_metres_are_as_rounded(rng):
     some_of_each = [seen[0].astype(np.uint16), (seen[1] / 1000.0).astype(np.float32)]
     for mixed in (some_of_each, some_of_each[::-1]):
         assert rp.estimate_noise(mixed, millimetres).step == pytest.approx(1e-3)
+    fifths = [(5.0 * depth).astype(np.uint16) for depth in seen]  # as TUM's benchmark stores millimetres
+    same = rp.estimate_noise(fifths, replace(CAMERA, depth_scale=5000.0))
+    assert same.step == pytest.approx(1e-3)
+    np.testing.assert_allclose(same.sigma(q), as_integers.sigma(q), rtol=1e-3)
 
 
 def test_real_kinect_frames():

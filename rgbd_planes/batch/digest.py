@@ -54,10 +54,9 @@ def stamps(location: Any) -> str:
     return " ".join(texts)
 
 
-def of_files(stamps_of_frames: Iterable[str], skipped: Iterable[int]) -> str:
-    """Digest of the `stamps` of some frames, without those that were skipped, whose files may be mended."""
-    left_out = frozenset(skipped)
-    return _digest(f"{i} {text}\n".encode() for i, text in enumerate(stamps_of_frames) if i not in left_out)
+def of_files(stamps_of_frames: Iterable[str]) -> str:
+    """Digest of the `stamps` of some frames."""
+    return _digest(f"{text}\n".encode() for text in stamps_of_frames)
 
 
 def _digest(texts: Iterable[bytes | memoryview]) -> str:

@@ -194,7 +194,7 @@ def fit_part(
         fitted()
     begin = time.perf_counter()
     status = rows.status_counts()
-    digest = of_files(files, [problem.frame - first for problem in problems])
+    digest = of_files(files)
     about = json.dumps({"status": status, "problems": problems, "files": digest})
     content = b""
     if where is None:

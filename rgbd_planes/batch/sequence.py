@@ -30,7 +30,7 @@ from rgbd_planes.batch.rows import Columns
 from rgbd_planes.caller_warnings import warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_bool, check_num_threads, check_whole
-from rgbd_planes.depth import check_unit
+from rgbd_planes.depth import check_shape, check_unit
 from rgbd_planes.extras import needs
 from rgbd_planes.files import alone_in, check_folder_name, naming, write_beside
 from rgbd_planes.sequences.frames import FrameSequence, check_sequence
@@ -128,7 +128,7 @@ def fit_sequence(
     version. Where the file of a frame has changed since, the part of the table that it is in is done again. At most the
     part that each thread is at is lost: up to 512 frames, or 64 of segments. A table with a noise model that is a
     function, or of a sequence that cannot be pickled, is not resumed. A frame that cannot be read or fitted is skipped
-    and reported, and tried again with `retry` only. Memory does not grow with the sequence.
+    and reported, and tried again if its file has changed, or with `retry`. Memory does not grow with the sequence.
 
     Parameters
     ----------
@@ -196,7 +196,8 @@ def fit_sequence(
     columns = Columns(settings.segments, sequence.camera.noise is not None, timed)
     folder = Path(out)
     check_folder_name(folder, "the table")
-    _check_unit(sequence)
+    if scheduler is None or (sequence.camera.depth_scale is None and sequence.camera.disparity is None):
+        _check_frames(sequence)  # which a scheduler's workers can read, and this process may not
     with _workers(scheduler, num_threads, settings) as workers, alone_in(folder):
         size = _open_table(folder, sequence, settings, workers.slots)
         tasks: list[Task] = [
@@ -229,23 +230,30 @@ def fit_sequence(
 
 
 def _has_changed(part: Part, sequence: FrameSequence, task: Task) -> bool:
-    """Whether the files of frames that were fitted are others now."""
+    """Whether the files of its frames are others now."""
     _, start, stop = task
-    files = (stamps(entry.location) for entry in sequence.entries[start:stop])
-    return part.files != of_files(files, [problem.frame - start for problem in part.problems])
+    return part.files != of_files(stamps(entry.location) for entry in sequence.entries[start:stop])
 
 
-def _check_unit(sequence: FrameSequence) -> None:
-    """Refuse, before a table is begun, a camera that does not say what integers are: no frame could be fitted."""
-    name, camera = sequence.names[0], sequence.camera
-    if camera.depth_scale is None and camera.disparity is None:
+def _check_frames(sequence: FrameSequence) -> None:
+    """Refuse, before a table is begun, a camera whose frames these are not, or that does not say what integers are.
+
+    No frame could be fitted. Both ends must be of another size: one alone may be a problem of its own.
+    """
+    for i in (0, -1):
+        name = sequence.names[i]
         try:
-            dtype = np.asarray(sequence[0].depth).dtype
+            frame = sequence[i]
+            depth = np.asarray(frame.depth)
         except Exception as error:
             reason_to_skip(error, name)  # raises what is no fault of the frame; a damaged frame is a problem for later
-        else:
-            with naming(name):
-                check_unit(dtype, camera)
+            return
+        with naming(name):
+            if depth.shape == frame.camera.shape:
+                check_unit(depth.dtype, frame.camera)
+                return
+            if i != 0:
+                check_shape(depth, depth, frame.camera)
 
 
 def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:

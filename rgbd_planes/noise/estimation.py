@@ -23,7 +23,7 @@ from rgbd_planes.array_types import Floats
 from rgbd_planes.caller_warnings import collected_warnings, warn_caller
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import check_camera, check_num_threads
-from rgbd_planes.depth import as_depth_frame, as_numbered_frame, depth_of, step_of
+from rgbd_planes.depth import as_depth_frame, as_numbered_frame, depth_of, spacing_of
 from rgbd_planes.distances import warn_of_distances
 from rgbd_planes.files import naming
 from rgbd_planes.noise import NoiseModel, quantised, table
@@ -181,7 +181,8 @@ def _open(frames: Any, camera: Camera) -> tuple[list[Any], NoiseModel]:
     for index, depth in enumerate(opened):
         frame = as_depth_frame(depth, camera) if is_one else as_numbered_frame(index, depth, camera)
         warn_of_distances(frame, camera)
-        steps.append(abs(step_of(frame) * frame.scale if frame.is_disparity else step_of(frame) / frame.scale))
+        step = spacing_of(frame)
+        steps.append(abs(step * frame.scale if frame.is_disparity else step / frame.scale))
     return opened, _rounding(steps, camera.disparity is not None)
 
 
