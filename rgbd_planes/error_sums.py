@@ -15,6 +15,7 @@ from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.pixel_runs import runs_of_labels
+from rgbd_planes.ray_pitch import has_uneven_pitch, lateral_of_pixels, slope_square
 from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 
 if TYPE_CHECKING:
@@ -70,9 +71,12 @@ class KeepsPixels:
         return self._pixels.runs
 
 
-def _varies(noise: NoiseModel | None) -> bool:
-    """Whether pixels at different depths, or places in the image, have different variances of q."""
-    return noise is not None and (len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0)
+def _varies(camera: Camera) -> bool:
+    """Whether pixels of one plane at different depths, or places in the image, have different variances of q."""
+    noise = camera.noise
+    if noise is None:
+        return False
+    return len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0 or has_uneven_pitch(camera)
 
 
 def pixels_of_labels(
@@ -91,10 +95,10 @@ def pixels_of_labels(
         counts, rays, q = mean_rays(method, arrays["_moments"], arrays["_reference"])
         shared = covariances_by_shape(runs, camera, counts, rays, alpha)
         sums = _sums_of_rays(camera, counts, rays, q, alpha)
-    if _varies(noise):
+    if _varies(camera):
         sums = np.empty((len(alpha), 8))
-        settings, growth = settings_of(camera), growth_of_pixels(camera)
-        label_variances(*frame.values, *camera._rays, labels, alpha, settings, growth, sums)
+        of_camera = settings_of(camera), growth_of_pixels(camera), lateral_of_pixels(camera)
+        label_variances(*frame.values, *camera._rays, labels, alpha, *of_camera, sums)
     return Pixels(footprint, noise, sums, shared, runs)
 
 
@@ -104,11 +108,20 @@ def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
     ``alpha`` (N, 3) are the planes at whose depths the parts' pixels are; where it is NaN, at their mean depth. None
     where moments tell the errors: all pixels have one variance, and share none.
     """
-    if not (_varies(fits.camera.noise) or shares_errors(fits.camera.noise)):
+    camera, noise = fits.camera, fits.camera.noise
+    if not (_varies(camera) or shares_errors(noise)):
         return None
     if fits._error_sums is not None:
         return fits._error_sums
-    return _sums_of_rays(fits.camera, *mean_rays(fits.method, fits._moments, fits._reference), alpha)
+    count, rays, q = mean_rays(fits.method, fits._moments, fits._reference)
+    sums = _sums_of_rays(camera, count, rays, q, alpha)
+    if noise is not None and has_uneven_pitch(camera):
+        lateral = noise.lateral**2 * np.nan_to_num(slope_square(alpha, camera, fits._footprint))
+        u, v, uu, uv, vv = rays.T
+        sums[:, 2] += lateral * (2.0 * (sums[:, 0] + sums[:, 1]) + count * lateral)
+        sums[:, 1] += count * lateral
+        sums[:, 3:] += (count * lateral * np.stack([u, v, uu + u * u, uv + u * v, vv + v * v])).T
+    return sums
 
 
 def _sums_of_rays(camera: Camera, count: Floats, rays: Floats, q: Floats, alpha: Floats) -> Floats:

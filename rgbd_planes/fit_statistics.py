@@ -29,7 +29,7 @@ from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import inverse_freedom
-from rgbd_planes.ray_pitch import pitch_square
+from rgbd_planes.ray_pitch import has_uneven_pitch, pitch_square
 from rgbd_planes.threads import Work
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ class Assessment:
             self._tables, self._first = _tables_of(camera.noise, sizes)
         self._of_noise = settings_of(camera)
         self._of_lens = np.empty((0, len(sizes)))
-        if camera.is_distorted and camera.noise.lateral > 0.0:
+        if has_uneven_pitch(camera):
             self._of_lens = camera.noise.lateral**2 * pitch_square(camera, footprint)
         self._growth = growth
         self._in_range_space = method.startswith("range")
@@ -305,9 +305,8 @@ class Assessment:
     def _of_depths(self, error_sums: Floats, shared: Floats | None, counts: npt.NDArray[np.int32]) -> Floats:
         """(OF_DEPTHS or OF_SHAPE, N) float64: means over the pixels of each part, and what their shape does."""
         of_pixels = np.zeros((OF_DEPTHS if shared is None else OF_SHAPE, counts.size))
-        lateral_x, lateral_y = self._of_noise[[LATERAL_X, LATERAL_Y]]
-        of_pixels[0], of_pixels[2] = lateral_x, lateral_y
-        of_pixels[: len(self._of_lens)] = self._of_lens
+        if not len(self._of_lens):  # otherwise the sums have it of each pixel
+            of_pixels[0], of_pixels[2] = self._of_noise[[LATERAL_X, LATERAL_Y]]
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
         total = np.where(along + rounding > 0.0, along + rounding, 1.0)
         of_pixels[OF_LENS:OF_DEPTHS] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]

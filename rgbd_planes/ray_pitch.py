@@ -10,9 +10,33 @@ from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.kernels.statistics.variances import PLACES, WEIGHTS
 
+_NONE: Floats = np.empty((0, 3, 0))
+_NONE.flags.writeable = False  # as all that `lateral_of_pixels` gives: the kernels are compiled for either kind
 WEIGHTS_OF_PLACES = np.outer(WEIGHTS, WEIGHTS).ravel()
 """Of Gauss's quadrature, for the nine places that two sides make."""
 _ANGLES = 129  # angles off the axis in a table
+
+
+def has_uneven_pitch(camera: Camera) -> bool:
+    """Whether a lens makes a noise's error across the ray differ from pixel to pixel of a plane."""
+    return camera.is_distorted and camera.noise is not None and camera.noise.lateral > 0.0
+
+
+def lateral_of_pixels(camera: Camera) -> Floats:
+    """(H, 3, W) float64: variances of the rays, λ²JJᵀ with the error λ across the ray in pixels, if they are uneven.
+
+    As `pitch_square`, of each pixel; (0, 3, 0) otherwise.
+    """
+    if camera.noise is None or not has_uneven_pitch(camera):
+        return _NONE
+    return _lateral_of_pixels(camera._lens, camera.noise.lateral)
+
+
+@functools.lru_cache(maxsize=2)
+def _lateral_of_pixels(camera: Camera, lateral: float) -> Floats:
+    made = np.ascontiguousarray(lateral**2 * np.moveaxis(_of_pixels(camera), 0, 1))
+    made.flags.writeable = False
+    return made
 
 
 def pitch_square(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:

@@ -178,7 +178,7 @@ def test_none_at_all_is_the_same_bits(kind, rng):
     for name in ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std"):
         np.testing.assert_array_equal(getattr(fits, name), getattr(hardly, name))
     again = replace(hardly, camera=camera)  # another noise, given to what is fitted
-    np.testing.assert_allclose(again.p_value, fits.p_value, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(again.p_value, fits.p_value, rtol=5e-3, atol=1e-6)
 
 
 def test_rough_by_significance_is_a_small_p_value(rng):

@@ -13,7 +13,8 @@ from .variances import rounding_at, variance_at
 
 @kernel(inline=True)
 def variances_of_run(
-    values, lowest, highest, scale, offset, is_disparity, us, vs, plane, noise, growth, start, stop, along, rounding
+    values, lowest, highest, scale, offset, is_disparity, us, vs, plane, noise, growth, pitch, start, stop, along,
+    independent,
 ):  # fmt: skip
     """Write the variances of pixels ``start`` to ``stop`` of a row: 0 where nothing is measured."""
     a, b, c = plane[0], plane[1], plane[2]
@@ -24,20 +25,26 @@ def variances_of_run(
         there = (lowest <= value) & (value <= highest)
         variance = variance_at(q if there else 0.0, noise)
         along[column] = variance if there else 0.0
-        rounding[column] = rounding_at(q, noise) if there else 0.0
+        independent[column] = rounding_at(q, noise) if there else 0.0
     if len(growth) > 0:
         for column in range(start, stop):
             along[column] *= growth[column]
+    if pitch.shape[1] > 0 and fitted:
+        of_uu, of_uv, of_vv = pitch[0], pitch[1], pitch[2]
+        for column in range(start, stop):
+            lateral = a * a * of_uu[column] + 2.0 * a * b * of_uv[column] + b * b * of_vv[column]
+            there = (lowest <= values[column]) & (values[column] <= highest)
+            independent[column] += lateral if there else 0.0
 
 
 @kernel(reduction=True)
-def add_variances(us, vs, along, rounding, start, stop, sums, i):
+def add_variances(us, vs, along, independent, start, stop, sums, i):
     """Add the variances of a run to row ``i`` of ``sums``."""
-    s_along = s_rounding = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
+    s_along = s_independent = squares = s_u = s_v = s_uu = s_uv = s_vv = 0.0
     for k in range(start, stop):
-        u, v, total = us[k], vs[k], along[k] + rounding[k]
+        u, v, total = us[k], vs[k], along[k] + independent[k]
         s_along += along[k]
-        s_rounding += rounding[k]
+        s_independent += independent[k]
         squares += total * total
         s_u += total * u
         s_v += total * v
@@ -45,7 +52,7 @@ def add_variances(us, vs, along, rounding, start, stop, sums, i):
         s_uv += total * u * v
         s_vv += total * v * v
     sums[i, 0] += s_along
-    sums[i, 1] += s_rounding
+    sums[i, 1] += s_independent
     sums[i, 2] += squares
     sums[i, 3] += s_u
     sums[i, 4] += s_v
@@ -56,7 +63,8 @@ def add_variances(us, vs, along, rounding, start, stop, sums, i):
 
 @kernel()
 def label_variances(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, growth, sums
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, growth, pitch,
+    sums,
 ):  # fmt: skip
     """Sums over the valid pixels of labels 1 to K of the variances of their errors, at the depths of their planes.
 
@@ -70,13 +78,16 @@ def label_variances(
     noise : see `variances.LATERAL_X`
     growth : (H, W) float64, or empty
         Factors on the variances of q along the ray that ``noise`` gives.
+    pitch : (H, 3, W) float64, or empty
+        Variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, where a lens makes them
+        differ.
     sums : (K, 8) float64, written
-        Sums of the variances of q along the ray, of those of rounding, of the squares of their total, and of their
-        total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
+        Sums of the variances of q along the ray, of those of rounding and, with ``pitch``, of errors across the ray, of
+        the squares of their total, and of their total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
     """
     height, width = raw.shape
-    vs, along, rounding = np.empty(width), np.empty(width), np.empty(width)
-    grown = np.empty(0)
+    vs, along, independent = np.empty(width), np.empty(width), np.empty(width)
+    grown, across = np.empty(0), np.empty((3, 0))
     sums[:] = 0.0
     for row in range(height):
         line = labels[row]
@@ -90,6 +101,8 @@ def label_variances(
             vs[:] = tan_y[row, 0]
         if growth.shape[0] > 0:
             grown = growth[row]
+        if pitch.shape[0] > 0:
+            across = pitch[row]
         while stop < end:
             start, label = stop, line[stop]
             while stop < end and line[stop] == label:
@@ -98,7 +111,7 @@ def label_variances(
             if i < 0:
                 continue
             variances_of_run(
-                raw[row], lowest, highest, scale, offset, is_disparity, us, vs, alpha[i], noise, grown, start, stop,
-                along, rounding,
+                raw[row], lowest, highest, scale, offset, is_disparity, us, vs, alpha[i], noise, grown, across, start,
+                stop, along, independent,
             )  # fmt: skip
-            add_variances(us, vs, along, rounding, start, stop, sums, i)
+            add_variances(us, vs, along, independent, start, stop, sums, i)

@@ -159,7 +159,8 @@ def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
     ----------
     sigma : callable
         Takes an array of inverse depths above 0, 1/m, returns the standard deviation of each, 1/m: a finite
-        number, 0 or more, everywhere from 1.2e-3 to 20 1/m.
+        number, 0 or more, everywhere from 1.2e-3 to 20 1/m. It must always return the same: what is made of it is
+        kept for cameras with an equal function, as methods of one object are.
 
     Raises
     ------
