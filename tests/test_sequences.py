@@ -438,6 +438,16 @@ def test_folder_of_images_needs_a_camera(tmp_path, frames):
     same(times, frames[[1, 0]], CAMERA, times=[0.5, 1.5])
 
 
+def test_images_of_colour_beside_those_of_depth_are_none_of_the_sequence(tmp_path, frames):
+    for i, depth in enumerate(frames):
+        images.write_png(tmp_path / f"{i}-color.png", np.full(depth.shape, 200, np.uint8))
+        images.write_png(tmp_path / f"{i}-Depth.png", depth)
+    sequence = rp.open_sequence(tmp_path, CAMERA)
+    assert list(sequence.names) == [f"{i}-Depth.png" for i in range(len(frames))]
+    for frame, depth in zip(sequence, frames, strict=True):
+        np.testing.assert_array_equal(frame.depth, depth)
+
+
 def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *arguments: False)
     for open_one in (rp.open_sequence, sequences.tum, sequences.folder):

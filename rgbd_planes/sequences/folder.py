@@ -15,7 +15,7 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     ----------
     path : folder
         With the images in it or in ``depth/``, in the order of the numbers in their names, or in that of the lines
-        "seconds file" of a ``depth.txt``.
+        "seconds file" of a ``depth.txt``. Where some names contain "depth", as beside images of colour, those images.
     camera : Camera, optional
         Read from ``camera.json`` in the folder, if not given.
 
@@ -43,5 +43,6 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     place = root / "depth" if (root / "depth").is_dir() else root
     # A broken link stays, so that reading it is an error, and the frames after it keep their numbers.
     files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and not file.is_dir()]
+    files = [file for file in files if "depth" in file.stem.lower()] or files
     files = some(numbered(files), f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
     return image_sequence(files, camera, root)
