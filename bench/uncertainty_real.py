@@ -177,7 +177,8 @@ def real_result(data: RealSet, noise: rp.noise.NoiseModel, size: int) -> RealRes
     bands = []
     if border:
         band = np.searchsorted(APART, np.concatenate(border), side="right")
-        bands = [float(np.mean(p_all[band == i] < 0.01)) if (band == i).any() else np.nan for i in range(3)]
+        of_bands = (p_all[band == i] for i in range(len(APART) + 1))
+        bands = [float(np.mean(some < 0.01)) if len(some) else np.nan for some in of_bands]
     square = np.minimum(np.concatenate(excess), 9.0)  # no single edge is to be all that counts
     return RealResult(
         tiles=len(p_all),

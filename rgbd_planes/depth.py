@@ -282,24 +282,31 @@ def step_of(frame: DepthFrame) -> float:
     if frame.step > 0.0:
         return frame.step
     grain = _GRAIN_OF_DISPARITY if frame.is_disparity else _GRAIN
-    sample = some_of(frame.raw)[0]
-    grains = sample[(sample >= frame.lowest) & (sample <= frame.highest)].astype(np.float64) / grain
+    grains = _measured(frame).astype(np.float64) / grain
     grains = grains[np.abs(grains) < _INDISTINCT]
     whole = np.rint(grains)
     # Single precision changes a number by 1e-7 of it.
     if (np.abs(grains - whole) > np.minimum(0.02 + 1e-7 * np.abs(grains), 0.3)).any():
         return 0.0
-    values = np.unique(whole)
-    return grain * int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0.0
+    return grain * _common_step(whole)
 
 
 def spacing_of(frame: DepthFrame) -> float:
     """As `step_of`, or of integers all of which are multiples of a larger one, as millimetres in fifths, that one."""
+    found = _common_step(_measured(frame)) if frame.step > 0.0 else 0
+    return float(found) or step_of(frame)
+
+
+def _measured(frame: DepthFrame) -> NDArray[Any]:
+    """Some of the frame's valid raw values."""
     sample = some_of(frame.raw)[0]
-    values = np.unique(sample[(sample >= frame.lowest) & (sample <= frame.highest)])
-    if frame.step > 0.0 and len(values) >= _FEW_VALUES:
-        return float(np.gcd.reduce(values.astype(np.int64)))
-    return step_of(frame)
+    return np.asarray(sample[(sample >= frame.lowest) & (sample <= frame.highest)])
+
+
+def _common_step(whole: NDArray[Any]) -> int:
+    """The largest number of which all these whole ones are multiples; 0 if they are too few values to tell."""
+    values = np.unique(whole)
+    return int(np.gcd.reduce(values.astype(np.int64))) if len(values) >= _FEW_VALUES else 0
 
 
 def _without(

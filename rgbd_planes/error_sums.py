@@ -15,7 +15,7 @@ from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.pixel_runs import runs_of_labels
-from rgbd_planes.ray_pitch import has_uneven_pitch, lateral_of_pixels, slope_square
+from rgbd_planes.ray_pitch import lateral_of_pixels, slope_square, uneven_lateral
 from rgbd_planes.shared_errors import covariances_by_shape, shares_errors
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def _varies(camera: Camera) -> bool:
     noise = camera.noise
     if noise is None:
         return False
-    return len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0 or has_uneven_pitch(camera)
+    return len(noise._variances) > 2 or noise.step > 0.0 or noise.falloff > 0.0 or uneven_lateral(camera) > 0.0
 
 
 def pixels_of_labels(
@@ -108,15 +108,16 @@ def sums_of_fits(fits: "PlaneFits", alpha: Floats) -> Floats | None:
     ``alpha`` (N, 3) are the planes at whose depths the parts' pixels are; where it is NaN, at their mean depth. None
     where moments tell the errors: all pixels have one variance, and share none.
     """
-    camera, noise = fits.camera, fits.camera.noise
-    if not (_varies(camera) or shares_errors(noise)):
+    camera = fits.camera
+    if not (_varies(camera) or shares_errors(camera.noise)):
         return None
     if fits._error_sums is not None:
         return fits._error_sums
     count, rays, q = mean_rays(fits.method, fits._moments, fits._reference)
     sums = _sums_of_rays(camera, count, rays, q, alpha)
-    if noise is not None and has_uneven_pitch(camera):
-        lateral = noise.lateral**2 * np.nan_to_num(slope_square(alpha, camera, fits._footprint))
+    error = uneven_lateral(camera)
+    if error > 0.0:
+        lateral = error**2 * np.nan_to_num(slope_square(alpha, camera, fits._footprint))
         u, v, uu, uv, vv = rays.T
         sums[:, 2] += lateral * (2.0 * (sums[:, 0] + sums[:, 1]) + count * lateral)
         sums[:, 1] += count * lateral

@@ -29,7 +29,7 @@ from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import inverse_freedom
-from rgbd_planes.ray_pitch import has_uneven_pitch, pitch_square
+from rgbd_planes.ray_pitch import pitch_square, uneven_lateral
 from rgbd_planes.threads import Work
 
 if TYPE_CHECKING:
@@ -260,8 +260,9 @@ class Assessment:
             self._tables, self._first = _tables_of(camera.noise, sizes)
         self._of_noise = settings_of(camera)
         self._of_lens = np.empty((0, len(sizes)))
-        if has_uneven_pitch(camera):
-            self._of_lens = camera.noise.lateral**2 * pitch_square(camera, footprint)
+        lateral = uneven_lateral(camera)
+        if lateral > 0.0:
+            self._of_lens = lateral**2 * pitch_square(camera, footprint)
         self._growth = growth
         self._in_range_space = method.startswith("range")
 
@@ -291,7 +292,7 @@ class Assessment:
             return lambda start, stop: assess(*before, start, stop, status, results)
 
         def assess_tiles(start: int, stop: int) -> None:
-            index, tables = counts, self._tables
+            tables = self._tables
             if tables is None:
                 some = np.arange(start, stop)  # other parts may not be written yet
                 parts = noise, counts.ravel()[some], self._sizes[some % tiles]

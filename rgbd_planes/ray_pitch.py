@@ -17,19 +17,15 @@ WEIGHTS_OF_PLACES = np.outer(WEIGHTS, WEIGHTS).ravel()
 _ANGLES = 129  # angles off the axis in a table
 
 
-def has_uneven_pitch(camera: Camera) -> bool:
-    """Whether a lens makes a noise's error across the ray differ from pixel to pixel of a plane."""
-    return camera.is_distorted and camera.noise is not None and camera.noise.lateral > 0.0
+def uneven_lateral(camera: Camera) -> float:
+    """The lateral error, in pixels, if a lens makes what it does to q differ over a plane; 0 otherwise."""
+    return camera.noise.lateral if camera.is_distorted and camera.noise is not None else 0.0
 
 
 def lateral_of_pixels(camera: Camera) -> Floats:
-    """(H, 3, W) float64: variances of the rays, λ²JJᵀ with the error λ across the ray in pixels, if they are uneven.
-
-    As `pitch_square`, of each pixel; (0, 3, 0) otherwise.
-    """
-    if camera.noise is None or not has_uneven_pitch(camera):
-        return _NONE
-    return _lateral_of_pixels(camera._lens, camera.noise.lateral)
+    """(H, 3, W) float64: of each pixel λ²JJᵀ, as of `pitch_square`, with `uneven_lateral` λ; (0, 3, 0) without one."""
+    lateral = uneven_lateral(camera)
+    return _lateral_of_pixels(camera._lens, lateral) if lateral > 0.0 else _NONE
 
 
 @functools.lru_cache(maxsize=2)

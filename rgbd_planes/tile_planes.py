@@ -25,13 +25,18 @@ if TYPE_CHECKING:
     from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 
 
-@functools.lru_cache(maxsize=16)
-def _assessment_of(camera: Camera, method: str, tile: tuple[int, int]) -> Assessment:
-    """What writes the statistics of any frame that is fitted so: to make it takes as long as to use it."""
+def assessment_of_tiles(camera: Camera, method: str, significance: float | None, tile: tuple[int, int]) -> Assessment:
+    """What tests the tiles of any frame that is fitted so, and writes their statistics."""
     from rgbd_planes.fit_statistics import Assessment
 
     sizes, footprint = tile_windows(camera.shape, tile)[:, 2:], tile_footprints(camera.shape, tile)
-    return Assessment(camera, method, 0.0, sizes, footprint, growth_of_tiles(camera, tile))
+    return Assessment(camera, method, significance, sizes, footprint, growth_of_tiles(camera, tile))
+
+
+@functools.lru_cache(maxsize=16)
+def _without_test(camera: Camera, method: str, tile: tuple[int, int]) -> Assessment:
+    # Cached: to make it takes as long as to use it.
+    return assessment_of_tiles(camera, method, 0.0, tile)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +71,7 @@ class TilePlanes(Savable, PlacedFits):
 
     @property
     def _assessment(self) -> Assessment:
-        return _assessment_of(self.camera, self.method, self.tile)
+        return _without_test(self.camera, self.method, self.tile)
 
     @property
     def _footprint(self) -> npt.NDArray[np.int64]:

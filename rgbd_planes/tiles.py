@@ -26,15 +26,13 @@ from rgbd_planes.checks import (
 )
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, as_depth_frames, as_numbered_frame
-from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import ARRAYS, METHODS, SOLVES, Arrays, in_order, solve_planes, valid_needed
 from rgbd_planes.kernels import grid
-from rgbd_planes.noise.falloff import growth_of_tiles
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
 from rgbd_planes.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_windows
-from rgbd_planes.tile_planes import TilePlanes
+from rgbd_planes.tile_planes import TilePlanes, assessment_of_tiles
 from rgbd_planes.window_moments import WindowMoments
 
 if TYPE_CHECKING:
@@ -105,20 +103,17 @@ class TileFitter(FixedArguments):
 
         self._noise_is_asked = threading.Lock()  # kept from the first frame on that tells; no thread waits for it
         self._grid = grid_shape(camera, self.tile)
-        windows = tile_windows(camera.shape, self.tile)
-        footprint = tile_footprints(camera.shape, self.tile)
         # A copy: for a read-only array kernels would be compiled again.
         self._needed = _valid_needed(camera.shape, self.tile, max_missing).copy()
         self._compiled_for = method, implementation, camera.is_distorted
-        growth = growth_of_tiles(camera, self.tile)
-        self._assessment = Assessment(camera, method, significance, windows[:, 2:], footprint, growth)
+        self._assessment = assessment_of_tiles(camera, method, significance, self.tile)
         if implementation == "direct":
             centre, tan_x, tan_y = tile_rays(camera, self.tile)
             self._of_camera = (
                 tan_x, tan_y, *self.tile, centre.reshape(2, -1), self._needed, *SOLVES[method], self._max_error,
             )  # fmt: skip
         else:
-            self._windows = windows
+            self._windows = tile_windows(camera.shape, self.tile)
             self._window_moments = WindowMoments(camera, method, implementation)
             self._full_windows = np.empty((6, len(self._windows)))
             self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)

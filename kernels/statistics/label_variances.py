@@ -13,7 +13,7 @@ from .variances import rounding_at, variance_at
 
 @kernel(inline=True)
 def variances_of_run(
-    values, lowest, highest, scale, offset, is_disparity, us, vs, plane, noise, growth, pitch, start, stop, along,
+    values, lowest, highest, scale, offset, is_disparity, us, vs, plane, noise, growth, lateral, start, stop, along,
     independent,
 ):  # fmt: skip
     """Write the variances of pixels ``start`` to ``stop`` of a row: 0 where nothing is measured."""
@@ -29,12 +29,12 @@ def variances_of_run(
     if len(growth) > 0:
         for column in range(start, stop):
             along[column] *= growth[column]
-    if pitch.shape[1] > 0 and fitted:
-        of_uu, of_uv, of_vv = pitch[0], pitch[1], pitch[2]
+    if lateral.shape[1] > 0 and fitted:
+        of_uu, of_uv, of_vv = lateral[0], lateral[1], lateral[2]
         for column in range(start, stop):
-            lateral = a * a * of_uu[column] + 2.0 * a * b * of_uv[column] + b * b * of_vv[column]
+            across = a * a * of_uu[column] + 2.0 * a * b * of_uv[column] + b * b * of_vv[column]
             there = (lowest <= values[column]) & (values[column] <= highest)
-            independent[column] += lateral if there else 0.0
+            independent[column] += across if there else 0.0
 
 
 @kernel(reduction=True)
@@ -63,7 +63,7 @@ def add_variances(us, vs, along, independent, start, stop, sums, i):
 
 @kernel()
 def label_variances(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, growth, pitch,
+    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, growth, lateral,
     sums,
 ):  # fmt: skip
     """Sums over the valid pixels of labels 1 to K of the variances of their errors, at the depths of their planes.
@@ -78,16 +78,16 @@ def label_variances(
     noise : see `variances.LATERAL_X`
     growth : (H, W) float64, or empty
         Factors on the variances of q along the ray that ``noise`` gives.
-    pitch : (H, 3, W) float64, or empty
+    lateral : (H, 3, W) float64, or empty
         Variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, where a lens makes them
         differ.
     sums : (K, 8) float64, written
-        Sums of the variances of q along the ray, of those of rounding and, with ``pitch``, of errors across the ray, of
-        the squares of their total, and of their total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
+        Sums of the variances of q along the ray, of those of rounding and, with ``lateral``, of errors across the ray,
+        of the squares of their total, and of their total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
     """
     height, width = raw.shape
     vs, along, independent = np.empty(width), np.empty(width), np.empty(width)
-    grown, across = np.empty(0), np.empty((3, 0))
+    grown, uneven = np.empty(0), np.empty((3, 0))
     sums[:] = 0.0
     for row in range(height):
         line = labels[row]
@@ -101,8 +101,8 @@ def label_variances(
             vs[:] = tan_y[row, 0]
         if growth.shape[0] > 0:
             grown = growth[row]
-        if pitch.shape[0] > 0:
-            across = pitch[row]
+        if lateral.shape[0] > 0:
+            uneven = lateral[row]
         while stop < end:
             start, label = stop, line[stop]
             while stop < end and line[stop] == label:
@@ -111,7 +111,7 @@ def label_variances(
             if i < 0:
                 continue
             variances_of_run(
-                raw[row], lowest, highest, scale, offset, is_disparity, us, vs, alpha[i], noise, grown, across, start,
+                raw[row], lowest, highest, scale, offset, is_disparity, us, vs, alpha[i], noise, grown, uneven, start,
                 stop, along, independent,
             )  # fmt: skip
             add_variances(us, vs, along, independent, start, stop, sums, i)

@@ -31,13 +31,13 @@ from .room import (
 )
 from .variances import DEPTH_STEP, DISPARITY_STEP, LATERAL_X, LATERAL_Y, SCALE, VARIANCES, entries_of, means_over
 
-# The mean over a tile of the variance of q along the ray is its series to second order, by the table's differences.
-# Where the table is steeper than a power STEEPEST of q, or more bent than one, it jumps. Where depths differ a
-# hundredfold the series may be below 0: at most LARGEST_LOSS is taken off. Where the variance of this variance,
-# relative to its squared mean, is more than MOST_EVEN, or that of q so large that the series might be off by what a
-# chi-square of the tile's pixels shows (about 1/√n), means come from `variances.means_over` instead. Not where the
-# squared residual is HOPELESS times what errors explain in the middle: such a tile crosses an edge, and is no plane by
-# any mean.
+# The mean over a tile of the variance of q along the ray is its series to second order, by the table's differences
+# and its bends. Where the table is steeper than a power STEEPEST of q it jumps; bends end at that power's. Where
+# depths differ a hundredfold the series may be below 0: at most LARGEST_LOSS is taken off. Where the variance of this
+# variance, relative to its squared mean, is more than MOST_EVEN, or that of q so large that the series might be off
+# by what a chi-square of the tile's pixels shows (about 1/√n), means come from `variances.means_over` instead. Not
+# where the squared residual is HOPELESS times what errors explain in the middle: such a tile crosses an edge, and is
+# no plane by any mean.
 STEEPEST = 8.0
 LARGEST_LOSS = 0.5
 BENT_SQUARE = 0.2  # the variance of half the square of what is spread evenly, over the square of its own variance

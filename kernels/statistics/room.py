@@ -24,9 +24,10 @@ POWER, SLOPE_U, SLOPE_V = 58, 59, 60
 ROWS = 61
 # Rows of what may be known of each tile's pixels beyond their moments, as means over them. Where a lens makes rays
 # differ over the image: variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, in place
-# of those in ``noise``. And for a part of many depths: variances of q along the ray and of rounding; how uneven their
-# sum is, its root mean square over its mean; and means, weighted by that sum, of u, v, u², uv and v². For a part of any
-# shape, the covariances that errors along the ray have in all: see `shared_errors.shared_covariances`.
+# of those in ``noise``. And for a part of many depths: variances of q along the ray, and of rounding, to which those
+# across the ray are added if it is known for each pixel what a lens makes of them; how uneven their sum is, its root
+# mean square over its mean; and means, weighted by that sum, of u, v, u², uv and v². For a part of any shape, the
+# covariances that errors along the ray have in all: see `shared_errors.shared_covariances`.
 OF_LENS, OF_DEPTHS, OF_SHAPE = 3, 11, 17
 
 # Columns of what `shared_errors.shared_covariances` writes: here, since that takes longer to import.
