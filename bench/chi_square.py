@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from scipy import special
 
-from rgbd_planes.kernels.statistics.chi_square import ETA_LEAST, ETA_MOST
+from rgbd_planes.kernels.statistics.distributions.chi_square import ETA_LEAST, ETA_MOST
 
 POWERS = (6, 3)
 LEAST_A, SHIFT = 0.5, 0.5

@@ -6,7 +6,7 @@ accumulating down image columns first. No missing pixels, no references, no plan
 
 import numpy as np
 
-from rgbd_planes.kernels._jit import kernel
+from rgbd_planes.kernels._jit.kernel import kernel
 
 
 @kernel(reduction=True)

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import DepthFrame, as_depth_frame
 from rgbd_planes.fitting import solve_planes, valid_needed
-from rgbd_planes.kernels import naive, summed_area
+from rgbd_planes.kernels.moments import summed_area
+from rgbd_planes.kernels.moments import windows as window_pixels
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.window_moments import ray_tables
 
@@ -98,7 +99,7 @@ class Fit:
             kernel = summed_area.range_window_moments if self._range else summed_area.standard_window_moments
             source = (self._tables, *self._missing)
         else:
-            kernel = naive.range_window_moments if self._range else naive.standard_window_moments
+            kernel = window_pixels.range_window_moments if self._range else window_pixels.standard_window_moments
             source = self._frame
         count = len(self.windows)
         kernel(*source, self.windows, self._full, 0, count, self.arrays["_moments"])

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from rgbd_planes.kernels import naive, summed_area
+from rgbd_planes.kernels.moments import summed_area
+from rgbd_planes.kernels.moments import windows as window_pixels
 
 PAPER_OPERATIONS_PER_TABLE = 4
 """Operations that a table costs per pixel, whatever its argument (the paper's section on integral images)."""
@@ -180,7 +181,7 @@ def count_all() -> dict[str, dict[str, Count]]:
         "implicit": {"standard": count(summed_area.standard_tables, 9), "range": count(summed_area.range_tables, 4)},
         "explicit": {"standard": count(summed_area.standard_tables, 8), "range": count(summed_area.range_tables, 3)},
         "naive": {
-            "standard": count(naive.standard_window_moments, 10, window=True),
-            "range": count(naive.range_window_moments, 10, window=True),
+            "standard": count(window_pixels.standard_window_moments, 10, window=True),
+            "range": count(window_pixels.range_window_moments, 10, window=True),
         },
     }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bench.fitting import case, fit, floor_of, take_turns
 from bench.paper import processor
-from rgbd_planes.kernels._jit import kernel
+from rgbd_planes.kernels._jit.kernel import kernel
 
 STEPS = 16
 PICTURE = Path(__file__).resolve().parents[1] / "docs/images/roofline.png"

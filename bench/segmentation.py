@@ -34,7 +34,7 @@ from bench.timing import in_turns
 from rgbd_planes import Camera, scenes
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.images import read_depth
-from rgbd_planes.kernels.segments.records import Rules
+from rgbd_planes.kernels.segmentation.model.records import Rules
 from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import segment as segmentation
 from rgbd_planes.segmentation.noise import Given

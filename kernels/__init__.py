@@ -1,20 +1,19 @@
 """Numba kernels: arrays in, arrays out. They know nothing of cameras, files or results.
 
-What calls what:
+Folders, lowest first; each uses only those before it:
 
-- tiles: `grid` from raw depth to planes, with `strips`, `camera_terms`, `range_moments` or `standard_moments`, then
-  `solve` with `secular`, `eigen3` and `eigen4`; `merging` adds moments up, `label_moments` sums those of any pixels
-- windows, and the paper's tables: `summed_area`, or `naive`, then `solve`
-- normals: `dense`, with `sliding` and `window_planes`; `window_choice` keeps them off edges
-- uncertainty: `statistics`, and segments: `segments`, each a folder of its own
-- used by many of them: `depth`, `copying`, `marked`; in segments also `disjoint_sets`, `quantiles`; `cache_lines` is
-  for whoever makes arrays for them
-- tables on disk: `rows`
+- `_jit`: how kernels are compiled and cached on disk
+- `common`: arrays, marks, quantiles, union-find
+- `moments`: sums over the pixels of tiles, windows and labels; summed-area tables; sliding windows
+- `solvers`: from moments to planes
+- `fits`: from a frame to planes or normals in one call
+- `statistics`: how good a plane is
+- `segmentation`: the planes of a frame, and the pixels of each
 
 Habits of these kernels, each because it was measured:
 
-- No index counts from the end, unless it is spelled out, as in ``a[-1]``: see `_lowering`. Whoever changes a kernel
-  runs the tests with ``NUMBA_BOUNDSCHECK=1``, which finds those that are out of bounds on either side.
+- No index counts from the end, unless it is spelled out, as in ``a[-1]``: see `_jit.array_lowering`. Whoever changes a
+  kernel runs the tests with ``NUMBA_BOUNDSCHECK=1``, which finds those that are out of bounds on either side.
 - Rows are taken as one-dimensional arrays before a loop: their stride is known to the compiler, while elements that are
   read by two indices look scattered.
 - Arrays to work in have sizes that are fixed when a kernel is compiled, so that the compiler sees that their rows are
@@ -29,16 +28,17 @@ Habits of these kernels, each because it was measured:
 
 Equations of Papadakis and Willis 2017, cited as eq. 1 to 16: their labels, and where to find them.
 
-- points: 1 RGBD_reconstruction, 11 RGBD_reconstruction-1-1: `depth`, `standard_moments`
+- points: 1 RGBD_reconstruction, 11 RGBD_reconstruction-1-1: `common.depth`, `moments.standard_tiles`
 - noise: 2 noise_models: not here, but in `rgbd_planes.noise`
-- implicit fit: 3 implicit_plane_fitting_error, 4 quadratic_error_w_lagrange_multiplier: `solve`; 5 derivative of error:
-  `eigen4`; its sums: 6 XYZ_scattermatrix: `standard_moments`, `summed_area`, `naive`
-- explicit fit: 7 explicit_fit_std, 8 derivative of error-1: `solve`; its sums: 9 XYZ_scattermatrix-1: `summed_area`
+- implicit fit: 3 implicit_plane_fitting_error, 4 quadratic_error_w_lagrange_multiplier: `solvers.methods`; 5 derivative
+  of error: `solvers.eigen4`; its sums: 6 XYZ_scattermatrix: `moments.standard_tiles`, `summed_area`, `windows`
+- explicit fit: 7 explicit_fit_std, 8 derivative of error-1: `solvers.methods`; its sums: 9 XYZ_scattermatrix-1:
+  `moments.summed_area`
 - rays: 10 RGBD_reconstruction-1: not here, but in `rgbd_planes.camera`
-- plane in range space: 12 RGBD_space_plane_eq: `solve`; 13 prior_work_plane_equation: not used
-- implicit fit there: 14 tan_theta_scattermatrix: `range_moments`, `summed_area`, `naive`, `secular`
-- explicit fit there: 15 RGBD_explicit_fit: `solve`, `window_planes`; its sums: 16 tan_theta_scattermatrix-1:
-  `camera_terms`, `summed_area`
+- plane in range space: 12 RGBD_space_plane_eq: `solvers.methods`; 13 prior_work_plane_equation: not used
+- implicit fit there: 14 tan_theta_scattermatrix: `moments.range_tiles`, `summed_area`, `windows`, `solvers.secular`
+- explicit fit there: 15 RGBD_explicit_fit: `solvers.methods`, `fits.normals_row`; its sums: 16
+  tan_theta_scattermatrix-1: `moments.camera_terms`, `summed_area`
 
 Names that mean the same everywhere:
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rgbd_planes.kernels._lowering import CACHE_LINE
-from rgbd_planes.kernels.cache_lines import to_next_line
+from rgbd_planes.kernels._jit.array_lowering import CACHE_LINE
+from rgbd_planes.kernels.common.arrays import to_next_line
 
 
 def aligned(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 
-from rgbd_planes.kernels import _compiling, _jit
+from rgbd_planes.kernels._jit import compiler_pauses, kernel
 
 SECONDS_BEFORE_NOTICE = 1.0
 SECONDS_BETWEEN_NOTICES = 20.0
@@ -40,7 +40,7 @@ def _first_call(key: Hashable, takes: str) -> Iterator[None]:
 
 def _watch(done: threading.Event, takes: str) -> None:
     while not done.wait(SECONDS_BEFORE_NOTICE):
-        if _compiling.is_compiling:
+        if compiler_pauses.is_compiling:
             if _announce(takes):
                 _report_until(done)
             return
@@ -49,9 +49,9 @@ def _watch(done: threading.Event, takes: str) -> None:
 def _report_until(done: threading.Event) -> None:
     begin = time.monotonic()
     while not done.wait(SECONDS_BETWEEN_NOTICES):
-        if _compiling.is_compiling:
+        if compiler_pauses.is_compiling:
             seconds = time.monotonic() - begin  # the last kernel takes many of them
-            _logger.warning(f"still compiling kernels: {_compiling.compiled} are done after {seconds:.0f} s")
+            _logger.warning(f"still compiling kernels: {compiler_pauses.compiled} are done after {seconds:.0f} s")
 
 
 def _announce(takes: str) -> bool:
@@ -61,7 +61,7 @@ def _announce(takes: str) -> bool:
     if _announced.setdefault(takes, token) is not token:
         return False
     often = "once for this installation and each kind of frame and camera"
-    if not _jit.has_cache:
+    if not kernel.has_cache:
         often = "again in each process: set NUMBA_CACHE_DIR to a folder that can be written to keep them"
     _logger.warning(f"compiling kernels: {takes}, {often}")
     return True

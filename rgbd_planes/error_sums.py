@@ -10,8 +10,8 @@ from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.statistics.label_variances import label_variances
+from rgbd_planes.kernels.statistics.noise_variances import part_variances
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
-from rgbd_planes.kernels.statistics.variances import part_variances
 from rgbd_planes.noise.falloff import growth_of_pixels
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.pixel_runs import runs_of_labels
@@ -135,7 +135,7 @@ def _sums_of_rays(camera: Camera, count: Floats, rays: Floats, q: Floats, alpha:
 
 
 def mean_rays(method: str, moments: Floats, reference: Floats) -> tuple[Floats, Floats, Floats]:
-    """Numbers of pixels; (N, 5) their rays, as `statistics.variances.means_over` takes them; and mean inverse depths.
+    """Numbers of pixels; (N, 5) their rays, as `noise_variances.means_over` takes them; and mean inverse depths.
 
     From points (X, Y, Z) to first order. ``moments`` and ``reference`` are a fit's, of one frame.
     """

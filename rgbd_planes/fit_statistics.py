@@ -14,8 +14,9 @@ from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.checks import number
-from rgbd_planes.kernels.statistics.assess import LIMITS, assess
-from rgbd_planes.kernels.statistics.room import (
+from rgbd_planes.kernels.statistics.noise_variances import LATERAL_X, LATERAL_Y
+from rgbd_planes.kernels.statistics.tiles.assess import LIMITS, assess
+from rgbd_planes.kernels.statistics.tiles.block import (
     EXPECTED,
     FREEDOM,
     MEAN,
@@ -25,7 +26,6 @@ from rgbd_planes.kernels.statistics.room import (
     RESULTS,
     TABLE_COLUMNS,
 )
-from rgbd_planes.kernels.statistics.variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.residuals import inverse_freedom

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.kernels import solve
+from rgbd_planes.kernels.solvers import methods as solve
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-# How `kernels.solve` knows the methods: by ``implicit`` in range space, by a number in (X, Y, Z).
+# How `kernels.solvers.methods` knows the methods: by ``implicit`` in range space, by a number in (X, Y, Z).
 SOLVES = {
     "range_explicit": (None, None),
     "range_implicit": (True, None),

@@ -17,7 +17,7 @@ from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.error_sums import KeepsPixels, Pixels, pixels_of_labels
 from rgbd_planes.fit_statistics import Assessment, check_significance
 from rgbd_planes.fitting import METHODS, solve_planes, valid_needed
-from rgbd_planes.kernels.label_moments import label_moments
+from rgbd_planes.kernels.moments.labels import label_moments
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.noise.residuals import like_rectangles

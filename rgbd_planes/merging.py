@@ -15,7 +15,7 @@ from rgbd_planes.checks import check_labels, label_array
 from rgbd_planes.error_sums import KeepsPixels, Pixels, mean_rays, sums_of_fits
 from rgbd_planes.fit_statistics import Assessment
 from rgbd_planes.fitting import solve_planes
-from rgbd_planes.kernels import merging
+from rgbd_planes.kernels.moments.merge import merge_by_label
 from rgbd_planes.noise.falloff import EVEN
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.pixel_runs import joined
@@ -106,7 +106,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     arrays = allocate((), (count,))
     if reference.any():  # otherwise about the origin, as its parts: by that it is known what may be rounding
         arrays["_reference"][:] = _means(moments, reference, flat, count)
-    merging.merge_by_label(
+    merge_by_label(
         moments[:, None], reference[:, None], flat, arrays["_moments"][:, None], arrays["_reference"][:, None]
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count, fits._total)

@@ -12,7 +12,13 @@ import numpy.typing as npt
 from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.keeping import kept
-from rgbd_planes.kernels.statistics.room import ALPHA_COVARIANCE, ANGLE_STD, OFFSET_STD, P_VALUE, PLANE_COVARIANCE
+from rgbd_planes.kernels.statistics.tiles.block import (
+    ALPHA_COVARIANCE,
+    ANGLE_STD,
+    OFFSET_STD,
+    P_VALUE,
+    PLANE_COVARIANCE,
+)
 from rgbd_planes.noise.falloff import growth_of_parts
 from rgbd_planes.noise.residuals import like_rectangles
 from rgbd_planes.wording import two_digits
@@ -75,7 +81,7 @@ class PlaneFits:
     rmse_metric: Floats
     valid_count: npt.NDArray[np.int32]
     status: npt.NDArray[np.uint8]
-    # The ten sums of `kernels.range_moments` or `standard_moments` and the point that they are relative to:
+    # The ten sums of `range_tiles` or `standard_tiles` and the point that they are relative to:
     # (..., 10) + S' and (..., 3) + S' with S' = (R, C) or (K,).
     _moments: Floats
     _reference: Floats

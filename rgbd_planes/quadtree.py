@@ -15,7 +15,7 @@ from rgbd_planes.checks import FixedArguments, check_camera, check_choice, check
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import as_depth_frame
 from rgbd_planes.fitting import METHODS, Arrays, solve_planes, valid_needed
-from rgbd_planes.kernels.merging import merge_by_four
+from rgbd_planes.kernels.moments.merge import merge_by_four
 from rgbd_planes.merging import merge
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import TileStatus, allocate

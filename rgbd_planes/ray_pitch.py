@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
-from rgbd_planes.kernels.statistics.variances import PLACES, WEIGHTS
+from rgbd_planes.kernels.statistics.noise_variances import PLACES, WEIGHTS
 
 _NONE: Floats = np.empty((0, 3, 0))
 _NONE.flags.writeable = False  # as all that `lateral_of_pixels` gives: the kernels are compiled for either kind
@@ -91,7 +91,7 @@ def slope_square(alpha: Floats, camera: Camera, footprint: npt.NDArray[np.int64]
 
 
 def lens_by_angle(camera: Camera) -> Floats:
-    """(2, K) float64: how a lens changes the pitch, by the angle off the axis: see `kernels.segments.noise.at_angle`.
+    """(2, K) float64: how a lens changes the pitch, by the angle off the axis: see `pixel_noise.at_angle`.
 
     A lens is taken to be round here: the little that is tangential is ignored. (2, 0) without distortion.
     """

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from rgbd_planes.camera import Camera
 from rgbd_planes.error_sums import KeepsPixels, Pixels
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
-from rgbd_planes.kernels.statistics.room import COLUMNS
+from rgbd_planes.kernels.statistics.tiles.block import COLUMNS
 from rgbd_planes.saved import Arrays, check_alike
 
 _RUNS = {name: f"run_{name}" for name in PixelRuns._fields}

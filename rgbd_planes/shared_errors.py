@@ -6,7 +6,7 @@ from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.fit_statistics import settings_of
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
-from rgbd_planes.kernels.statistics.room import COLUMNS
+from rgbd_planes.kernels.statistics.tiles.block import COLUMNS
 from rgbd_planes.noise.model import NoiseModel
 
 
@@ -20,7 +20,7 @@ def covariances_by_shape(
 ) -> Floats:
     """(N, COLUMNS) float64: see `kernels.statistics.shared_errors.shared_covariances`; by the camera's noise."""
     # Its many kernels take 10 ms to import, of which fits and segments without such errors have no use.
-    from rgbd_planes.kernels.statistics.shared_errors import shared_covariances
+    from rgbd_planes.kernels.statistics.correlated_errors import shared_covariances
 
     assert camera.noise is not None
     components = np.array(camera.noise._components)

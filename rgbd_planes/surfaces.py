@@ -13,8 +13,9 @@ from rgbd_planes.checks import check_bool, check_camera, check_num_threads, chec
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, some_of, step_of
 from rgbd_planes.fitting import valid_needed
-from rgbd_planes.kernels import dense, window_choice
-from rgbd_planes.kernels.sliding import BAND
+from rgbd_planes.kernels.fits import edge_windows
+from rgbd_planes.kernels.fits import normals as normal_kernels
+from rgbd_planes.kernels.moments.sliding_window import BAND
 from rgbd_planes.threads import choose_num_threads, run_in_ranges
 
 _EDGES = 0.2  # most of the windows of a frame that are across edges
@@ -158,11 +159,13 @@ def _surfaces(
         rays = camera.fx, camera.fy, camera.tan_x_columns, camera.tan_y_rows
 
         def work(start: int, stop: int) -> None:
-            dense.separable(*frame.values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays)
+            normal_kernels.separable(
+                *frame.values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays
+            )
     else:
 
         def work(start: int, stop: int) -> None:
-            dense.distorted(
+            normal_kernels.distorted(
                 *frame.values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
             )
 
@@ -176,7 +179,7 @@ def _surfaces(
         typical = _typical(frame, rounding, variance)
 
         def choose(start: int, stop: int) -> None:
-            window_choice.choose_windows(
+            edge_windows.choose_windows(
                 frame.raw, frame.lowest, frame.highest, rounding, typical, frame.is_disparity, camera.tan_x,
                 camera.tan_y, window // 2, _ratio(window), arrays[0], variance, arrays[2], start, stop,
                 chosen, chosen_variation,

@@ -27,7 +27,7 @@ from rgbd_planes.checks import (
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, as_depth_frames, as_numbered_frame
 from rgbd_planes.fitting import ARRAYS, METHODS, SOLVES, Arrays, in_order, solve_planes, valid_needed
-from rgbd_planes.kernels import grid
+from rgbd_planes.kernels.fits import tiles as tile_kernels
 from rgbd_planes.noise.model import warn_of_noise
 from rgbd_planes.plane_fits import allocate
 from rgbd_planes.threads import Work, choose_num_threads, run_in_ranges, submit
@@ -358,7 +358,7 @@ class TileFitter(FixedArguments):
             # Numba compiles for depth images and for disparity images.
             offset = frame.offset if frame.is_disparity else None
             values = frame.raw.reshape(frames, *self.camera.shape), frame.lowest, frame.highest, frame.scale, offset
-            return lambda start, stop: grid.fit_tiles(*values, *self._of_camera, start, stop, *results)
+            return lambda start, stop: tile_kernels.fit_tiles(*values, *self._of_camera, start, stop, *results)
 
         return fit
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from rgbd_planes.array_types import Floats
 from rgbd_planes.checks import as_motion, plain_array, shaped_array
-from rgbd_planes.kernels.statistics.same_planes import same_planes
+from rgbd_planes.kernels.statistics.plane_pairs import same_planes
 from rgbd_planes.rotations import nearest_rotation
 
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is

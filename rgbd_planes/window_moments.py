@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
-from rgbd_planes.kernels import naive, summed_area
+from rgbd_planes.kernels.moments import summed_area
+from rgbd_planes.kernels.moments import windows as window_pixels
 
 
 def ray_tables(camera: Camera) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -61,7 +62,7 @@ class WindowMoments:
         tan_x, tan_y = self._rays
         values = frame.values
         if not self._integral:
-            pixels = naive.range_window_moments if self._range else naive.standard_window_moments
+            pixels = window_pixels.range_window_moments if self._range else window_pixels.standard_window_moments
             return Source(pixels, (*values, tan_x, tan_y), 0.0)
         height, width = self._table_shape
         valid = frame.raw, frame.lowest, frame.highest

@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.blocks import block_moments
+from rgbd_planes.kernels.segmentation.blocks.pyramid import block_moments
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)

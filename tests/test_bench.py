@@ -37,8 +37,8 @@ from bench import (
 )
 from bench.__main__ import main
 from bench.floor import floor
-from rgbd_planes.kernels import summed_area
-from rgbd_planes.kernels.statistics.chi_square import CORRECTION
+from rgbd_planes.kernels.moments import summed_area
+from rgbd_planes.kernels.statistics.distributions.chi_square import CORRECTION
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,10 @@ from numba import config
 from numba.core.caching import FunctionCache
 from processes import printed_by
 
-from rgbd_planes.kernels import _cache, _jit
+from rgbd_planes.kernels._jit import disk_cache
+from rgbd_planes.kernels._jit import kernel as jit
 
-SOURCE = "from rgbd_planes.kernels._jit import kernel\n@kernel()\ndef twice(x): return x + x\n"
+SOURCE = "from rgbd_planes.kernels._jit.kernel import kernel\n@kernel()\ndef twice(x): return x + x\n"
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_what_one_process_compiles_another_loads(of_a_process, files):
 def test_a_kernel_elsewhere_is_another_one_if_its_file_changes(of_a_process, files, tmp_path):
     path = tmp_path / "doubling.py"
     path.write_text(path.read_text().replace("def twice(x): return x + x", "def twice(x): return 2 + x"))
-    _jit._digest.cache_clear()  # as in another process
+    jit._digest.cache_clear()  # as in another process
     assert of_a_process()(3) == 5
 
 
@@ -69,12 +70,12 @@ def test_kernels_of_other_sources_are_removed_after_a_while(of_a_process, files,
     path = tmp_path / "doubling.py"
     for changed, remain in (("x * 2", True), ("2 * x", False)):
         path.write_text(path.read_text().partition("def twice")[0] + f"def twice(x): return {changed}\n")
-        _jit._digest.cache_clear()
+        jit._digest.cache_clear()
         assert of_a_process()(3) == 6
         assert files[0].exists() == remain
         for each in (files[0], others):
             if each.exists():
-                os.utime(each, (0.0, time.time() - _cache.OUTDATED - 1.0))
+                os.utime(each, (0.0, time.time() - disk_cache.OUTDATED - 1.0))
     assert others.exists()
     assert len(list(files[0].parent.glob("doubling.twice_*"))) == 3  # the last two, and that of another kernel
 
@@ -121,16 +122,16 @@ def test_processes_that_compile_at_a_time_lose_nothing(of_a_process, monkeypatch
 @pytest.mark.parametrize("elsewhere", [True, False])
 def test_who_cannot_write_reads_what_the_installation_has(of_a_process, files, tmp_path, monkeypatch, elsewhere):
     """As of a container's image, whose kernels its administrator has compiled."""
-    monkeypatch.setattr(_jit, "has_cache", True)
+    monkeypatch.setattr(jit, "has_cache", True)
     if elsewhere:
         monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "own"))
     else:  # neither here nor there: Numba knows no place
-        monkeypatch.setattr(_cache.Compiled, "_locator_classes", (_cache.Installed,))
+        monkeypatch.setattr(disk_cache.Compiled, "_locator_classes", (disk_cache.Installed,))
     twice = of_a_process()
     assert twice(3) == 6
     assert twice(0.25) == 0.5
     assert loaded(twice) == (1, 1)
-    assert _jit.has_cache == elsewhere
+    assert jit.has_cache == elsewhere
     assert len(list(files[0].parent.glob("doubling.twice*"))) == 1
     again = of_a_process()
     assert again(0.25) == 0.5
@@ -166,11 +167,13 @@ def test_kernels_in_a_zip_are_those_of_the_zip(tmp_path):
     for factor in (2, 30):
         with zipfile.ZipFile(tmp_path / "app.zip", "w") as archive:
             archive.writestr("app/__init__.py", "")
-            for name in ("_jit.py", "_cache.py", "_compiling.py", "_lowering.py"):
-                archive.write(Path(_jit.__file__).with_name(name), f"app/{name}")
-            called = f"from ._jit import kernel\n@kernel()\ndef called(x): return {factor} * x\n"
+            for path in Path(jit.__file__).parent.glob("*.py"):
+                archive.write(path, f"app/_jit/{path.name}")
+            called = f"from ._jit.kernel import kernel\n@kernel()\ndef called(x): return {factor} * x\n"
             archive.writestr("app/two.py", called)
-            calls = "from ._jit import kernel\nfrom .two import called\n@kernel()\ndef calls(x): return called(x)\n"
+            calls = (
+                "from ._jit.kernel import kernel\nfrom .two import called\n@kernel()\ndef calls(x): return called(x)\n"
+            )
             archive.writestr("app/one.py", calls)
         places = {"PYTHONPATH": str(tmp_path / "app.zip"), "XDG_CACHE_HOME": str(tmp_path)}
         found.append(int(printed_by("from app.one import calls; print(calls(3))", **places)))

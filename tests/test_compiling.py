@@ -11,7 +11,8 @@ from numba.core import event
 from numba.core.registry import cpu_target
 from processes import printed_by
 
-from rgbd_planes.kernels import _compiling, _jit, _lowering
+from rgbd_planes.kernels._jit import array_lowering, compiler_pauses
+from rgbd_planes.kernels._jit import kernel as jit
 
 
 class Witness(event.Listener):
@@ -48,7 +49,7 @@ def double(x):
 
 def test_kernels_are_compiled_once_for_all_numbers_of_a_type():
     """Not for 0 as well, with which a caller begins."""
-    plus_one = _jit.kernel()(lambda x: x + 1)
+    plus_one = jit.kernel()(lambda x: x + 1)
 
     def count(n):
         number = 0
@@ -56,24 +57,24 @@ def test_kernels_are_compiled_once_for_all_numbers_of_a_type():
             number = plus_one(number)
         return plus_one(7) + number
 
-    assert _jit.kernel()(count)(3) == 11
+    assert jit.kernel()(count)(3) == 11
     assert plus_one.signatures == [(numba.types.int64,)]
 
 
 def test_kernels_are_counted_when_they_are_compiled():
     """Those that others call, too, and each once."""
-    inner = _jit.kernel()(lambda x: x + 1)
-    outer = _jit.kernel()(lambda x: inner(x) + inner(x + 1))
-    before = _compiling.compiled
+    inner = jit.kernel()(lambda x: x + 1)
+    outer = jit.kernel()(lambda x: inner(x) + inner(x + 1))
+    before = compiler_pauses.compiled
     assert outer(1) == outer(0) + 2 == 5
-    assert _compiling.compiled == before + 2
+    assert compiler_pauses.compiled == before + 2
     assert inner(2.5) == 3.5
-    assert _compiling.compiled == before + 3
+    assert compiler_pauses.compiled == before + 3
 
 
 def test_kernels_compile_without_haste():
     assert hasattr(numba.njit(double)._compiler, "compile")  # what is replaced is still what Numba calls
-    kernel = _jit.kernel()(lambda x: x + 1)
+    kernel = jit.kernel()(lambda x: x + 1)
     assert kernel._compiler.compile.__wrapped__.__func__ is type(kernel._compiler).compile
     assert kernel(2) == 3
     assert kernel.signatures == [(numba.int64,)]
@@ -87,20 +88,20 @@ def test_a_kernel_adds_in_order_even_if_one_that_may_not_is_compiled_first(inlin
             total += values[i]
         return total
 
-    added = _jit.kernel(inline=inline)(total)
-    reordered = _jit.kernel(reduction=True)(lambda values: added(values))
+    added = jit.kernel(inline=inline)(total)
+    reordered = jit.kernel(reduction=True)(lambda values: added(values))
     values = rng.normal(size=1001) * 10.0 ** rng.uniform(-8.0, 8.0, 1001)
     assert reordered(values) == total(values)
     assert added(values) == total(values)
 
 
-@pytest.mark.parametrize(("given", "during"), [(700, _compiling.PATIENCE), (0, 0), (50_000, 50_000)])
+@pytest.mark.parametrize(("given", "during"), [(700, compiler_pauses.PATIENCE), (0, 0), (50_000, 50_000)])
 def test_garbage_waits_while_kernels_compile(given, during, witness):
     """By default; not if nobody looks for it, or somebody is as patient already."""
     inner = numba.njit(double)
     outer = numba.njit(lambda x: inner(inner(x)))
     for dispatcher in (inner, outer):
-        dispatcher._compiler.compile = _compiling.without_haste(dispatcher._compiler.compile)
+        dispatcher._compiler.compile = compiler_pauses.without_haste(dispatcher._compiler.compile)
     gc.set_threshold(given, 11)
     as_given, seen = gc.get_threshold(), []
     compile_inner = inner._compiler.compile
@@ -109,20 +110,20 @@ def test_garbage_waits_while_kernels_compile(given, during, witness):
     assert seen == [during]
     assert witness.thresholds == [given, during]  # the outer one's begins before all is arranged for it
     assert gc.get_threshold() == as_given
-    assert not _compiling.is_compiling
+    assert not compiler_pauses.is_compiling
 
 
 def test_what_somebody_sets_meanwhile_stays(witness):
-    assert _compiling.without_haste(lambda: gc.set_threshold(1234))() is None
+    assert compiler_pauses.without_haste(lambda: gc.set_threshold(1234))() is None
     assert gc.get_threshold()[0] == 1234
 
 
 def test_all_is_as_before_if_compiling_fails(witness):
     gc.set_threshold(700)
     with pytest.raises(ZeroDivisionError):
-        _compiling.without_haste(lambda: 1 / 0)()
+        compiler_pauses.without_haste(lambda: 1 / 0)()
     assert gc.get_threshold()[0] == 700
-    assert not _compiling.is_compiling
+    assert not compiler_pauses.is_compiling
 
 
 def test_no_call_takes_memory_from_the_system():
@@ -140,13 +141,13 @@ def test_no_call_takes_memory_from_the_system():
         here = faults() - before
         return max(here, most_faults(depth - 1)) if depth else here
 
-    assert _compiling.without_haste(most_faults)(400) < 500
+    assert compiler_pauses.without_haste(most_faults)(400) < 500
 
 
 FORK_WHILE_A_THREAD_COMPILES = """
 import os, signal, threading, time
 import numba
-from rgbd_planes.kernels import _jit
+from rgbd_planes.kernels._jit import kernel as jit
 
 begun = threading.Event()
 
@@ -157,7 +158,7 @@ def slowly(thing):
         time.sleep(1.0)
         return lambda thing: 5
 
-kernel = _jit.kernel()(lambda x: len(x))
+kernel = jit.kernel()(lambda x: len(x))
 thread = threading.Thread(target=kernel, args=(1,))
 thread.start()
 begun.wait()
@@ -229,15 +230,15 @@ def test_kernels_that_python_calls_return_numbers():
 def test_arrays_of_kernels_begin_where_lines_of_the_cache_do():
     """And those of other kernels than this library's as Numba has them, also where a kernel cannot be compiled."""
 
-    @_jit.kernel()
+    @jit.kernel()
     def beginnings(count):
         beyond = 0
         for size in range(1, count):  # some of all sizes: by chance half would begin elsewhere
             a, b = np.empty(size), np.zeros((size, 3), np.float32)
-            beyond += a.ctypes.data % _lowering.CACHE_LINE + b.ctypes.data % _lowering.CACHE_LINE
+            beyond += a.ctypes.data % array_lowering.CACHE_LINE + b.ctypes.data % array_lowering.CACHE_LINE
         return beyond
 
-    @_jit.kernel()
+    @jit.kernel()
     def broken(count):
         return count.no_such_thing
 
@@ -251,7 +252,7 @@ def test_arrays_of_kernels_begin_where_lines_of_the_cache_do():
 def test_only_indices_that_are_spelled_out_count_from_the_end():
     """The others are taken as they are: here to what lies before the array, of which it is a part."""
 
-    @_jit.kernel()
+    @jit.kernel()
     def at(values, k):
         return values[-1], values[k], values[-1:][0]
 
@@ -267,7 +268,7 @@ def test_only_indices_that_are_spelled_out_count_from_the_end():
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_references_to_arrays_of_python_are_not_counted():
-    @_jit.kernel()
+    @jit.kernel()
     def total(values):
         return values[:2].sum() + np.ones(3).sum()
 
@@ -292,7 +293,7 @@ def test_loops_do_not_compare_where_arrays_of_kernels_lie():
             b[i] = a[i] + values[i]
         return b[len(values) - 1]
 
-    kernel, elsewhere = _jit.kernel()(last_sum), numba.njit(last_sum)
+    kernel, elsewhere = jit.kernel()(last_sum), numba.njit(last_sum)
     assert kernel(np.arange(100.0)) == elsewhere(np.arange(100.0)) == 297.0
     (code,), (elsewhere_code,) = kernel.inspect_llvm().values(), elsewhere.inspect_llvm().values()
     assert "memcheck" not in code
@@ -303,5 +304,5 @@ def test_what_a_later_numba_may_not_have_is_left_alone():
     class Later:
         pass
 
-    with _lowering._replaced(Later, "renamed", 1):
+    with array_lowering._replaced(Later, "renamed", 1):
         assert not hasattr(Later, "renamed")

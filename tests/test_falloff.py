@@ -11,8 +11,8 @@ from test_noise_estimation import CAMERA as SEEING
 from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
-from rgbd_planes.kernels.statistics.assess import assess
 from rgbd_planes.kernels.statistics.label_variances import label_variances
+from rgbd_planes.kernels.statistics.tiles.assess import assess
 from rgbd_planes.noise import estimation
 from rgbd_planes.noise.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
 from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from rgbd_planes.kernels.marked import WORD, in_words, list_bits, list_both, list_marked, lowest_bit, room_for_marks
+from rgbd_planes.kernels.common.bit_marks import (
+    WORD,
+    in_words,
+    list_bits,
+    list_both,
+    list_marked,
+    lowest_bit,
+    room_for_marks,
+)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])

@@ -17,7 +17,7 @@ from test_tiles import make_camera, make_depth
 import rgbd_planes as rp
 import rgbd_planes.kernels
 from rgbd_planes import compilation
-from rgbd_planes.kernels import _compiling
+from rgbd_planes.kernels._jit import compiler_pauses
 
 
 def test_import_is_light():
@@ -85,7 +85,7 @@ def test_cache_loads_whatever_numba_calls_its_own_way():
         "    return load(self, signature, context)\n"
         "caching.Cache.load_overload = load_overload\n"
         "import sys, numpy as np, rgbd_planes as rp\n"
-        "from rgbd_planes.kernels.grid import fit_tiles\n"
+        "from rgbd_planes.kernels.fits.tiles import fit_tiles\n"
         "rp.fit_tiles(np.full((48, 64), 2.0, np.float32), rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5))\n"
         "print(sum(fit_tiles.stats.cache_hits.values()), sum(fit_tiles.stats.cache_misses.values()))\n"
     )
@@ -121,7 +121,7 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     monkeypatch.setattr(compilation, "_compiled", set())
     with compilation.announced("loaded"):  # however long it takes
         time.sleep(0.1)
-    monkeypatch.setattr(_compiling, "is_compiling", True)
+    monkeypatch.setattr(compiler_pauses, "is_compiling", True)
     with monkeypatch.context() as patch:
         patch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 60.0)
         with compilation.announced("quick"):
@@ -152,7 +152,7 @@ def test_a_notice_waits_until_something_is_compiled(caplog, monkeypatch):
     with compilation.announced("one is not there"):
         time.sleep(0.1)
         assert caplog.messages == []
-        monkeypatch.setattr(_compiling, "is_compiling", True)
+        monkeypatch.setattr(compiler_pauses, "is_compiling", True)
         wait_for(1, caplog)
     assert len(caplog.messages) == 1
 
@@ -163,12 +163,12 @@ def test_what_compiles_for_long_says_how_far_it_is(caplog, monkeypatch):
     monkeypatch.setattr(compilation, "SECONDS_BETWEEN_NOTICES", 0.01)
     monkeypatch.setattr(compilation, "_announced", {})
     monkeypatch.setattr(compilation, "_compiled", set())
-    monkeypatch.setattr(_compiling, "is_compiling", True)
+    monkeypatch.setattr(compiler_pauses, "is_compiling", True)
     with compilation.announced("segment"):
         wait_for(2, caplog)
-        monkeypatch.setattr(_compiling, "compiled", 41)
+        monkeypatch.setattr(compiler_pauses, "compiled", 41)
         wait_for(len(caplog.messages) + 2, caplog)
-        monkeypatch.setattr(_compiling, "is_compiling", False)
+        monkeypatch.setattr(compiler_pauses, "is_compiling", False)
         time.sleep(0.1)
         said = caplog.messages.copy()
         time.sleep(0.2)

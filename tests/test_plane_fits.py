@@ -11,7 +11,7 @@ import pytest
 from test_tiles import make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
-from rgbd_planes.kernels import solve
+from rgbd_planes.kernels.solvers import methods as solve
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import rgbd_planes as rp
-from rgbd_planes.kernels.segments.noise import through_lens
+from rgbd_planes.kernels.segmentation.model.pixel_noise import through_lens
 from rgbd_planes.ray_pitch import lens_by_angle, pitch_square, slope_square
 from rgbd_planes.tile_grid import tile_footprints, tile_windows
 

@@ -9,15 +9,14 @@ from segment_frames import CAMERA, blocks_and_squares, inside
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
-from rgbd_planes.kernels.segments.inside import inside_moments
-from rgbd_planes.kernels.segments.joining import join_blocks
-from rgbd_planes.kernels.segments.labels import is_lone, leave_out, settle_strays
-from rgbd_planes.kernels.segments.merge import number_regions
-from rgbd_planes.kernels.segments.pixels import take_over
-from rgbd_planes.kernels.segments.records import Owners, Planes, Rays, Rules, Runs, Shares
-from rgbd_planes.kernels.segments.search import read_frame
-from rgbd_planes.kernels.segments.settled import ALONE, DONE, OPEN, SAME, keep_unchanged
+from rgbd_planes.kernels.segmentation.assign.assign_pixels import take_over
+from rgbd_planes.kernels.segmentation.assign.whole_blocks import ALONE, DONE, OPEN, SAME, keep_unchanged
+from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
+from rgbd_planes.kernels.segmentation.components.labels import is_lone, leave_out, settle_strays
+from rgbd_planes.kernels.segmentation.merge.merge import number_regions
+from rgbd_planes.kernels.segmentation.model.records import BLOCK, MIXED, Owners, Planes, Rays, Rules, Runs, Shares
+from rgbd_planes.kernels.segmentation.pipeline import read_frame
+from rgbd_planes.kernels.segmentation.refit.interior import inside_moments
 from rgbd_planes.segmentation.noise import noise_of
 from rgbd_planes.segmentation.segment import _given
 from rgbd_planes.segmentation.workspace import Workspace, rays_of

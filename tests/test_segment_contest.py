@@ -8,10 +8,15 @@ from processes import printed_by
 from segment_frames import CAMERA
 
 from rgbd_planes import Camera
-from rgbd_planes.kernels.segments.blocks import EMPTY, MIXED
-from rgbd_planes.kernels.segments.contest import LANES, NEIGHBOURS, contenders, regions_around, weigh_contenders
-from rgbd_planes.kernels.segments.records import Owners, Pyramid, Shares
-from rgbd_planes.kernels.segments.settled import add_shares, add_up, hand_out, take_back
+from rgbd_planes.kernels.segmentation.assign.contested_blocks import (
+    LANES,
+    NEIGHBOURS,
+    contenders,
+    regions_around,
+    weigh_contenders,
+)
+from rgbd_planes.kernels.segmentation.assign.whole_blocks import add_shares, add_up, hand_out, take_back
+from rgbd_planes.kernels.segmentation.model.records import EMPTY, MIXED, Owners, Pyramid, Shares
 from rgbd_planes.segmentation.workspace import rays_of
 
 FISHEYE = Camera(480, 480, 155.0, 155.0, 239.5, 239.5, distortion_model="fisheye")
@@ -144,8 +149,8 @@ def test_moments_of_regions_are_those_of_what_they_have_after_each_round():
     code = """if True:
         import numpy as np
         from rgbd_planes import Camera, scenes, segment
-        from rgbd_planes.kernels.segments import regions
-        from rgbd_planes.kernels.segments.blocks import MIXED
+        from rgbd_planes.kernels.segmentation import regions
+        from rgbd_planes.kernels.segmentation.blocks.pyramid import MIXED
 
         own_pixels, rounds = regions.own_pixels, []
 

@@ -6,10 +6,10 @@ from scipy.ndimage import convolve, gaussian_filter
 from segment_frames import CAMERA, smooth_noise, two_planes
 
 from rgbd_planes import Camera, segment
-from rgbd_planes.kernels.segments.facets import AWAY, STRAIGHT, TOWARDS, bend_of, turn_of_groups
-from rgbd_planes.kernels.segments.quadrics import room_for_blocks
-from rgbd_planes.kernels.segments.records import Planes
-from rgbd_planes.kernels.segments.shape import continues
+from rgbd_planes.kernels.segmentation.curved.curved import continues
+from rgbd_planes.kernels.segmentation.curved.facets import AWAY, STRAIGHT, TOWARDS, bend_of
+from rgbd_planes.kernels.segmentation.model.quadrics import room_for_blocks, turn_of_groups
+from rgbd_planes.kernels.segmentation.model.records import Planes
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import rays_of

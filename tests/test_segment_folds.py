@@ -7,9 +7,9 @@ import pytest
 
 from bench import block_scenes
 from rgbd_planes import segment
-from rgbd_planes.kernels.segments import folds
-from rgbd_planes.kernels.segments.quadrics import PLANE_TERMS, TERMS
-from rgbd_planes.kernels.segments.records import Noise, Rules
+from rgbd_planes.kernels.segmentation.merge import split_faces
+from rgbd_planes.kernels.segmentation.model.quadrics import PLANE_TERMS, TERMS
+from rgbd_planes.kernels.segmentation.model.records import Noise, Rules
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.segmentation.result import Reason
 
@@ -59,7 +59,7 @@ def are_faces(shape, height, noise, scale=1, ajar=False):
     chosen = np.zeros(strips, np.bool_)
     chosen[0] = True
     parent, again = np.zeros(strips, np.int64), np.arange(strips)
-    folds.keep_faces(labels, means, joined, moments, parent, again, noise, np.full(strips, ajar), chosen)
+    split_faces.keep_faces(labels, means, joined, moments, parent, again, noise, np.full(strips, ajar), chosen)
     return bool(chosen[0])
 
 
@@ -98,7 +98,7 @@ def test_planes_and_a_quadric_are_compared_as_least_squares_does(rng):
     both = np.ones(80, bool)
     planes = left(side == 0, PLANE_TERMS) + left(side == 1, PLANE_TERMS)
     products = np.stack([(every[side == k] * n[side == k, None]).T @ every[side == k] for k in (0, 1)])
-    better, bend = folds.planes_fit_better(products)
+    better, bend = split_faces.planes_fit_better(products)
     assert better == pytest.approx(left(both, TERMS) - planes)
     assert bend == pytest.approx(left(both, PLANE_TERMS) - planes)
 
@@ -117,7 +117,7 @@ def test_small_parts_do_not_make_several_faces_of_one(columns, several, noise):
     left = np.linalg.lstsq(rays.reshape(-1, 3), q.ravel())[1][0]
     noise = noise._replace(sigma=np.append(10.0, np.full(3, 0.5 * np.sqrt(left / q.size))))
     found = np.empty((3, 5), np.bool_)
-    assert folds.find_doubtful(joined, parts, np.zeros(5, np.int64), noise, Rules(), *found) == several
+    assert split_faces.find_doubtful(joined, parts, np.zeros(5, np.int64), noise, Rules(), *found) == several
     assert found[:2].tolist() == [[False] * 5, [several, *[False] * 4]]
 
 
@@ -135,7 +135,7 @@ def test_a_part_is_ajar_only_if_noise_leaves_it_less(share, noise):
     )
     off = np.sqrt(np.mean((rays[is_part] @ (of_part - of_rest)) ** 2))
     sigma = np.append(10.0, np.full(3, off / (share * Rules().rough)))
-    assert folds.is_ajar(part, of_part, whole, noise._replace(sigma=sigma), Rules()) == (share > 1.0)
+    assert split_faces.is_ajar(part, of_part, whole, noise._replace(sigma=sigma), Rules()) == (share > 1.0)
 
 
 @pytest.mark.parametrize(("sensor", "seed"), [(0, 50), (1, 13), (1, 17), (2, 13)])

@@ -16,13 +16,13 @@ from bench import block_scenes
 from bench.segmentation import empty_room
 from rgbd_planes import Camera, estimate_noise, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.quantiles import quantile
-from rgbd_planes.kernels.segments.frame_noise import tolerance
-from rgbd_planes.kernels.segments.noise import sensor_variance, sensor_variances, waviness
-from rgbd_planes.kernels.segments.noise_estimation import estimate_noise as estimate_frame_noise
-from rgbd_planes.kernels.segments.noise_estimation import is_of_depth, varied_squares
-from rgbd_planes.kernels.segments.records import Rules
-from rgbd_planes.kernels.segments.search import read_frame
+from rgbd_planes.kernels.common.quantiles import quantile
+from rgbd_planes.kernels.segmentation.model.pixel_noise import sensor_variance, sensor_variances, waviness
+from rgbd_planes.kernels.segmentation.model.records import Rules
+from rgbd_planes.kernels.segmentation.noise.estimate import estimate_noise as estimate_frame_noise
+from rgbd_planes.kernels.segmentation.noise.estimate import is_of_depth, varied_squares
+from rgbd_planes.kernels.segmentation.noise.frame_noise import tolerance
+from rgbd_planes.kernels.segmentation.pipeline import read_frame
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel, function, kinect_v1
 from rgbd_planes.segmentation.noise import noise_of

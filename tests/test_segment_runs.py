@@ -6,10 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 
-from rgbd_planes.kernels.disjoint_sets import root_of
-from rgbd_planes.kernels.segments.blocks import BLOCK, MIXED
-from rgbd_planes.kernels.segments.records import Owners, Runs, Shares
-from rgbd_planes.kernels.segments.runs import (
+from rgbd_planes.kernels.common.union_find import root_of
+from rgbd_planes.kernels.segmentation.components.runs import (
     ALL,
     GAP,
     PIECES,
@@ -28,6 +26,7 @@ from rgbd_planes.kernels.segments.runs import (
     starts_across,
     starts_down,
 )
+from rgbd_planes.kernels.segmentation.model.records import BLOCK, MIXED, Owners, Runs, Shares
 
 EVERY = np.arange(1 << BLOCK * BLOCK, dtype=np.int32)
 MASKS = st.integers(0, int(ALL)).map(np.int32)

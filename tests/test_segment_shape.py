@@ -9,21 +9,32 @@ from real_data import REASON as NO_FRAMES
 from scipy import ndimage
 
 from rgbd_planes import Camera, images, segment
-from rgbd_planes.kernels.segments.behind import gap_between
-from rgbd_planes.kernels.segments.blocks import BLOCK, EMPTY, MIXED, UNSEEN
-from rgbd_planes.kernels.segments.moments import angle_between
-from rgbd_planes.kernels.segments.planes import fit_regions
-from rgbd_planes.kernels.segments.quadrics import (
+from rgbd_planes.kernels.segmentation.curved.curved import BENT_SHARE, find_curled, find_turns
+from rgbd_planes.kernels.segmentation.curved.occluded import gap_between
+from rgbd_planes.kernels.segmentation.model.boxes import boxes
+from rgbd_planes.kernels.segmentation.model.moments import angle_between
+from rgbd_planes.kernels.segmentation.model.planes import fit_regions
+from rgbd_planes.kernels.segmentation.model.quadrics import (
     PLANE_TERMS,
     TERMS,
-    boxes,
     eliminate,
     inner_pixels,
     second_derivatives,
     turn,
 )
-from rgbd_planes.kernels.segments.records import Noise, Owned, Owners, Planes, Pyramid, Rules, Shares
-from rgbd_planes.kernels.segments.shape import BENT_SHARE, find_curled, find_turns
+from rgbd_planes.kernels.segmentation.model.records import (
+    BLOCK,
+    EMPTY,
+    MIXED,
+    UNSEEN,
+    Noise,
+    Owned,
+    Owners,
+    Planes,
+    Pyramid,
+    Rules,
+    Shares,
+)
 from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import rays_of
 

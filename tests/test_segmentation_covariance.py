@@ -9,10 +9,17 @@ from segment_frames import CAMERA
 
 from rgbd_planes import Camera, fit_labels, scenes, segment
 from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.kernels.segments.reach import OF_ONE, SIZES, as_planes_show, is_in_one, may_be_chance, mixture
-from rgbd_planes.kernels.segments.search import read_frame
-from rgbd_planes.kernels.segments.unevenness import weigh_rays
-from rgbd_planes.kernels.statistics.room import EXPECTED
+from rgbd_planes.kernels.segmentation.noise.correlation import (
+    OF_ONE,
+    SIZES,
+    as_planes_show,
+    is_in_one,
+    may_be_chance,
+    mixture,
+)
+from rgbd_planes.kernels.segmentation.pipeline import read_frame
+from rgbd_planes.kernels.segmentation.refit.weights import weigh_rays
+from rgbd_planes.kernels.statistics.tiles.block import EXPECTED
 from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
 from rgbd_planes.segmentation.reach import reach_table

@@ -13,8 +13,8 @@ from scipy.ndimage import minimum_filter
 
 import rgbd_planes as rp
 from rgbd_planes.depth import DepthFrame
-from rgbd_planes.kernels.segments.inside import runs_inside
-from rgbd_planes.kernels.statistics.room import EXPECTED, FREEDOM
+from rgbd_planes.kernels.segmentation.refit.interior import runs_inside
+from rgbd_planes.kernels.statistics.tiles.block import EXPECTED, FREEDOM
 from rgbd_planes.pixel_runs import joined, runs_found, runs_of_labels, runs_of_windows
 
 FAR = rp.noise.NoiseModel((1e-3,), correlation=((0.6, 9.0),), floor=1.2, floor_length=40.0)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rgbd_planes.kernels import eigen3, eigen4, secular
+from rgbd_planes.kernels.solvers import eigen3, eigen4, secular
 
 clouds = hnp.arrays(
     np.float64, st.tuples(st.integers(4, 40), st.just(3)), elements=st.floats(-1, 1, width=32), unique=True

@@ -472,10 +472,10 @@ def test_warmup_leaves_nothing_to_compile(caplog):
     rp.warmup(make_camera(), dtypes=np.float32)  # its noise may be known later
     with pytest.raises(ValueError, match="method must be one of"):
         rp.warmup(methods="pca")
-    from rgbd_planes.kernels import grid
-    from rgbd_planes.kernels.statistics.assess import assess
+    from rgbd_planes.kernels.fits import tiles as tile_kernels
+    from rgbd_planes.kernels.statistics.tiles.assess import assess
 
-    kernels = grid.fit_tiles, assess
+    kernels = tile_kernels.fit_tiles, assess
     compiled = [len(kernel.signatures) for kernel in kernels]
     assert compiled[0] >= 3
     assert compiled[1] >= 1

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rgbd_planes as rp
-from rgbd_planes.kernels import grid
+from rgbd_planes.kernels.fits import tiles as tile_kernels
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 IMPLEMENTATIONS = ("direct", "integral", "naive")
@@ -366,7 +366,7 @@ def test_a_fitter_goes_to_another_process_without_kernels(method, implementation
     fitter = rp.TileFitter(camera, (8, 9), method, implementation=implementation, **options)
     depth = make_holes(make_depth(camera, rng), "tiles", rng)
     wanted = fitter.fit(depth)
-    compiled = grid.fit_tiles.signatures
+    compiled = tile_kernels.fit_tiles.signatures
     pickled = pickle.dumps(fitter)
     assert b"numba" not in pickled
     unpickled = pickle.loads(pickled)
@@ -375,7 +375,7 @@ def test_a_fitter_goes_to_another_process_without_kernels(method, implementation
     np.testing.assert_array_equal(found.status, wanted.status)
     assert len(np.unique(found.status)) > 2
     assert (unpickled.camera, unpickled._num_threads) == (camera, 2)
-    assert grid.fit_tiles.signatures == compiled
+    assert tile_kernels.fit_tiles.signatures == compiled
 
 
 def test_inputs_of_any_kind_are_the_same_frame(rng):

@@ -12,9 +12,9 @@ from scipy import special, stats
 
 import rgbd_planes as rp
 from rgbd_planes import fit_statistics
-from rgbd_planes.kernels.statistics import chi_square, variance_ratio
-from rgbd_planes.kernels.statistics.normal_distribution import WORK
-from rgbd_planes.kernels.statistics.normal_distribution import tails as normal_tails
+from rgbd_planes.kernels.statistics.distributions import chi_square, f_ratio
+from rgbd_planes.kernels.statistics.distributions.normal import WORK
+from rgbd_planes.kernels.statistics.distributions.normal import tails as normal_tails
 from rgbd_planes.noise import residuals
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
@@ -128,7 +128,7 @@ def test_tail_of_a_ratio_of_variances(spread, rng):
     ):
         ratio = stats.f.isf(p, freedom, 1.0 / inverse) * (1.0 - 2.0 * inverse)
         work[0], work[1] = ratio, 1.0 / freedom
-        variance_ratio.deviates(inverse, work, len(freedom))
+        f_ratio.deviates(inverse, work, len(freedom))
         normal_tails(work, len(freedom))
         assert low * p < work[0].min() < work[0].max() < high * p
         deviate = residuals.deviate_of(ratio, freedom, spread)
@@ -140,7 +140,7 @@ def test_tail_of_a_ratio_of_variances(spread, rng):
 def test_tails_end_at_one_and_zero_and_keep_nan():
     """No residual, one that is beyond all bounds, and none that is a number."""
     work = np.empty((WORK, 4))
-    for deviates in (chi_square.deviates, partial(variance_ratio.deviates, 0.01)):
+    for deviates in (chi_square.deviates, partial(f_ratio.deviates, 0.01)):
         work[0], work[1] = [0.0, 1e12, np.nan, 1e3], 0.1
         deviates(work, 4)
         normal_tails(work, 4)

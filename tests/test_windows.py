@@ -11,7 +11,7 @@ from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_c
 
 import rgbd_planes as rp
 from rgbd_planes.fitting import solve_planes
-from rgbd_planes.kernels.summed_area import missing_rays
+from rgbd_planes.kernels.moments.summed_area import missing_rays
 from rgbd_planes.plane_fits import TileStatus, allocate
 
 

@@ -1,11 +1,10 @@
-"""Numba kernels that say how good a plane is: p-values, covariances, and what follows from them.
+"""How good a plane is: p-values, covariances, and what follows from them. Uses `solvers` and what is below it.
 
-- `assess` does all of it for tiles, a block at a time, whose rows are in `room`: with `pixel_variances`; `residuals`,
-  `chi_square` or, if the noise has a spread, `variance_ratio`, and `normal_distribution`; `covariances`; and
-  `rounded_tiles`
-- `variances` has means, and `label_variances` sums, over the pixels of parts of many depths
-- `shared_errors` has what errors that neighbours share do to parts of any shape, whose pixels are `pixel_runs`, summed
-  up by `cells`
-- `same_planes` compares planes by pairs
-- `rounding`, `sandwich` and `shared_errors` are also for the planes of segments
+- `tiles`: tiles, a block of tiles at a time
+- `distributions`: chi-square, normal and F
+- `noise_variances`, `label_variances`: means and sums over the pixels of parts of many depths
+- `correlated_errors`: what errors that neighbours share do to parts of any shape; `pixel_runs` are their pixels,
+  `correlation_cells` sums them up
+- `plane_pairs`: planes compared by pairs
+- `rounding`, `sandwich_covariance`: also for the planes of segments
 """

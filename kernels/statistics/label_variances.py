@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from .._jit import kernel
-from ..copying import copy
-from ..depth import inverse_depth
-from ..label_moments import labelled_columns
-from .variances import rounding_at, variance_at
+from .._jit.kernel import kernel
+from ..common.arrays import copy
+from ..common.depth import inverse_depth
+from ..moments.labels import labelled_columns
+from .noise_variances import rounding_at, variance_at
 
 
 @kernel(inline=True)
@@ -75,7 +75,7 @@ def label_variances(
         0 for none.
     alpha : (K, 3) float64
         Where it is NaN, each pixel's own depth is used.
-    noise : see `variances.LATERAL_X`
+    noise : see `noise_variances.LATERAL_X`
     growth : (H, W) float64, or empty
         Factors on the variances of q along the ray that ``noise`` gives.
     lateral : (H, 3, W) float64, or empty

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import kernel
-from ..marked import list_marked, room_for_marks
+from .._jit.kernel import kernel
+from ..common.bit_marks import list_marked, room_for_marks
 
 
 class PixelRuns(NamedTuple):
@@ -28,7 +28,7 @@ def add_row(line, row, change, words, columns, found, number):
     change : (in_words(W),) bool
         False from column W on; for work.
     words : (len(change) / 8,) uint64
-        The same: see `marked.list_marked`.
+        The same: see `bit_marks.list_marked`.
     columns : (len(change) + 1,) int32
         For work.
     found : (4, M) int32

@@ -9,7 +9,7 @@ s steps this averages as a sinc, and adds its first moment about the middle to t
 
 import math
 
-from .._jit import kernel
+from .._jit.kernel import kernel
 
 # Variances of the first term of the series, and of all others, in Δ²: together 1/12 if there is no other noise.
 FIRST_TERM, OTHER_TERMS = 0.5 / math.pi**2, 1.0 / 12.0 - 0.5 / math.pi**2

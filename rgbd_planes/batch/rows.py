@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.kernels import rows as row_kernels
-from rgbd_planes.kernels.statistics.room import P_VALUE, PLANE_COVARIANCE
+from rgbd_planes.kernels.fits import table_columns as row_kernels
+from rgbd_planes.kernels.statistics.tiles.block import P_VALUE, PLANE_COVARIANCE
 from rgbd_planes.plane_fits import TileStatus
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.tile_planes import TilePlanes

@@ -10,10 +10,10 @@ from rgbd_planes.array_types import Floats
 from rgbd_planes.camera import Camera
 from rgbd_planes.depth import DepthFrame
 from rgbd_planes.error_sums import mean_rays
-from rgbd_planes.kernels.segments.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
-from rgbd_planes.kernels.segments.inside import runs_inside
-from rgbd_planes.kernels.segments.records import Modelled, Noise, Pyramid, Rays
-from rgbd_planes.kernels.statistics.room import COLUMNS, EXPECTED
+from rgbd_planes.kernels.segmentation.model.records import Modelled, Noise, Pyramid, Rays
+from rgbd_planes.kernels.segmentation.noise.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
+from rgbd_planes.kernels.segmentation.refit.interior import runs_inside
+from rgbd_planes.kernels.statistics.tiles.block import COLUMNS, EXPECTED
 from rgbd_planes.noise.model import SMALLEST_INVERSE_DEPTH, NoiseModel
 from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, warn_of_large_noise
 from rgbd_planes.pixel_runs import runs_found

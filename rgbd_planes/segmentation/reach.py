@@ -1,4 +1,4 @@
-"""How errors of different reach show in squares of pixels, for `kernels.segments.reach`."""
+"""How errors of different reach show in squares of pixels, for `kernels.segmentation.reach`."""
 
 import functools
 import itertools
@@ -6,8 +6,8 @@ import itertools
 import numpy as np
 
 from rgbd_planes.array_types import Floats
-from rgbd_planes.kernels.segments.blocks import BLOCK
-from rgbd_planes.kernels.segments.reach import SIZES, SMALLEST
+from rgbd_planes.kernels.segmentation.model.records import BLOCK
+from rgbd_planes.kernels.segmentation.noise.correlation import SIZES, SMALLEST
 
 _SHORT = 1.7
 _LENGTHS = np.concatenate([[_SHORT], np.geomspace(0.7, 24.0, 30)])
@@ -18,7 +18,7 @@ _MEAN, _SLOPE = _ALONG, _ALONG + 1  # columns after those of the parts
 
 @functools.cache
 def reach_table() -> Floats:
-    """(2·SIZES + 1, K) float64: see `kernels.segments.reach.mixture`."""
+    """(2·SIZES + 1, K) float64: see `kernels.segmentation.correlation.mixture`."""
     of_sizes = [row for size in range(SIZES) for row in _scatter(BLOCK << (SMALLEST + size))]
     made = np.stack([*of_sizes, 2.0 * np.pi * _LENGTHS**2])
     made.flags.writeable = False

@@ -16,9 +16,9 @@ from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, num
 from rgbd_planes.compilation import announced
 from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.distances import warn_of_distances
-from rgbd_planes.kernels.segments.planes import describe_planes
-from rgbd_planes.kernels.segments.records import Rays, Reasons, Rules
-from rgbd_planes.kernels.segments.search import find_planes, read_frame
+from rgbd_planes.kernels.segmentation.model.planes import describe_planes
+from rgbd_planes.kernels.segmentation.model.records import Rays, Reasons, Rules
+from rgbd_planes.kernels.segmentation.pipeline import find_planes, read_frame
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.noise.sigma import LARGEST_NOISE
 from rgbd_planes.segmentation.noise import Given, noise_of

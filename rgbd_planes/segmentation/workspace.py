@@ -9,10 +9,18 @@ import numpy as np
 
 from rgbd_planes.aligned_arrays import aligned
 from rgbd_planes.camera import Camera
-from rgbd_planes.kernels.segments.blocks import BLOCK
-from rgbd_planes.kernels.segments.contest import NEIGHBOURS
-from rgbd_planes.kernels.segments.noise import stretches as write_stretches
-from rgbd_planes.kernels.segments.records import Contacts, Contended, Found, Owners, Pyramid, Rays, Runs
+from rgbd_planes.kernels.segmentation.assign.contested_blocks import NEIGHBOURS
+from rgbd_planes.kernels.segmentation.model.pixel_noise import stretches as write_stretches
+from rgbd_planes.kernels.segmentation.model.records import (
+    BLOCK,
+    Contacts,
+    Contended,
+    Found,
+    Owners,
+    Pyramid,
+    Rays,
+    Runs,
+)
 from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks

@@ -1,0 +1,1 @@
+"""What all kernels may use: arrays, marks, quantiles, union-find. Uses `_jit` alone."""

@@ -1,0 +1,129 @@
+"""The planes of a row of windows from their sums.
+
+Least squares of q on m (the paper's eq. 15) over the valid pixels of each window.
+"""
+
+import math
+
+import numpy as np
+
+from .._jit.kernel import kernel
+from ..moments.sliding_window import PITCH
+from ..solvers.methods import COLLINEAR
+
+
+@kernel(reduction=True, arrays=False)
+def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
+    """Normals of a row of windows from their sums, for a camera without lens distortion.
+
+    Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one division and
+    one square root per pixel.
+    """
+    for i in range(needed.shape[0]):
+        n = np.float64(valid_sums[i])
+        x = np.float64(valid_sums[PITCH + i])
+        y = np.float64(valid_sums[3 * PITCH + i])
+        c_xx = n * valid_sums[2 * PITCH + i] - x * x
+        c_xy = n * valid_sums[4 * PITCH + i] - x * y
+        c_yy = n * valid_sums[5 * PITCH + i] - y * y
+        q = sums[i]
+        c_xq = n * sums[PITCH + i] - x * q
+        c_yq = n * sums[2 * PITCH + i] - y * q
+        determinant = c_xx * c_yy - c_xy * c_xy
+        slope_x = c_yy * c_xq - c_xy * c_yq
+        slope_y = c_xx * c_yq - c_xy * c_xq
+        centre = determinant * q - slope_x * x - slope_y * y
+        a = fx * (n * slope_x)
+        b = fy * (n * slope_y)
+        c = centre - a * tan_x[i] - b * tan_y
+        enough = (valid_sums[i] >= needed[i]) & (valid[i] > np.float32(0.0))
+        there = enough & (determinant > 0.0) & (centre > 0.0)
+        inverse_norm = -1.0 / np.sqrt(a * a + b * b + c * c)  # NumPy's: in plain Python 1.0 / 0.0 is an error
+        inverse_norm = inverse_norm if there else math.nan
+        normals[3 * i] = a * inverse_norm
+        normals[3 * i + 1] = b * inverse_norm
+        normals[3 * i + 2] = c * inverse_norm
+
+
+@kernel(reduction=True, arrays=False)
+def surface_row(
+    sums, squares, valid_sums, wanted, needed, fx, fy, x_pixel, y_pixel, tan_x, tan_y,
+    normals, variance, variation,
+):  # fmt: skip
+    """Normal, residual variance and surface variation of a row of windows.
+
+    With C the covariance of the rays m in the window, m̄ and q̄ the means and s² the mean squared residual, the
+    points X = m/q of the fitted plane spread by tr(J C Jᵀ), J = (I - m̄αᵀ/q̄)/q̄, to first order, and the measured ones
+    scatter about the plane by s²d²/q̄².
+
+    Parameters
+    ----------
+    sums, squares, valid_sums
+        Σq, Σqx, Σqy; Σq²; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy, up to a constant.
+    wanted : (N,) float32
+        1, or 0 to write NaN.
+    needed : (N,) float32
+        Fewer valid pixels give NaN.
+    x_pixel, y_pixel : (N,) float64
+        The centre pixel in these coordinates.
+    tan_x, tan_y : (N,) float64
+        Its ray.
+    normals, variance, variation : (3 N,), (N,), (N,) float32, written
+        Variance of q about the plane in 1/m²: of the squared residuals of n pixels with n - 3 degrees of freedom.
+    """
+    inverse_fx = 1.0 / fx
+    inverse_fy = 1.0 / fy
+    for i in range(needed.shape[0]):
+        n = np.float64(valid_sums[i])
+        per_pixel = 1.0 / n
+        x = per_pixel * valid_sums[PITCH + i]
+        y = per_pixel * valid_sums[3 * PITCH + i]
+        q = per_pixel * sums[i]
+        c_xx = per_pixel * valid_sums[2 * PITCH + i] - x * x
+        c_xy = per_pixel * valid_sums[4 * PITCH + i] - x * y
+        c_yy = per_pixel * valid_sums[5 * PITCH + i] - y * y
+        c_xq = per_pixel * sums[PITCH + i] - x * q
+        c_yq = per_pixel * sums[2 * PITCH + i] - y * q
+        c_qq = per_pixel * squares[i] - q * q
+        determinant = c_xx * c_yy - c_xy * c_xy
+        trace = c_xx + c_yy
+        inverse_determinant = 1.0 / determinant
+        slope_x = (c_yy * c_xq - c_xy * c_yq) * inverse_determinant
+        slope_y = (c_xx * c_yq - c_xy * c_xq) * inverse_determinant
+        mean_square = c_qq - slope_x * c_xq - slope_y * c_yq
+        mean_square = mean_square if mean_square > 0.0 else 0.0
+        away_x = x - x_pixel[i]
+        away_y = y - y_pixel[i]
+        at_pixel = q - slope_x * away_x - slope_y * away_y
+        a = fx * slope_x
+        b = fy * slope_y
+        c = at_pixel - a * tan_x[i] - b * tan_y[i]
+        enough = (n >= needed[i]) & (wanted[i] > np.float32(0.0))
+        there = enough & (determinant > COLLINEAR * trace * trace) & (at_pixel > 0.0)
+        nan = 0.0 if there else math.nan
+        inverse_norm = nan - 1.0 / math.sqrt(a * a + b * b + c * c)
+        normals[3 * i] = a * inverse_norm
+        normals[3 * i + 1] = b * inverse_norm
+        normals[3 * i + 2] = c * inverse_norm
+        variance[i] = nan + mean_square * n / (n - 3.0)
+        # The spread of the points, times q̄².
+        c_uu = c_xx * (inverse_fx * inverse_fx)
+        c_uv = c_xy * (inverse_fx * inverse_fy)
+        c_vv = c_yy * (inverse_fy * inverse_fy)
+        u = tan_x[i] + away_x * inverse_fx
+        v = tan_y[i] + away_y * inverse_fy
+        z = 1.0 / q
+        across = a * (u * c_uu + v * c_uv) + b * (u * c_uv + v * c_vv)
+        along = a * a * c_uu + 2.0 * a * b * c_uv + b * b * c_vv
+        spread = c_uu + c_vv + z * (z * (u * u + v * v + 1.0) * along - 2.0 * across)
+        off_plane = mean_square * (inverse_norm * inverse_norm)
+        variation[i] = nan + off_plane / (off_plane + spread)
+
+
+@kernel(arrays=False)
+def needed_pixels(row, left, half, height, width, needed_of, needed):
+    """Number of valid pixels that the windows of a row, clipped at the frame, need: see `normals.separable`."""
+    rows = min(row + half, height - 1) - max(row - half, 0) + 1
+    for i in range(needed.shape[0]):
+        column = left + i
+        needed[i] = needed_of[rows * (min(column + half, width - 1) - max(column - half, 0) + 1)]

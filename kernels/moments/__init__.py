@@ -1,0 +1,1 @@
+"""Sums over pixels: of tiles, windows, labels, sliding windows, summed-area tables. Uses `common`."""

@@ -1,0 +1,1 @@
+"""Stage 4: from regions to the pixels that belong to each."""

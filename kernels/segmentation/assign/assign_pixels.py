@@ -1,0 +1,336 @@
+"""Segmentation, alternating with the merging: every pixel goes to the plane it fits."""
+
+import math
+
+import numpy as np
+
+from ..._jit.kernel import kernel
+from ...common.arrays import copy
+from ...common.bit_marks import in_words, list_both
+from ..model.moments import misfit
+from ..model.pixel_noise import grown_variance
+from ..model.records import BLOCK, MIXED, Shares, place
+from .contested_blocks import (
+    AREA,
+    LANES,
+    NEIGHBOURS,
+    NOWHERE,
+    PAIRS,
+    ROOM,
+    contenders,
+    gather,
+    is_undisputed,
+    line_between,
+    regions_around,
+    share_out,
+    steps_of,
+    weigh_contenders,
+)
+from .whole_blocks import (
+    OPEN,
+    SAME,
+    SPARSE,
+    add_shares,
+    add_up,
+    give_whole,
+    hand_out,
+    keep_unchanged,
+    look_around,
+    take_back,
+)
+
+
+@kernel(inline=True)
+def own_pixels(
+    inverse_depth, rays, pyramid, sensor, region, planes, sigma, rules, is_first, before, number, last_alpha,
+    owners, shares, contended, region_moments,
+):  # fmt: skip
+    """Give each pixel to a region, or to none, and sum the moments of what each region owns.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+        0 where there is no measurement.
+    rays : Rays
+    pyramid : Pyramid
+    sensor : (R·C,) float64
+        For each block: see `pixel_noise.sensor_variance`.
+    region : (R, C) int32
+        Region of each block, or -1; a block becomes, on return, the region that owns most of its pixels.
+    planes : Planes
+        Of the regions: see `planes.fit_regions`.
+    sigma : see `pixel_noise.sensor_variance`
+    rules : Rules
+        A region contends for a pixel within ``reach`` standard deviations of its plane. Two planes meet where both
+        fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it
+        within ``settled``.
+    is_first : bool
+        Whether this is the first round.
+    before : (R, C) int32
+        ``region`` before the last round; on return, before this one.
+    number : (M,) int64
+        Number of the region that each region of the last round has become, or -1.
+    last_alpha : (M, 3) float64
+        ``planes.alpha`` in the last round.
+    owners : Owners
+        From the last round; before the first, EMPTY or UNSEEN.
+    shares : Shares
+        From the last round.
+    contended : Contended
+        Room for as many blocks as there are, and NEIGHBOURS regions for each.
+    region_moments : (N, 10) float64, changed
+        Of what regions had after the last round, as they are numbered now. In the first round they are summed up anew,
+        in later ones what changes hands is taken out and put in.
+
+    Returns
+    -------
+    Shares
+        Of this round.
+    """
+    rows, columns = region.shape
+    tasks = np.zeros(in_words(rows * columns), np.int8)  # DONE beyond the last block
+    task = tasks[: rows * columns].reshape(rows, columns)
+    look_around(region, owners.block, task)
+    if not is_first:
+        keep_unchanged(region, before, number, planes, last_alpha, sigma, rays, region_moments, owners.block, task)
+    for row in range(rows):
+        copy(region[row], before[row])
+    give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
+    # One place more than there are blocks: the one after the last is written to, too.
+    opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
+    open_count, same_count = list_both(tasks, tasks.view(np.uint64), OPEN, opened, SAME, same)
+    opened = opened[:open_count]
+    sparse, had = np.empty(open_count, np.int32), np.empty(open_count, np.int32)
+    if not is_first:
+        take_back(opened, number, owners, shares, region_moments, had)
+    sparse_count, count, listed = decide(
+        opened, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse
+    )
+    shares_of = owners.count.reshape(-1)
+    room = sparse_count + listed
+    for i in same[:same_count]:
+        room += shares_of[i]
+    new = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 10)))
+    put = kept = take_over(same[:same_count], number, owners, shares, new)
+    put = share_sparse(sparse[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
+    put = contest(
+        contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
+    )
+    if is_first:
+        add_up(pyramid, owners, region_moments)
+    else:
+        hand_out(opened, had, pyramid, owners, region_moments)
+    add_shares(new, kept, put, region_moments)  # those of blocks that stay the SAME are in
+    return new
+
+
+@kernel(arrays=False)
+def take_over(blocks, number, owners, shares, new):
+    """Take over the shares of blocks that stay the SAME, by their regions' new ``number``; returns their count."""
+    first, shares_of = owners.first.reshape(-1), owners.count.reshape(-1)
+    region, pixels, moments = shares
+    new_region, new_pixels, new_moments = new
+    count = 0
+    for i in blocks:
+        start = count
+        for s in range(first[i], first[i] + shares_of[i]):
+            a = number[region[s]]
+            if a < 0:
+                continue
+            k = start
+            while k < count and new_region[k] != a:  # regions that have become one
+                k += 1
+            if k == count:
+                new_region[k], new_pixels[k] = a, pixels[s]
+                for j in range(10):
+                    new_moments[k, j] = moments[s, j]
+                count += 1
+                continue
+            new_pixels[k] |= pixels[s]
+            for j in range(10):
+                new_moments[k, j] += moments[s, j]
+        first[i] = start
+        shares_of[i] = count - start
+    return count
+
+
+@kernel()
+def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse):
+    """Give blocks whole to a region without rivals, if they fit it; list the others.
+
+    Parameters
+    ----------
+    blocks : (K,) int32
+        Those that are OPEN, row · C + column.
+    rays, before, pyramid, sensor, planes, rules, region, owners
+        As in `own_pixels`.
+    contended : Contended, written
+    sparse : (K,) int32, written
+        The first are those that went whole to a region with few measured pixels: see `share_sparse`.
+
+    Returns
+    -------
+    tuple of int
+        Numbers of these sparse blocks, of contended ones, and of contenders.
+    """
+    rows, columns = region.shape
+    # With a rim of no regions.
+    around = np.full((rows + 2, columns + 2), np.int32(-1))
+    for row in range(rows):
+        copy(before[row], around[row + 1, 1 : columns + 1])
+    # Names for fields of tuples: see `kernels`.
+    tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
+    of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
+    waviness_square, stretch = planes.waviness_square, planes.square_stretch
+    owner = owners.block
+    block, many, first, all_candidates, all_centres = contended
+    settled_square, reach = rules.settled * rules.settled, rules.reach
+    # Of fixed sizes: see `kernels`.
+    near, directions = np.zeros((NEIGHBOURS, LANES), np.int32), np.empty((NEIGHBOURS, LANES), np.int32)
+    new, is_new = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
+    candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
+    sparse_count = count = listed = 0
+    for k in range(len(blocks)):
+        here = blocks[k]
+        row, column = place(here, columns)
+        pixels = of_block[0, here]
+        n = k % LANES
+        if n == 0:
+            regions_around(blocks, k, around, near, directions, new, is_new)
+        contending = contenders(near, directions, new, n, row, column, centre_u, centre_v, candidate, centre)
+        a = candidate[0] if contending == 1 else np.int64(before[row, column])
+        fits = False
+        if a >= 0:
+            total = grown_variance(sensor[here], slope_variance[a], stretch[here], waviness_square[a])
+            fits = misfit(of_block, here, alpha, a) <= settled_square * pixels * total
+            if fits and contending > 1:
+                distance = reach * math.sqrt(total)
+                fits = is_undisputed(a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance)
+        if fits:
+            owner[row, column] = region[row, column] = a
+            sparse[sparse_count] = here
+            sparse_count += pixels <= SPARSE
+            continue
+        owner[row, column] = MIXED
+        block[count], many[count], first[count] = here, contending, listed
+        for i in range(contending):
+            all_candidates[listed] = candidate[i]
+            for j in range(3):
+                all_centres[listed, j] = centre[i, j]
+            listed += 1
+        count += 1
+    return sparse_count, count, listed
+
+
+@kernel(arrays=False)
+def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
+    """Turn mostly missing whole blocks into shares of their measured pixels.
+
+    The shares are added after the first ``put``; returns how many there are then.
+    """
+    height, width = inverse_depth.shape
+    columns = region.shape[1]
+    of_block = pyramid.moments
+    owner, first, shares_of, measured = owners
+    share_region, share_pixels, share_moments = shares
+    for here in blocks:
+        row, column = place(here, columns)
+        mask = np.int32(0)
+        for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
+            for x in range(column * BLOCK, min(column * BLOCK + BLOCK, width)):
+                mask |= np.int32(inverse_depth[y, x] > 0.0) << np.int32(y % BLOCK * BLOCK + x % BLOCK)
+        share_region[put], share_pixels[put] = region[row, column], mask
+        for k in range(10):
+            share_moments[put, k] = of_block[k, here]
+        owner[row, column], measured[row, column] = MIXED, mask
+        first[row, column], shares_of[row, column] = put, 1
+        put += 1
+    return put
+
+
+@kernel()
+def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put):
+    """Give each pixel of the first ``count`` contended blocks to one of the contenders, or to none.
+
+    The shares are added after the first ``put``; returns how many there are then. Other arguments as in `own_pixels`.
+    """
+    columns = region.shape[1]
+    # Names for fields of tuples: see `kernels`.
+    tan_x, tan_y = rays.tan_x, rays.tan_y
+    of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
+    waviness_square, stretch = planes.waviness_square, planes.square_stretch
+    first_share, shares_of, measured = owners.first, owners.count, owners.measured
+    share_region, share_pixels, share_moments = shares
+    block, many, first, candidate, centre = contended
+    limit, close = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
+    steps = steps_of(tan_x.shape[0] == 1 and tan_y.shape[1] == 1)
+    # Of fixed sizes: see `kernels`.
+    space = np.empty((ROOM, LANES), np.float32)
+    q, u, v = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA]
+    plane, penalty = np.zeros((4 * NEIGHBOURS, LANES), np.float32), np.zeros((NEIGHBOURS, LANES), np.float32)
+    line = np.zeros((3 * PAIRS, LANES), np.float32)
+    square = np.empty((NEIGHBOURS * AREA, LANES), np.float32)
+    sums = np.empty(((NEIGHBOURS + 1) * BLOCK * BLOCK, LANES), np.float32)
+    winner = np.empty((BLOCK * BLOCK, LANES), np.int32)
+    owned, pixels = np.empty((NEIGHBOURS * 10, LANES)), np.empty((NEIGHBOURS + 1, LANES), np.int32)
+    variance, mantissa = np.ones((NEIGHBOURS, LANES), np.float32), np.empty(LANES, np.float32)
+    variance_bits, mantissa_bits = variance.view(np.int32), mantissa.view(np.int32)
+    # Blocks with one contender or none, with two, and with more.
+    group, in_group = np.empty((3, count), np.int32), np.zeros(3, np.int64)
+    for c in range(count):
+        g = np.int64(many[c] > 1) + np.int64(many[c] > 2)
+        group[g, in_group[g]] = c
+        in_group[g] += 1
+    for g in range(3):
+        most = g + 1 if g < 2 else NEIGHBOURS
+        for start in range(0, in_group[g], LANES):
+            lanes = min(in_group[g] - start, LANES)
+            contending = 0
+            for n in range(lanes):
+                c = group[g, start + n]
+                here = block[c]
+                row, column = place(here, columns)
+                gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v)
+                contending = max(contending, many[c])
+                for j in range(many[c], most):  # unused slots get a plane that no pixel is near
+                    plane[4 * j, n] = plane[4 * j + 1, n] = 0.0
+                    plane[4 * j + 2, n], variance[j, n] = NOWHERE, 1.0
+                for j in range(many[c]):
+                    b = candidate[first[c] + j]
+                    total = grown_variance(sensor[here], slope_variance[b], stretch[here], waviness_square[b])
+                    plane[4 * j, n], plane[4 * j + 1, n] = alpha[b, 0], alpha[b, 1]
+                    plane[4 * j + 2, n], variance[j, n] = alpha[b, 2], total
+                    for i in range(j):
+                        a = candidate[first[c] + i]
+                        pair = 3 * (j * (j - 1) // 2 + i)
+                        line[pair, n], line[pair + 1, n], line[pair + 2, n] = line_between(
+                            a, b, alpha, centre, first[c] + i, first[c] + j
+                        )
+            for n in range(lanes, LANES):
+                for p in range(AREA):
+                    q[p, n] = 0.0
+            weigh_contenders(contending, variance, variance_bits, mantissa, mantissa_bits, plane, penalty)
+            share_out(contending, space, steps, plane, penalty, line, limit, close, square, sums, winner, owned, pixels)
+            for n in range(lanes):
+                c = group[g, start + n]
+                row, column = place(block[c], columns)
+                own, third = before[row, column], of_block[0, block[c]] / 3.0
+                measured[row, column], first_share[row, column] = pixels[NEIGHBOURS, n], put
+                largest, most_pixels, stays = -1, 2.0, False
+                for j in range(many[c]):
+                    if pixels[j, n] == 0:
+                        continue
+                    a = candidate[first[c] + j]
+                    share_region[put], share_pixels[put] = a, pixels[j, n]
+                    for k in range(10):
+                        share_moments[put, k] = owned[10 * j + k, n]
+                    put += 1
+                    # A thin region may not own most of any block: a block stays with a region that owns a third of
+                    # it.
+                    of_own = owned[10 * j, n]
+                    stays |= (a == own) & (of_own >= third) & (of_own > 2.0)
+                    if of_own > most_pixels:
+                        largest, most_pixels = a, of_own
+                shares_of[row, column] = put - first_share[row, column]
+                region[row, column] = own if stays else largest
+    return put

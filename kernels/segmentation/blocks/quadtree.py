@@ -1,0 +1,125 @@
+"""Segmentation: blocks that agree are joined by fours, and those by fours again."""
+
+import math
+
+import numpy as np
+
+from ..._jit.kernel import kernel
+from ..model.pixel_noise import sensor_variances
+from ..model.records import EMPTY, UNSEEN
+
+
+@kernel(inline=True)
+def join_blocks(pyramid, noise, rules, sensor, state):
+    """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    noise : Noise
+    rules : Rules
+        A block is planar if its residual is below ``rough_block`` standard deviations, the slope's part of
+        which counts ``steep_block`` times (a block across a depth jump looks steep, too). Four are one plane if
+        joining them adds at most ``square_floor``² variances per pixel, plus ``square_spread``.
+    sensor : (R·C,) float64, written
+        For each block: see `pixel_noise.sensor_variance`.
+    state : (T,) int8, written
+        0 not planar, 1 planar, 2 too few pixels to say.
+    """
+    moments, rss, slope_square, offsets, shapes = pyramid
+    lateral_variance = noise.lateral_variance
+    # One-dimensional: see `kernels`.
+    pixels, sum_q = moments[0], moments[3]
+    variance = np.empty(len(rss))
+    sensor_variances(pixels, sum_q, noise.sigma, variance)
+    blocks = shapes[0, 0] * shapes[0, 1]
+    rough, steep = rules.rough_block**2, rules.steep_block**2 * lateral_variance
+    for i in range(blocks):
+        n = pixels[i]
+        sensor[i] = variance[i]
+        planar = 1 if rss[i] <= (n - 3.0) * (rough * variance[i] + steep * slope_square[i]) else 0
+        state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
+    for i in range(len(variance)):
+        variance[i] += lateral_variance * slope_square[i]
+    floor, spread = rules.square_floor**2, rules.square_spread
+    for level in range(1, shapes.shape[0]):
+        columns = shapes[level, 1]
+        for row in range(shapes[level, 0]):
+            here = offsets[level] + row * columns
+            upper = offsets[level - 1] + 4 * row * columns
+            lower, end = upper + 2 * columns, upper + 4 * columns
+            join_squares(
+                state[upper:lower], state[lower:end], rss[upper:lower], rss[lower:end], variance[upper:lower],
+                variance[lower:end], pixels[here : here + columns], rss[here : here + columns], floor, spread,
+                state[here : here + columns],
+            )  # fmt: skip
+
+
+@kernel(inline="compiled")
+def join_squares(
+    upper_state, lower_state, upper_rss, lower_rss, upper_variance, lower_variance, pixels, rss, floor, spread, state
+):  # fmt: skip
+    """Write the ``state`` of a row of squares from those of the two rows of squares that they are made of."""
+    for c in range(len(state)):
+        k = 2 * c
+        one, two, three, four = upper_state[k], upper_state[k + 1], lower_state[k], lower_state[k + 1]
+        rss_1, rss_2, rss_3, rss_4 = upper_rss[k], upper_rss[k + 1], lower_rss[k], lower_rss[k + 1]
+        of_1, of_2, of_3, of_4 = upper_variance[k], upper_variance[k + 1], lower_variance[k], lower_variance[k + 1]
+        total = (
+            (rss_1 if one == 1 else 0.0) + (rss_2 if two == 1 else 0.0)
+            + (rss_3 if three == 1 else 0.0) + (rss_4 if four == 1 else 0.0)
+        )  # fmt: skip
+        smallest = min(
+            min(of_1 if one == 1 else math.inf, of_2 if two == 1 else math.inf),
+            min(of_3 if three == 1 else math.inf, of_4 if four == 1 else math.inf),
+        )
+        planar = (one == 1) | (two == 1) | (three == 1) | (four == 1)
+        rough = (one == 0) | (two == 0) | (three == 0) | (four == 0)
+        joined = (rss[c] >= 0.0) & (rss[c] - total <= smallest * (floor * pixels[c] + spread))
+        state[c] = 0 if rough else 2 if not planar else 1 if joined else 0
+
+
+@kernel()
+def leaves(pyramid, state, region, owner, region_moments):
+    """Number the largest planar node over each planar block, in the order of their first blocks.
+
+    ``region`` is (R, C) int32, written: the node's number, -1 where the block is not planar or has too few
+    pixels; ``owner`` (R, C) int32 is written: EMPTY or UNSEEN; ``region_moments`` (R·C, 10) is written. Returns the
+    number of nodes.
+    """
+    moments, _, _, offsets, shapes = pyramid
+    pixels, top = moments[0], shapes.shape[0] - 1
+    # Of each square: the largest planar one that it is in, or -1. Not all squares of a planar one need be planar: some
+    # have too few pixels.
+    largest = np.empty(len(state), np.int32)
+    for i in range(offsets[top], offsets[top + 1]):
+        largest[i] = i if state[i] == 1 else -1
+    for level in range(top - 1, 0, -1):
+        for row in range(shapes[level, 0]):
+            first = offsets[level] + row * shapes[level, 1]
+            above = largest[offsets[level + 1] + (row >> 1) * shapes[level + 1, 1] :]
+            for column in range(shapes[level, 1]):
+                i = first + column
+                own = i if state[i] == 1 else -1
+                largest[i] = above[column >> 1] if above[column >> 1] >= 0 else own
+    number = np.full(len(state), np.int32(-1))
+    rows, columns = region.shape
+    count = 0
+    for row in range(rows):
+        above = largest[offsets[1] + (row >> 1) * shapes[1, 1] :]
+        line, owners, of_row = region[row], owner[row], pixels[row * columns : (row + 1) * columns]
+        for column in range(columns):
+            owners[column] = EMPTY if of_row[column] == 0.0 else UNSEEN
+        for column in range(columns):
+            block = row * columns + column
+            if state[block] != 1:
+                line[column] = -1
+                continue
+            i = above[column >> 1] if above[column >> 1] >= 0 else block
+            if number[i] < 0:
+                number[i] = count
+                for k in range(10):
+                    region_moments[count, k] = moments[k, i]
+                count += 1
+            line[column] = number[i]
+    return count

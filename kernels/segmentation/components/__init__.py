@@ -1,0 +1,1 @@
+"""Stage 6: from regions to connected parts, and their labels."""

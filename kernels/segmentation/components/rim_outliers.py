@@ -1,0 +1,153 @@
+"""Segmentation: groups of pixels at the rim of a large plane that lie off it, as those of a small face beside it do.
+
+A region takes each pixel that its plane is near to, and so it takes faces that are too small for a region of their own.
+None of their pixels is far off, but all are, on the same side.
+"""
+
+import numpy as np
+
+from ..._jit.kernel import kernel
+from ...common.bit_marks import lowest_bit
+from ..model.moments import add, ray_of
+from ..model.pixel_noise import waviness
+from ..model.planes import fit_planes
+from ..model.records import BLOCK, place
+from .runs import WHOLE
+
+# Pixels of such a group, and the largest share of its plane's: what is larger has been looked at before, as a region.
+LEAST, MOST, SHARE = 16, 128, 0.01
+# In place of a reason, of pixels that lie off: seen; of a group that is too large; to go.
+SEEN, LARGE, GOES = np.uint8(253), np.uint8(254), np.uint8(255)
+
+
+@kernel(inline="compiled")
+def is_off(inverse_depth, rays, y, x, alpha, k, far):
+    """Whether a pixel's residual about plane ``k`` is more than ``far``, or less if that is negative."""
+    u, v = ray_of(rays, y, x)
+    residual = inverse_depth[y, x] - (alpha[k, 0] * u + alpha[k, 1] * v + alpha[k, 2])
+    return residual > far if far > 0.0 else residual < far
+
+
+@kernel()
+def gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, begin):
+    """List the pixels around the last one listed, at ``begin``, that lie off their plane, too.
+
+    Parameters
+    ----------
+    labels, reasons : (H·W,) int32 and uint8
+        What becomes of the group is written to the latter.
+    inverse_depth : (H, W) float32
+    rays : Rays
+    alpha : (N, 3) float64
+    far : float
+        The least residual, or the largest if it is negative.
+    most : int
+        The pixels that the group may have.
+    group : (K,) int32
+        Written after ``begin``.
+
+    Returns
+    -------
+    int
+        Where ``group`` ends then.
+    """
+    height, width = inverse_depth.shape
+    touches = too_large = False
+    i, count = begin, begin + 1
+    label = labels[group[begin]]
+    while i < count and not too_large:
+        y, x = place(group[i], width)
+        i += 1
+        for k in range(4):
+            r = y - 1 if k == 0 else y + 1 if k == 3 else y
+            c = x - 1 if k == 1 else x + 1 if k == 2 else x
+            if r < 0 or r >= height or c < 0 or c >= width:
+                continue
+            here = r * width + c
+            if labels[here] != label:
+                touches |= inverse_depth[r, c] > 0.0
+                continue
+            too_large |= reasons[here] == LARGE
+            if reasons[here] == 0 and is_off(inverse_depth, rays, r, c, alpha, label - 1, far):
+                group[count] = here
+                reasons[here] = SEEN
+                count += 1
+        too_large |= count - begin > most
+    if too_large or (touches and count - begin >= LEAST):
+        for j in range(begin, count):
+            reasons[group[j]] = LARGE if too_large else GOES
+    return count
+
+
+@kernel()
+def let_go(
+    inverse_depth, rays, growth, off, least, unclaimed, shares, runs, moments, deviation, group, label, reason
+):  # fmt: skip
+    """Take the label from groups of pixels at the rims of planes that lie off them.
+
+    They touch what is not the plane's: so one of their pixels at least is in a share.
+
+    Parameters
+    ----------
+    inverse_depth : (H, W) float32
+    rays : Rays
+    growth : (S,) float64
+        See `pixel_noise.waviness`: by that a sensor's own errors may bend the rim of a plane.
+    off : float
+        Deviations, times the plane's waviness.
+    least : int
+        Pixels that a plane keeps at least.
+    unclaimed : uint8
+        Reason of pixels that lose their label.
+    shares : Shares
+    runs : Runs
+    moments, deviation : (N, 10) and (N,) float64
+        Of the planes; ``moments`` is changed.
+    group : (K,) int32
+        Room for all pixels with a label.
+    label, reason : (H, W) int32 and uint8, changed
+    """
+    width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
+    row_runs, run_start, run_share = runs.first, runs.start, runs.share
+    run_label, run_pixels = runs.label, runs.pixels
+    of_shares = shares.moments
+    alpha, rss, gone = np.empty((len(moments), 3)), np.empty(len(moments)), np.zeros((len(moments), 10))
+    fit_planes(moments, alpha, rss)
+    limit = np.empty(len(moments))
+    for k in range(len(moments)):
+        limit[k] = off * waviness(moments[k, 0], growth) * deviation[k]
+    count = 0
+    for row in range(len(row_runs) - 1):
+        for i in range(row_runs[row], row_runs[row + 1]):
+            k, s = run_label[i] - 1, run_share[i]
+            if s == WHOLE or k < 0 or SHARE * moments[k, 0] < LEAST:
+                continue
+            total = of_shares[s, 3] - (
+                alpha[k, 0] * of_shares[s, 1] + alpha[k, 1] * of_shares[s, 2] + alpha[k, 2] * of_shares[s, 0]
+            )
+            if abs(total) <= limit[k] * of_shares[s, 0]:
+                continue
+            far = limit[k] if total > 0.0 else -limit[k]
+            most = np.int64(min(SHARE * moments[k, 0], MOST))
+            pixels = run_pixels[i]
+            while pixels != 0:
+                p = lowest_bit(pixels)
+                pixels &= pixels - np.int32(1)
+                y, x = row * BLOCK + p // BLOCK, run_start[i] * BLOCK + p % BLOCK
+                here = y * width + x
+                if reasons[here] == 0 and is_off(inverse_depth, rays, y, x, alpha, k, far):
+                    group[count], reasons[here] = here, SEEN
+                    count = gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, count)
+    for i in range(count):
+        here = group[i]
+        k = labels[here] - 1
+        if reasons[here] == GOES and moments[k, 0] - gone[k, 0] > least:
+            y, x = place(here, width)
+            u, v = ray_of(rays, y, x)
+            add(gone[k], u, v, inverse_depth[y, x])
+            labels[here], reasons[here] = 0, unclaimed
+        else:
+            reasons[here] = 0
+    for k in range(len(moments)):
+        for j in range(10):
+            moments[k, j] -= gone[k, j]

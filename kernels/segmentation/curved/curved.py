@@ -1,0 +1,266 @@
+"""Segmentation: are the regions planes, or parts of something curved?
+
+A curved surface breaks into planes that fit it within the noise. Two such neighbours are told from two real
+planes by comparing models with equally many parameters: two planes, with six, and one quadric, with six. Where planes
+meet in an edge, two planes leave smaller residuals; on a surface that goes on smoothly, one quadric does.
+"""
+
+import math
+
+import numpy as np
+
+from ..._jit.kernel import kernel
+from ...common.union_find import root_of, unite
+from ..model.boxes import boxes
+from ..model.moments import angle_between, jump_at
+from ..model.pixel_noise import about_plane, sensor_variance
+from ..model.quadrics import (
+    MARGIN,
+    PLANE_TERMS,
+    SURE,
+    TERMS,
+    add_blocks,
+    eliminate,
+    extent,
+    inner_pixels,
+    own_turn,
+    owned_means,
+    room_for_blocks,
+    second_derivatives,
+    step_of,
+    turn_of_groups,
+)
+from .creases import main_bend, two_planes
+from .facets import find_faceted
+from .occluded import gap_between, may_cross
+
+# Cut in two anywhere, an arc's parts turn within themselves by 1/√12 of their angles, root mean square, and their
+# normals are half of both apart: so the two turns make 1/√3 of the angle between them, and none for faces of an edge.
+BENT_SHARE = 0.5 / math.sqrt(3.0)
+# Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
+FEWEST_ACROSS = 3
+FEWEST_BESIDE = 2
+# Pixels over which a sensor does not bend planes yet, and what, root mean square, normals of planes turn by there.
+SMALL, SLIGHTLY = 1024, math.radians(2.0)
+
+
+@kernel(inline=True)
+def breadth(window):
+    """Blocks along the shorter side."""
+    return min(window[1] - window[0], window[3] - window[2])
+
+
+@kernel()
+def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent):
+    """How far the normals of each region turn within it, see `own_turn`, and whether sensors bend planes less.
+
+    What two planes, side by side, fit better than one quadric is not bent, if they are not bent themselves.
+
+    ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
+    """
+    alpha, slope_variance, waviness_square, stretch, _ = planes
+    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
+    for a in range(len(turned)):
+        turned[a] = bending[a] = 0.0
+        bent[a] = False
+        m = region_moments[a]
+        if breadth(box[a]) < FEWEST_BESIDE or not alpha[a, 0] < math.inf:
+            continue
+        variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
+        waves = waviness_square[a]
+        by, bending[a], gain, rest = own_turn(
+            region, means, a, box, m, alpha[a], variance, waves, rules, room, products
+        )
+        if breadth(box[a]) < FEWEST_ACROSS:
+            continue
+        turned[a], bent[a] = by, gain > rules.bent * waves
+        if bent[a] and by > math.radians(rules.sharp) ** 2:
+            pixels, step, deviation = products[0, 0], step_of(box[a]), math.sqrt(variance)
+            across = main_bend(second_derivatives(products, extent(m), deviation))
+            two, quadrics = two_planes(region, means, a, box, m, alpha[a], deviation, across)
+            two, quadrics = two / pixels, quadrics / pixels
+            sure = rules.region_spread * waves / (pixels * step * step)
+            better = rest - two
+            is_broken = better > max(MARGIN * (gain + better), sure) and two - quadrics < better
+            bent[a] = not is_broken
+
+
+@kernel()
+def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved):
+    """Mark the small regions of which a quadric takes away more than half of the squared residuals, beyond chance.
+
+    They have few blocks, and many pixels at their rim, which may be biased: the pixels inside tell. The arguments are
+    those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`; ``curved`` says which are marked already.
+    """
+    alpha, slope_variance, waviness_square, stretch, _ = planes
+    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
+    # Pixels as if they were blocks, one beside the other, of one region.
+    pixels, region = np.empty((4, 1, SMALL), np.float32), np.zeros((1, SMALL), np.int32)
+    row = np.array([[0, 1, 0, 0]])
+    for a in range(len(curved)):
+        m, waves = region_moments[a], waviness_square[a]
+        if curved[a] or m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
+            continue
+        variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
+        row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[:, 0])
+        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, room, products)
+        is_sure = gain * m[0] > SURE * noise.together * waves
+        curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
+
+
+@kernel()
+def continues(region, means, a, b, region_moments, planes, sigma, box, room):
+    """Whether one quadric fits two neighbouring regions better than two planes do.
+
+    ``a`` is the smaller one; ``b`` is looked at only as far from ``a`` as ``a`` is wide. ``room`` is that of
+    `quadrics.room_for_blocks`.
+
+    Returns
+    -------
+    better, bend : float
+        How much better the quadric is than two planes, and two planes than one: sums of squares, in variances. -1 and
+        0 where no block of one of the two is looked at.
+    covered : float
+        The share of ``b``'s pixels that are looked at.
+    """
+    alpha, slope_variance, _, stretch, _ = planes
+    m = region_moments[a]
+    window = np.empty(4, np.int64)
+    high, wide = box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]
+    window[0], window[1] = max(box[a, 0] - high, 0), min(box[a, 1] + high, region.shape[0])
+    window[2], window[3] = max(box[a, 2] - wide, 0), min(box[a, 3] + wide, region.shape[1])
+    variance = sensor_variance(m[3] / m[0], sigma) + stretch[a] * min(slope_variance[a], slope_variance[b])
+    deviation = math.sqrt(variance)
+    centre = m[1] / m[0], m[2] / m[0]
+    scale = extent(m)
+    step = step_of(box[a])
+    products = np.zeros((3, TERMS + 1, TERMS + 1))
+    of_a, of_b, joint = products[0], products[1], products[2]
+    pixels_a = add_blocks(region, means, a, box, alpha[a], deviation, window, step, centre, scale, room, of_a)
+    pixels_b = add_blocks(region, means, b, box, alpha[a], deviation, window, step, centre, scale, room, of_b)
+    covered = pixels_b * step * step / region_moments[b, 0]
+    if pixels_a == 0.0 or pixels_b == 0.0:
+        return -1.0, 0.0, covered
+    for i in range(TERMS + 1):
+        for j in range(i, TERMS + 1):
+            joint[i, j] = of_a[i, j] + of_b[i, j]
+    two = eliminate(of_a, 0, PLANE_TERMS) + eliminate(of_b, 0, PLANE_TERMS)
+    bend = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
+    return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step, bend, covered
+
+
+@kernel(inline=True)
+def turns_as_an_arc(bending, a, b, angle):
+    """Whether two regions turn within themselves by enough of the angle between them: see BENT_SHARE."""
+    return math.sqrt(bending[a]) + math.sqrt(bending[b]) > BENT_SHARE * angle
+
+
+@kernel()
+def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent):
+    """Unite the regions that are one arc behind something thin in front of them.
+
+    ``parent`` (N,) and ``bent`` (N,) bool are changed; the other arguments are those of `find_curved` and `find_turns`.
+    """
+    alpha, regions = planes.alpha, len(parent)
+    where, room = np.empty(3), room_for_blocks()
+    for a in range(regions):
+        if region_moments[a, 0] < SMALL or breadth(box[a]) < FEWEST_ACROSS or not bending[a] > 0.0:
+            continue
+        variance = about_plane(sensor_variance(region_moments[a, 3] / region_moments[a, 0], sigma), planes, a)
+        for b in range(regions):
+            if b == a or region_moments[b, 0] < region_moments[a, 0] or not bending[b] > 0.0:
+                continue
+            if breadth(box[b]) < FEWEST_ACROSS or not (may_cross(box, a, b, 0) or may_cross(box, a, b, 1)):
+                continue
+            angle = angle_between(alpha[a], alpha[b])
+            if not (angle > SLIGHTLY and turns_as_an_arc(bending, a, b, angle)):
+                continue
+            if root_of(parent, a) == root_of(parent, b):
+                continue
+            beyond = rules.close * math.sqrt(variance)
+            if not (
+                gap_between(region, rays, pyramid, alpha, a, b, box, 0, beyond, where)
+                or gap_between(region, rays, pyramid, alpha, a, b, box, 1, beyond, where)
+            ):
+                continue
+            jump = jump_at(alpha, a, b, where)
+            if not jump * jump < rules.reach * rules.reach * variance:
+                continue
+            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box, room)
+            if better > max(MARGIN * bend, rules.region_spread * planes.waviness_square[a]):
+                unite(parent, a, b)
+                bent[root_of(parent, a)] = True
+
+
+@kernel()
+def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noise, rules, contacts, count, curved):
+    """Mark the regions that are part of a curved surface.
+
+    Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread`` variances,
+    and that turn within themselves as parts of an arc do, form groups; so do such regions on both sides of something
+    thin in front. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square: if by less,
+    it is the sensor that bends a plane. Of small regions it is not: those with such a neighbour are curved if they turn
+    by more than SLIGHTLY. Also curved are those of `find_curled`, the groups of `facets.find_faceted`, and smaller
+    neighbours as which a curve goes on.
+
+    Parameters
+    ----------
+    owned : Owned
+    inverse_depth : (H, W) float32
+    rays : Rays
+    pyramid : Pyramid
+    region_moments : (N, 10) float64
+    planes : Planes
+    noise : Noise
+    rules : Rules
+    contacts, count
+        From `contacts.neighbours`; overwritten.
+    curved : (N,) bool, written
+    """
+    region, alpha, sigma = owned.region, planes.alpha, noise.sigma
+    pairs, where, _ = contacts
+    significant, sharp = rules.region_spread, math.radians(rules.sharp)
+    regions = len(alpha)
+    box = np.empty((regions, 4), np.int64)
+    boxes(region, box)
+    means = owned_means(owned, pyramid)
+    turned, bending = np.empty(regions), np.empty(regions)
+    bent, goes_on = np.empty(regions, np.bool_), np.zeros(regions, np.bool_)
+    find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
+    find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
+    parent, room = np.arange(regions), room_for_blocks()
+    smooth = 0
+    for i in range(count):
+        a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
+        if region_moments[a, 0] > region_moments[b, 0]:
+            a, b = b, a
+        jump = jump_at(alpha, a, b, where[i])
+        q = region_moments[a, 3] / region_moments[a, 0]
+        variance = about_plane(sensor_variance(q, sigma), planes, a)
+        if not jump * jump < rules.reach * rules.reach * variance:
+            continue
+        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box, room)
+        if not better > -MARGIN * bend:
+            continue
+        pairs[smooth, 0], pairs[smooth, 1] = a, b
+        smooth += 1
+        enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
+        enough &= better > max(MARGIN * bend, significant * planes.waviness_square[a])
+        if enough and turns_as_an_arc(bending, a, b, angle_between(alpha[a], alpha[b])):
+            unite(parent, a, b)
+            bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
+    unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent)
+    turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
+    turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
+    for a in range(regions):
+        root = root_of(parent, a)
+        curved[a] |= bent[root] and turn_square[root] > sharp * sharp
+        curved[a] |= goes_on[a] and region_moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
+    find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved)
+    changed = True
+    while changed:
+        changed = False
+        for i in range(smooth):
+            if curved[pairs[i, 1]] and not curved[pairs[i, 0]]:
+                curved[pairs[i, 0]] = True
+                changed = True

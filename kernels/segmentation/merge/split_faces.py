@@ -1,0 +1,276 @@
+"""Segmentation: regions that were joined and are several planes.
+
+Some are too rough to be one plane. Others are faces that meet in an edge: the faces of something small differ by so
+little that a sensor might bend a plane as much, but a sensor makes no edges. Of what is bent, by a sensor or because it
+is curved, one quadric fits better than planes do; faces fit better as they are.
+"""
+
+import math
+
+import numpy as np
+
+from ..._jit.kernel import kernel
+from ...common.arrays import copy
+from ..model.boxes import boxes
+from ..model.moments import angle_between, fit
+from ..model.pixel_noise import variance, waviness
+from ..model.quadrics import (
+    MARGIN,
+    PLANE_TERMS,
+    SURE,
+    TERMS,
+    add_blocks,
+    eliminate,
+    extent,
+    own_turn,
+    owned_means,
+    room_for_blocks,
+    step_of,
+    turn_of_groups,
+)
+from ..model.records import Owned
+from .contacts import keep_pairs_inside
+from .merge import merge
+
+# Share of the tolerances with which parts are joined anew.
+STRICT = 0.5
+# Pixels of a part that is a face, and the least share of the region: along edges there are parts of both faces.
+FACE, FACE_SHARE = 100, 0.025
+# Root mean square angle by which the normals of faces turn, and those of the quadric that fits them best.
+TURNED = math.radians(4.0)
+# A face that is ajar, as a door is to its wall, turns the normals of both together by less. How far it is turned
+# against the rest, the pixels of either, since rims are tilted, too, and what a quadric leaves at least of the bend of
+# the two: 1/16 if they are of one size, more than AJAR_MARGIN if one has less than a quarter of both.
+AJAR, AJAR_FACE, AJAR_MARGIN = math.radians(6.0), 2048, 0.25
+
+
+@kernel()
+def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, ajar):
+    """Mark the joined regions that are several planes, and those that may be.
+
+    Parameters
+    ----------
+    moments, first_moments : (N, 10) float64
+        Of the regions that are left, and of all before they were joined.
+    parent : (N,) int64
+        The region that each one went into.
+    noise : Noise
+    rules : Rules
+    rough : (N,) bool, written
+        Those with a residual above ``rough`` standard deviations.
+    several : (N,) bool, written
+        The others with two or more parts that may be faces, turned against each other, and a residual larger than
+        that of a plane.
+    ajar : (N,) bool, written
+        Those with a part that is turned against the rest.
+
+    Returns
+    -------
+    bool
+        Whether there are any.
+    """
+    alpha = np.empty(3)
+    faces = np.zeros(len(parent), np.int64)
+    for a in range(len(parent)):
+        faces[parent[a]] += first_moments[a, 0] >= FACE
+    found = uneven = False
+    for a in range(len(parent)):
+        rough[a] = several[a] = False
+        rss = fit(moments[a], alpha) if parent[a] == a else -1.0
+        if rss >= 0.0:
+            n = moments[a, 0]
+            allowed = n * variance(moments[a], alpha, noise) * waviness(n, noise.growth) ** 2
+            rough[a] = rss > rules.rough**2 * allowed
+            several[a] = faces[a] > 1 and not rough[a] and rss > allowed
+            found |= rough[a]
+            uneven |= several[a]
+    ajar[:] = False
+    if not uneven:
+        return found
+    alphas, weight = np.full((len(parent), 3), np.inf), np.empty(len(parent))
+    for a in range(len(parent)):
+        weight[a] = first_moments[a, 0] ** 2  # noise turns normals by 1/n
+        if several[parent[a]] and first_moments[a, 0] >= FACE and fit(first_moments[a], alpha) >= 0.0:
+            copy(alpha, alphas[a])
+    turn_square, total = np.empty(len(parent)), np.empty(len(parent))
+    turn_of_groups(parent, weight, alphas, np.zeros(len(parent)), turn_square, total, faces)
+    for a in range(len(parent)):
+        root = parent[a]
+        if several[root] and not ajar[root] and first_moments[a, 0] >= AJAR_FACE and alphas[a, 0] < math.inf:
+            ajar[root] = is_ajar(first_moments[a], alphas[a], moments[root], noise, rules)
+    for a in range(len(parent)):
+        several[a] &= turn_square[a] > TURNED**2 or ajar[a]
+        found |= several[a]
+    return found
+
+
+@kernel()
+def is_ajar(part, alpha, whole, noise, rules):
+    """Whether a part, with plane ``alpha``, is turned against the rest of a region, and rough about its plane."""
+    rest, of_rest = whole - part, np.empty(3)
+    if rest[0] < AJAR_FACE or fit(rest, of_rest) < 0.0:
+        return False
+    if angle_between(alpha, of_rest) < AJAR:
+        return False
+    a, b, c = alpha[0] - of_rest[0], alpha[1] - of_rest[1], alpha[2] - of_rest[2]
+    # What the rest's plane adds to the squared residuals of the part.
+    more = (
+        a * (a * part[4] + 2.0 * (b * part[5] + c * part[1])) + b * (b * part[7] + 2.0 * c * part[2]) + c * c * part[0]
+    )
+    allowed = part[0] * variance(part, alpha, noise) * waviness(whole[0], noise.growth) ** 2
+    return more > rules.rough**2 * allowed
+
+
+@kernel(inline="compiled")
+def any_of(chosen):
+    """Whether any is chosen: NumPy's own would bring in its linear algebra, see `_cache`."""
+    found = False
+    for a in range(len(chosen)):
+        found |= chosen[a]
+    return found
+
+
+@kernel()
+def label_blocks(region, numbers, parent, chosen, labels):
+    """Write ``numbers`` of the blocks' regions to ``labels``, (R, C) int32; -1 outside what went into chosen ones."""
+    for row in range(region.shape[0]):
+        for column in range(region.shape[1]):
+            a = region[row, column]
+            labels[row, column] = numbers[a] if a >= 0 and chosen[parent[a]] else -1
+
+
+@kernel()
+def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
+    """Of the chosen regions, keep those chosen whose normals turn: those of the quadric that fits them best.
+
+    And those that are ajar; ``ajar`` (N,) bool says afterwards which are chosen for that alone.
+
+    Parameters
+    ----------
+    labels : (R, C) int32
+        The region of each block.
+    means : (4, R, C) float32
+        See `quadrics.owned_means`.
+    moments : (N, 10) float64
+    noise : Noise
+    rules : Rules
+    chosen : (N,) bool, changed
+    """
+    alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
+    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
+    boxes(labels, box)
+    for a in range(len(chosen)):
+        if chosen[a]:
+            m = moments[a]
+            fit(m, alpha)
+            of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
+            turned, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, room, products)
+            ajar[a] &= not turned > TURNED**2
+            chosen[a] = turned > TURNED**2 or ajar[a]
+
+
+@kernel()
+def planes_fit_better(products):
+    """By how much planes fit parts better than one quadric does, and than one plane: differences of sums of squares.
+
+    ``products`` (K, 7, 7) are those of `quadrics.add_blocks` for each part.
+    """
+    joint = np.zeros((TERMS + 1, TERMS + 1))
+    planes = 0.0
+    for k in range(len(products)):
+        joint += products[k]
+        planes += eliminate(products[k].copy(), 0, PLANE_TERMS)
+    flat = eliminate(joint, 0, PLANE_TERMS)
+    return eliminate(joint, PLANE_TERMS, TERMS) - planes, flat - planes
+
+
+@kernel()
+def keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar, chosen):
+    """Of the chosen regions, keep those chosen whose parts are faces: planes that meet in edges.
+
+    Every two of them, and all together, are fitted better by planes than by one quadric. Arguments as in `keep_turned`,
+    but ``labels`` are the parts, ``first_moments`` theirs; ``parent`` and ``again``, (N,) int64, say which region and
+    which part each of the first ones went into.
+    """
+    alpha, room = np.empty(3), room_for_blocks()
+    box, window = np.empty((len(chosen), 4), np.int64), np.empty(4, np.int64)
+    boxes(labels, box)
+    for root in range(len(chosen)):
+        if not chosen[root]:
+            continue
+        least = max(AJAR_FACE if ajar[root] else FACE, FACE_SHARE * moments[root, 0])
+        margin = AJAR_MARGIN if ajar[root] else MARGIN
+        faces = [a for a in range(len(parent)) if parent[a] == root and again[a] == a and first_moments[a, 0] >= least]
+        window[0], window[1], window[2], window[3] = labels.shape[0], 0, labels.shape[1], 0
+        for a in faces:
+            window[0], window[1] = min(window[0], box[a, 0]), max(window[1], box[a, 1])
+            window[2], window[3] = min(window[2], box[a, 2]), max(window[3], box[a, 3])
+        m = moments[root]
+        fit(m, alpha)
+        deviation = math.sqrt(variance(m, alpha, noise))
+        centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), step_of(window)
+        products = np.zeros((len(faces), TERMS + 1, TERMS + 1))
+        for k, a in enumerate(faces):
+            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, room, products[k])
+        better, bend = planes_fit_better(products)
+        sure = SURE * noise.together * waviness(m[0], noise.growth) ** 2 / (step * step)
+        are_faces = better > max(margin * bend, sure * (len(faces) - 1))
+        for k in range(len(faces)):
+            for i in range(k if len(faces) > 2 else 0):
+                better, bend = planes_fit_better(products[i : k + 1 : k - i])
+                are_faces &= better > MARGIN * bend or bend < sure
+        chosen[root] = are_faces
+
+
+@kernel()
+def part_again(region, pyramid, owners, shares, moments, first_moments, first, noise, rules, parent):
+    """Part the regions that were joined and are several planes.
+
+    Parameters
+    ----------
+    region : (R, C) int32
+        Region of each block before they were joined, or -1.
+    pyramid : Pyramid
+    owners : Owners
+    shares : Shares
+    moments : (N, 10) float64
+        Of the joined regions; changed.
+    first_moments : (N, 10) float64
+        Of the regions before.
+    first : Contacts
+        Of them; changed.
+    noise : Noise
+    rules : Rules
+    parent : (N,) int64, changed
+        The region that each one went into.
+
+    Returns
+    -------
+    bool
+        Whether there were any.
+    """
+    rough, several, ajar = np.empty((3, len(parent)), np.bool_)
+    if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several, ajar):
+        return False
+    labels = np.empty_like(region)
+    if any_of(several):
+        label_blocks(region, parent, parent, several, labels)
+        means = owned_means(Owned(labels, parent, owners, shares), pyramid)
+        keep_turned(labels, means, moments, noise, rules, ajar, several)
+    chosen = rough | several
+    if not any_of(chosen):
+        return False
+    again = np.empty(len(parent), np.int64)
+    merge(first_moments, first, keep_pairs_inside(first, parent, chosen), noise, rules, STRICT, again)
+    if any_of(several):
+        label_blocks(region, again, parent, several, labels)
+        means = owned_means(Owned(labels, again, owners, shares), pyramid)
+        keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar, several)
+    chosen = rough | several
+    for a in range(len(parent)):
+        if chosen[parent[a]]:
+            copy(first_moments[a], moments[a])
+        else:
+            again[a] = parent[a]
+    copy(again, parent)
+    return any_of(chosen)

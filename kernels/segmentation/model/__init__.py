@@ -1,0 +1,1 @@
+"""What all stages share: records, moments, noise of pixels, planes, quadrics. Uses no stage."""

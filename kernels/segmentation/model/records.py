@@ -1,0 +1,224 @@
+"""Segmentation: arrays that belong together, as its kernels hand them to one another.
+
+N is the number of regions, R and C those of the rows and columns of blocks.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._jit.kernel import kernel
+
+Array = NDArray[Any]
+
+# Pixels along a block's side.
+BLOCK = 4
+# Owner of a block: EMPTY where no pixel is measured; MIXED where regions have shares of it, or nobody has any; UNSEEN
+# before the first round.
+EMPTY, MIXED, UNSEEN = -1, -2, -3
+
+
+class Rules(NamedTuple):
+    """The constants of the segmentation.
+
+    Deviations are standard deviations of the frame's own noise, so none of these depends on a sensor, a unit or a
+    distance. `bench.segmentation` cross-validates them.
+    """
+
+    rough_block: float = 3.0  # deviations of a planar block
+    steep_block: float = 0.6  # the same for the part that the block's own slope makes
+    square_floor: float = 1.0  # when four squares are one plane: see `quadtree.join_blocks`
+    square_spread: float = 30.0
+    sure: float = 0.1  # share of what one plane may add that leaves no doubt: see `seed_growing`
+    most: float = 4096.0  # pixels that two regions may have to be joined so
+    region_floor: float = 4.5  # when two regions are one plane: see `merge.merge`
+    region_jump: float = 6.0
+    region_crest: float = 3.0
+    region_spread: float = 30.0
+    region_waves: float = 2.0  # squared waviness that counts in regions of any size
+    wave_pixels: float = 1024.0  # and pixels of the smaller region up to which all of it counts
+    reach: float = 8.0  # deviations within which a region contends for a pixel
+    close: float = 3.0  # deviations within which two planes meet
+    settled: float = 3.0  # deviations of a block that is left alone
+    rough: float = 3.0  # deviations of a region that is parted, if it can be
+    shapeless: float = 3.5  # deviations of a part that is no plane
+    sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
+    blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
+    narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
+    bent: float = 1.0  # variances per pixel that a region's own bend must make to be more than the sensor's
+    off: float = 1.9  # deviations, times the waviness, that pixels at a plane's rim lie off it together to be no part
+    trips: int = 3  # from planes to pixels and back
+
+    def tolerating(self, share: float) -> "Rules":
+        """The rules for a sensor that bends planes less than most: with ``share`` of the tolerances."""
+        if share == 1.0:
+            return self
+        return self._replace(
+            square_floor=share * self.square_floor,
+            region_floor=share * self.region_floor,
+            region_jump=share * self.region_jump,
+            region_crest=share * self.region_crest,
+            bent=share * share * self.bent,
+        )
+
+
+class Reasons(NamedTuple):
+    """Why pixels have no label."""
+
+    plane: np.uint8  # they have one
+    small: np.uint8  # of a part without enough pixels
+    rough: np.uint8
+    curved: np.uint8
+    narrow: np.uint8
+    missing: np.uint8  # of pixels that are not measured
+    unclaimed: np.uint8  # of those that no region has
+
+
+class Rays(NamedTuple):
+    """Where the pixels of a frame look."""
+
+    tan_x: Array  # (1, W) float64, or (H, W) if tan_y is
+    tan_y: Array  # (H, 1) or (H, W)
+    centre_u: Array  # (1, C) or (R, C) float64: tanθx in the middle of each block
+    centre_v: Array  # (R, 1) or (R, C)
+    pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
+    pitch_y: float
+    lens: Array  # (2, K) float64: see `pixel_noise.at_angle`; (2, 0) without a lens
+    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `pixel_noise.in_square`
+
+
+class Pyramid(NamedTuple):
+    """Blocks, row after row, then squares of 2x2, 4x4, ... blocks: T in all."""
+
+    moments: Array  # (10, T) float64
+    rss: Array  # (T,) float64: sum of squared residuals of each one's plane, or -1
+    slope_square: Array  # (T,) float64: of its plane, change of q from pixel to pixel
+    offsets: Array  # (L + 1,) int64: where each level begins
+    shapes: Array  # (L, 2) int64: its rows and columns, twice those of the next
+
+
+class Noise(NamedTuple):
+    """Variance of a pixel about its plane: see `pixel_noise.variance`."""
+
+    sigma: Array  # (K + 1,) float64: see `pixel_noise.sensor_variance`
+    lateral_variance: float  # in pixels², of where within its pixel a measurement lies
+    lateral_variance_x: float  # the same in units of tanθx, and of tanθy
+    lateral_variance_y: float
+    lens: Array  # that of `Rays`
+    growth: Array  # (S,) float64: see `pixel_noise.waviness`
+    together: float  # pixels that have one error between them: n of them tell as much as n / together
+
+
+class Modelled(NamedTuple):
+    """What a noise model says of N planes."""
+
+    shared: Array  # (N, 6 or more) float64: see `statistics.correlated_errors.shared_covariances`; 0 for no such errors
+    alone: Array  # (N,) float64: variance of a pixel, of the errors that are not in ``shared``
+    residual: Array  # (N,) float64: variance of a pixel about its plane by all of them
+    has_lateral: bool  # whether the lateral error of `Noise` is the model's, and comes on top
+    is_believed: bool  # otherwise the frame alone tells
+
+
+class Planes(NamedTuple):
+    """Planes of regions, and what adds to a pixel's variance about them: see `pixel_noise.about_plane`."""
+
+    alpha: Array  # (N, 3) float64
+    slope_variance: Array  # (N,) float64: where ``stretch`` is 1
+    waviness_square: Array  # (N,) float64
+    stretch: Array  # (N,) float64: see `pixel_noise.stretch_of`
+    square_stretch: Array  # that of `Rays`
+
+
+class Owners(NamedTuple):
+    """Which region has which blocks; for blocks that several have parts of, see `Shares`."""
+
+    block: Array  # (R, C) int32: region that has all measured pixels of a block; or EMPTY, MIXED or UNSEEN
+    first: Array  # (R, C) int32: of a MIXED block its first share
+    count: Array  # (R, C) int32: how many shares it has; its other pixels have no owner
+    measured: Array  # (R, C) int32: its measured pixels, see `Shares`
+
+
+class Shares(NamedTuple):
+    """The pixels of MIXED blocks that regions own, a share for each region in a block."""
+
+    region: Array  # (S,) int32
+    pixels: Array  # (S,) int32: pixel (y, x) of the block is bit BLOCK·y + x
+    moments: Array  # (S, 10) float64
+
+
+class Owned(NamedTuple):
+    """Which pixels regions have that may have become others since."""
+
+    region: Array  # (R, C) int32: of each block now, or below 0
+    number: Array  # (M,) int64: what the regions in the following became, below 0 for nothing
+    owners: Owners
+    shares: Shares
+
+
+class Contended(NamedTuple):
+    """Blocks that regions contend for; their number is passed separately."""
+
+    block: Array  # (K,) int32: row · C + column
+    many: Array  # (K,) int32: how many regions contend for it
+    first: Array  # (K,) int32: the first of them among the following
+    candidate: Array  # (L,) int32: region
+    centre: Array  # (L, 3) float64: where its blocks around the block lie, see `contested_blocks.contenders`
+
+
+class Contacts(NamedTuple):
+    """Regions that touch: the first rows are in use, and their number is passed separately."""
+
+    pairs: Array  # (K, 3) int32: two regions, smaller first, and what `contacts.row_of` needs
+    where: Array  # (K, 3) float64: how many of their blocks touch, and the sum of the (u, v) in between
+    table: Array  # (2^k,) int32, larger than K: see `contacts.row_of`
+
+
+class Runs(NamedTuple):
+    """Blocks side by side that one region has, or a piece of its share of a MIXED one; one row after the other."""
+
+    first: Array  # (R + 1,) int32: first run of each row
+    start: Array  # (K,) int32: first column of blocks
+    stop: Array  # last column + 1
+    share: Array  # the share, or WHOLE
+    pixels: Array  # its pixels in each of its blocks: see `Shares`
+    label: Array
+    # Its pixels and the missing ones beside them in the same row, and in the same column; all pixels, for whole blocks.
+    filled_x: Array
+    filled_y: Array
+    across: Array  # runs of pixels along the rows that begin in it, bridging missing pixels
+    down: Array  # the same along the columns
+    parent: Array  # roots stand for connected parts
+    part: Array  # number of the part
+
+
+class Parts(NamedTuple):
+    """Connected parts of regions."""
+
+    moments: Array  # (P, 10) float64
+    size: Array  # (P,) float64: pixels
+    across: Array  # (P,) int64: runs of pixels along the rows
+    down: Array  # (P,) int64: runs of pixels along the columns
+    first: Array  # (P,) int64: its first pixel, row · W + column
+    region: Array  # (P,) int64
+
+
+class Found(NamedTuple):
+    """What `pipeline.find_planes` finds: of the P parts, and of those that are planes, each in the first rows."""
+
+    number: Array  # (P,) int32: label, 1, 2, ... for planes in the order of their first pixels, 0 for other parts
+    why: Array  # (P,) uint8: reason
+    stray: Array  # (P,) bool: see `components.judge_parts`
+    moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
+    deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region
+    inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, see `interior.inside_moments`
+    alpha: Array  # (N, 3) float64: so fitted
+    rss: Array  # (N,) float64: sum of squared residuals of these pixels
+    weighted: Array  # (N, 5) float64: see `weights.weigh_rays`
+    size: Array  # (N + 1,) int32: pixels of each label
+
+
+@kernel(inline=True)
+def place(block, columns):
+    """Row and column of a block, by unsigned numbers of half the size, which are divided in half the time."""
+    return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))

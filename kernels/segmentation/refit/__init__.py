@@ -1,0 +1,1 @@
+"""Stage 7: the final planes, fitted to interior pixels."""

@@ -1,0 +1,1 @@
+"""From moments to planes: closed forms and eigenvectors. Uses `moments` and what is below it."""

@@ -1,0 +1,1 @@
+"""Quantiles and tails of the chi-square, normal and F distributions."""

@@ -1,0 +1,1 @@
+"""p-values and covariances of the planes of tiles, a block of tiles at a time."""
