@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rgbd_planes as rp
-from rgbd_planes.images import read_depth, write_png
 from rgbd_planes.sequences import FrameEntry, FrameSequence
+from rgbd_planes.sequences.images import read_depth, write_png
 
 KINDS = 16  # different frames
 AT_ONCE = 64  # frames of a call of fit_batch

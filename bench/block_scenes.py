@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull
 
-from rgbd_planes import Camera, scenes
-from rgbd_planes.array_types import Floats
+from rgbd_planes import Camera
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.evaluation import scenes
 
 
 @dataclass(frozen=True)

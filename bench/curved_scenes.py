@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from rgbd_planes import Camera, scenes
-from rgbd_planes.array_types import Floats
+from rgbd_planes import Camera
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.evaluation import scenes
 from rgbd_planes.noise import KINECT_V1
 
 

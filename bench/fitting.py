@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import rgbd_planes as rp
 from bench.floor import floor
-from rgbd_planes import scenes
+from rgbd_planes.evaluation import scenes
 
 
 class Case(NamedTuple):

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
 import rgbd_planes as rp
-from rgbd_planes.array_types import Floats
-from rgbd_planes.plane_fits import PlaneFits
-from tests import monte_carlo
+from bench import monte_carlo
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.fitting.results import PlaneFits
 
 Mask = NDArray[np.bool_]
 Noise = rp.noise.NoiseModel

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes import Camera, scenes
-from rgbd_planes.depth import DepthFrame, as_depth_frame
-from rgbd_planes.fitting import solve_planes, valid_needed
+from rgbd_planes import Camera
+from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
+from rgbd_planes.camera.rays import ray_tables
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.fitting.methods import solve_planes, valid_needed
+from rgbd_planes.fitting.results import allocate
 from rgbd_planes.kernels.moments import summed_area
 from rgbd_planes.kernels.moments import windows as window_pixels
-from rgbd_planes.plane_fits import allocate
-from rgbd_planes.window_moments import ray_tables
 
 WINDOW = 50
 """Side in pixels of the paper's subsets: 2500 points."""

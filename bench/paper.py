@@ -18,7 +18,7 @@ from bench.sequence import KINECTS, real_frames, rendered_frames, sequence
 from bench.timing import Times, change, flush_caches, in_turns
 from rgbd_planes import Camera, TileStatus, fit_tiles
 from rgbd_planes.noise import KINECT_V1
-from rgbd_planes.quadtree import QuadtreeFitter
+from rgbd_planes.segmentation.quadtree import QuadtreeFitter
 
 Result = dict[str, Any]
 

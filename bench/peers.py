@@ -34,8 +34,8 @@ from bench import test_normals as of_normals
 from bench.fitting import Case, case, fit, floor_of, median_angle, numpy_fit, ratio, take_turns
 from bench.floor import floor
 from bench.paper import processor
-from rgbd_planes.fitting import METHODS
-from rgbd_planes.threads import run_in_ranges
+from rgbd_planes._core.threads import run_in_ranges
+from rgbd_planes.fitting.methods import METHODS
 
 BASE = "NumPy, PCA in XYZ"
 FLOOR, FLOOR_SHARED = "floor: a division a pixel", "floor: a division for two pixels"

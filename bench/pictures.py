@@ -11,7 +11,9 @@ from pathlib import Path
 
 from PIL import Image
 
-from rgbd_planes import images, presets, scenes
+from rgbd_planes.camera import presets
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.sequences import images
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images"

@@ -2,7 +2,7 @@
 
 Tiles that lie inside a plane that people have labelled, or in frames without labels inside a window that is flat to
 within 1 % of its distance, against the plane fitted to all its pixels by the same method: the median angle between
-them, and how many times larger PCA's is. Reads the frames of ``../shared/data``, where there are any.
+them, and how many times larger PCA's is. Reads the frames of the folder that ``RGBD_PLANES_DATA`` names.
 """
 
 from pathlib import Path
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rgbd_planes as rp
+from bench.real_data import FOLDER as DATA
+from bench.real_data import needed
 from bench.uncertainty_real import SETS as REAL_SETS
 from bench.uncertainty_real import flat_regions, labels_of
-from rgbd_planes.images import read_depth
-from tests.real_data import FOLDER as DATA
-from tests.real_data import needed
+from rgbd_planes.sequences.images import read_depth
 
 SETS = {**REAL_SETS, "icl_nuim_evops_gt": "ICL-NUIM, rendered, labelled"}
 METHODS = ("range_explicit", "standard_pca", "standard_explicit")

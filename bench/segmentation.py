@@ -1,6 +1,6 @@
 """How good and how fast the segmentation is: ``python -m bench.segmentation``.
 
-Scores it on every labelled set in ``../shared/data``, where there is one beside the checkout, and on rendered
+Scores it on every labelled set in the folder that ``RGBD_PLANES_DATA`` names, where there is one, and on rendered
 scenes with noise and holes; prints tables, and with ``--out`` writes pictures, truth beside result.
 
 The line "cross-validated": the ABW frames are split into folds; for each fold the setting that does best on the
@@ -30,16 +30,17 @@ from numpy.typing import NDArray
 
 from bench import block_scenes, curved_scenes
 from bench.fitting import numpy_fit
+from bench.real_data import FOLDER as DATA
 from bench.timing import in_turns
-from rgbd_planes import Camera, scenes
-from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.images import read_depth
+from rgbd_planes import Camera
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels, plane_errors
 from rgbd_planes.kernels.segmentation.model.records import Rules
-from rgbd_planes.metrics import compare_labels, plane_errors
 from rgbd_planes.segmentation import segment as segmentation
-from rgbd_planes.segmentation.noise import Given
+from rgbd_planes.segmentation.frame_noise import Given
 from rgbd_planes.segmentation.segment import segment, segment_frame
-from tests.real_data import FOLDER as DATA
+from rgbd_planes.sequences.images import read_depth
 
 LABELLED = {
     "ABW": ("abw_segcomp_cal0", "abw_segcomp_cal1"),
@@ -403,7 +404,7 @@ def picture(frames: Sequence[Frame], path: Path) -> None:
     """Truth beside result."""
     from matplotlib.figure import Figure
 
-    from rgbd_planes.colours import NO_PLANE, label_colours
+    from rgbd_planes.plotting.colours import NO_PLANE, label_colours
 
     figure = Figure((8.0, 3.1 * len(frames)), layout="constrained")
     panels = figure.subfigures(len(frames), 2, squeeze=False)

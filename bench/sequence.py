@@ -1,11 +1,12 @@
-"""The frames that are segmented: a real sequence beside the checkout, or rendered ones."""
+"""The frames that are segmented: a real sequence, where ``RGBD_PLANES_DATA`` names real frames, or rendered ones."""
 
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes import Camera, scenes
-from rgbd_planes.images import read_depth
-from tests.real_data import FOLDER as REAL_DATA
+from bench.real_data import FOLDER as REAL_DATA
+from rgbd_planes import Camera
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.sequences.images import read_depth
 
 SEQUENCE = "kinect1_7scenes_seq"
 KINECTS = (SEQUENCE, "primesense_open3d_rgbd", "tum_fr2_distorted")

@@ -7,7 +7,7 @@ import pytest
 
 import rgbd_planes as rp
 from bench.fitting import case, fit, floor_of, median_angle, numpy_fit
-from rgbd_planes.fitting import METHODS
+from rgbd_planes.fitting.methods import METHODS
 
 LENS = (0.26, -0.95, -0.005, 0.003, 1.16)
 TILES = (10, 20)

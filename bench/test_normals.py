@@ -17,7 +17,7 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
 import rgbd_planes as rp
-from rgbd_planes import scenes
+from rgbd_planes.evaluation import scenes
 
 try:
     import cv2

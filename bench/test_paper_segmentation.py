@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from bench.methods import TABLES
 from bench.sequence import sequence
 from rgbd_planes import Camera, segment_quadtree
-from rgbd_planes.quadtree import QuadtreeFitter
+from rgbd_planes.segmentation.quadtree import QuadtreeFitter
 
 pytestmark = pytest.mark.benchmark(timer=time.thread_time, max_time=0.5, min_rounds=5)
 

@@ -8,7 +8,7 @@ import pytest
 
 import rgbd_planes as rp
 from bench.fitting import case, fit
-from rgbd_planes.threads import num_cores
+from rgbd_planes._core.threads import num_cores
 
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 TILES = (4, 8, 16, 20, 32, 64)

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes import Camera, scenes, segment_sequence
-from rgbd_planes.array_types import Floats
-from rgbd_planes.metrics import compare_labels
+from rgbd_planes import Camera, segment_sequence
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 EYE, TARGET = np.array([0.35, -1.5, -0.2]), np.array([-0.12, -0.8, 2.6])

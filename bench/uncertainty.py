@@ -6,7 +6,7 @@
 
 Tables are printed and written to ``report/uncertainty.md``, the simulation's cells to
 ``report/uncertainty.csv``, the figures of the estimated noise beside them. Real frames are those of
-``../shared/data``, where there are any.
+the folder that ``RGBD_PLANES_DATA`` names, where there are any.
 """
 
 import argparse
@@ -19,9 +19,9 @@ import numpy as np
 
 import rgbd_planes as rp
 from bench.fitting import case, ratio, take_turns
+from bench.real_data import FOLDER, needed
 from bench.uncertainty_real import SETS, real_report
 from bench.uncertainty_simulation import simulate, simulation_report
-from tests.real_data import FOLDER, needed
 
 EVERYTHING = ("p_value", "alpha_covariance", "plane_covariance", "angle_std", "offset_std")
 

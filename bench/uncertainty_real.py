@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rgbd_planes as rp
-from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.images import read_depth
-from rgbd_planes.noise.samples import mean_depth
-from rgbd_planes.ray_pitch import slope_square
-from rgbd_planes.tile_grid import tile_footprints, tile_rays
-from tests.real_data import FOLDER as DATA
-from tests.real_data import needed
+from bench.real_data import FOLDER as DATA
+from bench.real_data import needed
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.camera.pixel_pitch import slope_square
+from rgbd_planes.fitting.tile_grid import tile_footprints, tile_rays
+from rgbd_planes.noise_estimation.samples import mean_depth
+from rgbd_planes.sequences.images import read_depth
 
 FEWEST_TILES, FEWEST_ANGLES = 300, 50  # to say what share of them is rejected; how large their angles are
 SQUARE = 192  # pixels: the side of the squares into which a single frame is cut

@@ -7,8 +7,8 @@ import numpy as np
 from scipy import stats
 
 import rgbd_planes as rp
-from rgbd_planes.array_types import Floats
-from tests import monte_carlo
+from bench import monte_carlo
+from rgbd_planes._core.arrays import Floats
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 INCIDENCES = (0, 15, 30, 45, 60, 75)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rgbd_planes as rp
-from rgbd_planes.images import write_png
+from rgbd_planes.sequences.images import write_png
 
 Depth = NDArray[Any]  # as sensors give it: uint16, in millimetres
 Floats = NDArray[np.floating]

@@ -34,7 +34,7 @@ Equations of Papadakis and Willis 2017, cited as eq. 1 to 16: their labels, and 
   of error: `solvers.eigen4`; its sums: 6 XYZ_scattermatrix: `moments.standard_tiles`, `summed_area`, `windows`
 - explicit fit: 7 explicit_fit_std, 8 derivative of error-1: `solvers.methods`; its sums: 9 XYZ_scattermatrix-1:
   `moments.summed_area`
-- rays: 10 RGBD_reconstruction-1: not here, but in `rgbd_planes.camera`
+- rays: 10 RGBD_reconstruction-1: not here, but in `rgbd_planes.camera.camera`
 - plane in range space: 12 RGBD_space_plane_eq: `solvers.methods`; 13 prior_work_plane_equation: not used
 - implicit fit there: 14 tan_theta_scattermatrix: `moments.range_tiles`, `summed_area`, `windows`, `solvers.secular`
 - explicit fit there: 15 RGBD_explicit_fit: `solvers.methods`, `fits.normals_row`; its sums: 16

@@ -14,100 +14,103 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.2.0.dev0"
+from rgbd_planes._core.version import __version__
 
 # Where each public name comes from.
 _NAMES = {
-    "Camera": "camera",
-    "FitSettings": "batch.parts",
-    "LabelPlanes": "labels",
-    "MergedPlanes": "merging",
-    "PlanePolygon": "polygons",
+    "Camera": "camera.camera",
+    "FitSettings": "batch.worker",
+    "LabelPlanes": "fitting.labels",
+    "MergedPlanes": "fitting.merge",
+    "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
-    "TileFitter": "tiles",
-    "TilePlanes": "tile_planes",
-    "TileStatus": "plane_fits",
+    "TileFitter": "fitting.tiles",
+    "TilePlanes": "fitting.tile_planes",
+    "TileStatus": "fitting.results",
     "TrackedSegmentation": "segmentation.tracking",
-    "WindowPlanes": "windows",
-    "curvature": "surfaces",
-    "estimate_noise": "noise.estimation",
-    "fit_labels": "labels",
-    "fit_sequence": "batch.sequence",
-    "fit_tiles": "tiles",
-    "fit_windows": "windows",
-    "measurement_noise": "noise.points",
-    "merge": "merging",
-    "normals": "surfaces",
+    "WindowPlanes": "fitting.windows",
+    "curvature": "fitting.normals",
+    "estimate_noise": "noise_estimation.estimation",
+    "fit_labels": "fitting.labels",
+    "fit_sequence": "batch.fit_sequence",
+    "fit_tiles": "fitting.tiles",
+    "fit_windows": "fitting.windows",
+    "measurement_noise": "uncertainty.points",
+    "merge": "fitting.merge",
+    "normals": "fitting.normals",
     "open_sequence": "sequences",
-    "plane_polygons": "polygons",
+    "plane_polygons": "segmentation.polygons",
     "segment": "segmentation.segment",
-    "segment_quadtree": "quadtree",
+    "segment_quadtree": "segmentation.quadtree",
     "segment_sequence": "segmentation.tracking",
-    "warmup": "warm",
+    "warmup": "_warmup",
 }
-_MODULES = (
-    "export",
-    "images",
-    "metrics",
-    "noise",
-    "presets",
-    "recording",
-    "scenes",
-    "segmentation_export",
-    "sequences",
-    "uncertainty",
-)
+# Public modules, and where they are.
+_MODULES = {
+    "export": "export",
+    "images": "sequences.images",
+    "metrics": "evaluation.metrics",
+    "noise": "noise",
+    "presets": "camera.presets",
+    "recording": "export.rerun",
+    "scenes": "evaluation.scenes",
+    "segmentation_export": "export.segments",
+    "sequences": "sequences",
+    "uncertainty": "uncertainty",
+}
 
 __all__ = ["__version__", *_NAMES, *_MODULES]
 
 if TYPE_CHECKING:
     from rgbd_planes import export as export
-    from rgbd_planes import images as images
-    from rgbd_planes import metrics as metrics
     from rgbd_planes import noise as noise
-    from rgbd_planes import presets as presets
-    from rgbd_planes import recording as recording
-    from rgbd_planes import scenes as scenes
-    from rgbd_planes import segmentation_export as segmentation_export
     from rgbd_planes import sequences as sequences
     from rgbd_planes import uncertainty as uncertainty
-    from rgbd_planes.batch.parts import FitSettings as FitSettings
-    from rgbd_planes.batch.sequence import fit_sequence as fit_sequence
-    from rgbd_planes.camera import Camera as Camera
-    from rgbd_planes.labels import LabelPlanes as LabelPlanes
-    from rgbd_planes.labels import fit_labels as fit_labels
-    from rgbd_planes.merging import MergedPlanes as MergedPlanes
-    from rgbd_planes.merging import merge as merge
-    from rgbd_planes.noise.estimation import estimate_noise as estimate_noise
-    from rgbd_planes.noise.points import measurement_noise as measurement_noise
-    from rgbd_planes.plane_fits import TileStatus as TileStatus
-    from rgbd_planes.polygons import PlanePolygon as PlanePolygon
-    from rgbd_planes.polygons import plane_polygons as plane_polygons
-    from rgbd_planes.quadtree import segment_quadtree as segment_quadtree
-    from rgbd_planes.segmentation.result import Reason as Reason
+    from rgbd_planes._core.status import Reason as Reason
+    from rgbd_planes._core.status import TileStatus as TileStatus
+    from rgbd_planes._warmup import warmup as warmup
+    from rgbd_planes.batch.fit_sequence import fit_sequence as fit_sequence
+    from rgbd_planes.batch.worker import FitSettings as FitSettings
+    from rgbd_planes.camera import presets as presets
+    from rgbd_planes.camera.camera import Camera as Camera
+    from rgbd_planes.evaluation import metrics as metrics
+    from rgbd_planes.evaluation import scenes as scenes
+    from rgbd_planes.export import rerun as _recording
+    from rgbd_planes.export import segments as _segments
+    from rgbd_planes.fitting.labels import LabelPlanes as LabelPlanes
+    from rgbd_planes.fitting.labels import fit_labels as fit_labels
+    from rgbd_planes.fitting.merge import MergedPlanes as MergedPlanes
+    from rgbd_planes.fitting.merge import merge as merge
+    from rgbd_planes.fitting.normals import curvature as curvature
+    from rgbd_planes.fitting.normals import normals as normals
+    from rgbd_planes.fitting.tile_planes import TilePlanes as TilePlanes
+    from rgbd_planes.fitting.tiles import TileFitter as TileFitter
+    from rgbd_planes.fitting.tiles import fit_tiles as fit_tiles
+    from rgbd_planes.fitting.windows import WindowPlanes as WindowPlanes
+    from rgbd_planes.fitting.windows import fit_windows as fit_windows
+    from rgbd_planes.noise_estimation.estimation import estimate_noise as estimate_noise
+    from rgbd_planes.segmentation.polygons import PlanePolygon as PlanePolygon
+    from rgbd_planes.segmentation.polygons import plane_polygons as plane_polygons
+    from rgbd_planes.segmentation.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation.result import Segmentation as Segmentation
     from rgbd_planes.segmentation.segment import segment as segment
     from rgbd_planes.segmentation.tracking import PlaneTracker as PlaneTracker
     from rgbd_planes.segmentation.tracking import TrackedSegmentation as TrackedSegmentation
     from rgbd_planes.segmentation.tracking import segment_sequence as segment_sequence
+    from rgbd_planes.sequences import images as images
     from rgbd_planes.sequences import open_sequence as open_sequence
-    from rgbd_planes.surfaces import curvature as curvature
-    from rgbd_planes.surfaces import normals as normals
-    from rgbd_planes.tile_planes import TilePlanes as TilePlanes
-    from rgbd_planes.tiles import TileFitter as TileFitter
-    from rgbd_planes.tiles import fit_tiles as fit_tiles
-    from rgbd_planes.warm import warmup as warmup
-    from rgbd_planes.windows import WindowPlanes as WindowPlanes
-    from rgbd_planes.windows import fit_windows as fit_windows
+    from rgbd_planes.uncertainty.points import measurement_noise as measurement_noise
+
+    recording, segmentation_export = _recording, _segments
 
 
 def __getattr__(name: str) -> Any:
     if name in _NAMES:
         value = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
     elif name in _MODULES:
-        value = importlib.import_module(f"{__name__}.{name}")
+        value = importlib.import_module(f"{__name__}.{_MODULES[name]}")
     else:
         # With these Python says which name is meant.
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])

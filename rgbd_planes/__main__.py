@@ -2,7 +2,7 @@
 
 import sys
 
-from rgbd_planes.cli import main
+from rgbd_planes.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

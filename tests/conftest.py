@@ -4,8 +4,9 @@ import os
 
 import numpy as np
 import pytest
-import real_data
 from hypothesis import settings
+
+from bench import real_data
 
 # The same examples every time: what passes here passes elsewhere.
 # ``pytest --hypothesis-profile=others`` looks for others. No test depends on how long something takes.
@@ -39,7 +40,7 @@ def room():
     """The furnished room as `segment_frames.CAMERA` sees it, and its depth with 5 % of the pixels missing."""
     from segment_frames import CAMERA
 
-    from rgbd_planes import scenes
+    from rgbd_planes.evaluation import scenes
 
     rendering = scenes.room().render(CAMERA)
     return rendering, rendering.measure(holes=0.05, seed=3)
@@ -81,7 +82,8 @@ def pytest_generate_tests(metafunc):
 @pytest.fixture
 def real_frame(request):
     """(depth, camera) of a real frame."""
-    from rgbd_planes import Camera, images
+    from rgbd_planes import Camera
+    from rgbd_planes.sequences import images
 
     depth, camera = request.param
     return images.read_depth(depth), Camera.load(camera)

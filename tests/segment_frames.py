@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.kernels.segmentation.blocks.pyramid import block_moments
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 

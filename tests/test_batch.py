@@ -21,12 +21,15 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import cli, files, images, presets, scenes
-from rgbd_planes.batch import sequence as batch
-from rgbd_planes.batch.digest import stamps
-from rgbd_planes.batch.parts import FitSettings
-from rgbd_planes.batch.rows import Columns, empty_rows
-from rgbd_planes.sequences import FrameEntry, FrameSequence
+from rgbd_planes._core import files
+from rgbd_planes.batch import fit_sequence as batch
+from rgbd_planes.batch.fingerprint import stamps
+from rgbd_planes.batch.table import Columns, empty_rows
+from rgbd_planes.batch.worker import FitSettings
+from rgbd_planes.camera import presets
+from rgbd_planes.cli import main as cli
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.sequences import FrameEntry, FrameSequence, images
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
@@ -408,7 +411,7 @@ def test_a_forked_child_keeps_nobody_out(tmp_path):
     code = (
         "import os, sys, time\n"
         "from pathlib import Path\n"
-        "from rgbd_planes.files import alone_in\n"
+        "from rgbd_planes._core.files import alone_in\n"
         "folder = Path(sys.argv[1])\n"
         "with alone_in(folder):\n"
         "    child = os.fork()\n"
@@ -797,8 +800,8 @@ def test_progress_shows_before_the_first_part_is_done(recording, tmp_path, monke
 # After three parts nothing more is done until the process is told to stop.
 SLOW = """
 import signal, sys, time
-from rgbd_planes import cli
-from rgbd_planes.batch import parts as batch_parts, sequence as batch_sequence
+from rgbd_planes.cli import main as cli
+from rgbd_planes.batch import worker as batch_parts, fit_sequence as batch_sequence
 # Where the tests run in the background of a shell, SIGINT is ignored, and so it would be here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 fit_part = batch_parts.fit_part

@@ -5,7 +5,6 @@ import json
 from collections import Counter
 from functools import partial
 
-import monte_carlo
 import numpy as np
 import pytest
 from scipy import stats
@@ -21,6 +20,7 @@ from bench import (
     limits,
     measured,
     methods,
+    monte_carlo,
     operations,
     peers,
     readme,

@@ -11,16 +11,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import real_data
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rgbd_planes import TilePlanes, fit_tiles, noise, presets
-from rgbd_planes.camera import Camera
-from rgbd_planes.lenses import brown_conrady
-from rgbd_planes.lenses import distortion as lens_models
-from rgbd_planes.lenses.brown_conrady import TOLERANCE, distort
-from rgbd_planes.rays import rays_through
+from bench import real_data
+from rgbd_planes import TilePlanes, fit_tiles, noise
+from rgbd_planes.camera import presets
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.lenses import brown_conrady
+from rgbd_planes.camera.lenses import distortion as lens_models
+from rgbd_planes.camera.lenses.brown_conrady import TOLERANCE, distort
+from rgbd_planes.camera.rays import rays_through
 
 REAL = [root / "camera.json" for root in real_data.sets()]
 real_cameras = pytest.mark.parametrize(

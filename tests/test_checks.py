@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from monte_carlo import CORRELATED
 from processes import printed_by
 
 import rgbd_planes as rp
-from rgbd_planes import export, images, metrics, noise, scenes, segmentation_export, sequences, uncertainty
-from rgbd_planes.quadtree import QuadtreeFitter
+from bench.monte_carlo import CORRELATED
+from rgbd_planes import export, noise, segmentation_export, sequences, uncertainty
+from rgbd_planes.evaluation import metrics, scenes
+from rgbd_planes.segmentation.quadtree import QuadtreeFitter
+from rgbd_planes.sequences import images
 
 CAMERA = rp.Camera(64, 48, 50.0, 50.0, 31.5, 23.5, depth_scale=1000.0)
 DEPTH = np.full(CAMERA.shape, 1500, np.uint16)
@@ -77,8 +79,8 @@ def test_what_would_make_a_camera_is_named(camera, message):
     ("depth", "error", "message"),
     [
         (None, TypeError, "as an array, got NoneType: has the file been read?"),
-        ("depth.png", TypeError, "as an array, got str: rgbd_planes.images.read_depth reads a file"),
-        (Path("depth.png"), TypeError, "Path: rgbd_planes.images.read_depth reads a file"),
+        ("depth.png", TypeError, "as an array, got str: rgbd_planes.sequences.images.read_depth reads a file"),
+        (Path("depth.png"), TypeError, "Path: rgbd_planes.sequences.images.read_depth reads a file"),
         (FRAMES[0], TypeError, "as an array, got Frame: the array is the depth of a Frame"),
         (FRAMES, TypeError, "as an array, got FrameSequence: the array is the depth of a Frame"),
         (DEPTH.tobytes(), TypeError, "expected a depth frame as an array, got bytes$"),

@@ -16,10 +16,13 @@ import pytest
 from PIL import Image
 
 import rgbd_planes as rp
-from rgbd_planes import cli, export, images, scenes
-from rgbd_planes.commands import COMMANDS
-from rgbd_planes.fitting import METHODS
-from rgbd_planes.wording import percent
+from rgbd_planes import export
+from rgbd_planes._core.text import percent
+from rgbd_planes.cli import COMMANDS
+from rgbd_planes.cli import main as cli
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.fitting.methods import METHODS
+from rgbd_planes.sequences import images
 
 CAMERA = rp.Camera(width=80, height=60, fx=65.0, fy=65.0, cx=39.5, cy=29.5, depth_scale=1000.0)
 
@@ -325,7 +328,7 @@ def test_fit_draws(folder, suffix):
 
 def test_fit_draws_the_depth_as_measured(folder, monkeypatch):
     figures = []
-    command = importlib.import_module("rgbd_planes.commands.fit")
+    command = importlib.import_module("rgbd_planes.cli.fit")
     monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
     assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--figure", "p.png"]) == 0
     panel = figures[0].axes[0]
@@ -560,7 +563,7 @@ def test_python_m_and_version():
 
 def test_help_needs_no_heavy_import():
     program = (
-        "import sys; from rgbd_planes import cli\n"
+        "import sys; from rgbd_planes.cli import main as cli\n"
         "try: cli.main(['fit', '--help'])\n"
         "except SystemExit: pass\n"
         "heavy = {'numba', 'numpy', 'matplotlib', 'PIL', 'scipy'} & set(sys.modules)\n"

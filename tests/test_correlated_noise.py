@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-import monte_carlo
 import numpy as np
 import pytest
-from monte_carlo import CORRELATED
 
 import rgbd_planes as rp
-from rgbd_planes.noise.residuals import ResidualStatistics, like_rectangles
-from rgbd_planes.tile_grid import footprints
+from bench import monte_carlo
+from bench.monte_carlo import CORRELATED
+from rgbd_planes.noise.correlation import ResidualStatistics
+from rgbd_planes.uncertainty.footprints import footprints, like_rectangles
 
 
 def rows_and_columns(height, width):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import rgbd_planes as rp
 from rgbd_planes import uncertainty
-from rgbd_planes.fitting import METHODS
+from rgbd_planes.fitting.methods import METHODS
 
 # Of noise that is large for its depth, and of depths of kilometres.
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")

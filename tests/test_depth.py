@@ -10,9 +10,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rgbd_planes import normals, scenes, segment
-from rgbd_planes.camera import Camera
-from rgbd_planes.depth import as_depth_frame, step_of
+from rgbd_planes import normals, segment
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.depth_frame import as_depth_frame, step_of
+from rgbd_planes.evaluation import scenes
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
 

@@ -8,9 +8,10 @@ import pytest
 from PIL import Image
 
 import rgbd_planes as rp
-from rgbd_planes import cli, scenes
-from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.distances import warn_of_distances
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.camera.frame_warnings import warn_of_distances
+from rgbd_planes.cli import main as cli
+from rgbd_planes.evaluation import scenes
 
 CAMERAS = {
     "kinect": replace(rp.presets.primesense(), depth_scale=None),
@@ -164,8 +165,8 @@ def test_a_batch_says_so_once_a_call(tmp_path):
 
 def test_a_worker_elsewhere_says_so_of_its_part(tmp_path):
     pytest.importorskip("pyarrow")
-    from rgbd_planes.batch.parts import fit_part
-    from rgbd_planes.batch.rows import Columns
+    from rgbd_planes.batch.table import Columns
+    from rgbd_planes.batch.worker import fit_part
 
     sequence = rp.open_sequence(frames_of_distances(tmp_path / "frames", 3))
     for segments in (False, True):

@@ -5,8 +5,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rgbd_planes.lenses import fisheye
-from rgbd_planes.lenses.brown_conrady import TOLERANCE, distort, distortion_jacobian, fold_radius, undistort, unfolded
+from rgbd_planes.camera.lenses import fisheye
+from rgbd_planes.camera.lenses.brown_conrady import (
+    TOLERANCE,
+    distort,
+    distortion_jacobian,
+    fold_radius,
+    undistort,
+    unfolded,
+)
 
 KINECT = (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
 AZURE = (0.5479397, -0.0209714, 2.0557e-05, -7.2104e-05, -0.0026522, 0.889679, 0.0861302, -0.0139104)

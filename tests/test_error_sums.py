@@ -3,7 +3,6 @@
 import pickle
 from dataclasses import replace
 
-import monte_carlo
 import numpy as np
 import pytest
 from scipy import stats
@@ -11,8 +10,9 @@ from scipy.linalg import eigvalsh
 from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
-from rgbd_planes.error_sums import mean_rays
-from rgbd_planes.tile_grid import tile_windows
+from bench import monte_carlo
+from rgbd_planes.fitting.tile_grid import tile_windows
+from rgbd_planes.uncertainty.pixel_errors import mean_rays
 
 CAMERA = rp.Camera(128, 96, 105.0, 105.0, 63.5, 47.5)
 FLOOR = np.array([0.0, np.cos(np.pi / 6), np.sin(np.pi / 6)]) / 1.2  # from 1.3 to 8 m

@@ -13,8 +13,10 @@ from recordings import columns_of
 from ros_messages import round_trip
 
 import rgbd_planes as rp
-from rgbd_planes import export, images, recording, scenes
-from rgbd_planes.sequences import FrameEntry, FrameSequence
+from rgbd_planes import export, recording
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.export.tiles import exported
+from rgbd_planes.sequences import FrameEntry, FrameSequence, images
 
 CAMERA = rp.Camera(
     width=80, height=60, fx=65.0, fy=66.0, cx=39.5, cy=29.5,
@@ -36,7 +38,7 @@ def tiles(depth):
 
 def test_polygons_lie_on_their_planes_behind_the_corners_of_the_tiles(tiles):
     polygons = export.tile_polygons(tiles)
-    chosen = export.exported(tiles)
+    chosen = exported(tiles)
     assert polygons.shape == (chosen.sum(), 4, 3)
     assert (chosen <= tiles.fitted).all()
     assert chosen.sum() > 10
@@ -66,7 +68,7 @@ def test_polygons_turn_about_their_normals(tiles):
     for each in (tiles, rp.fit_tiles(depth, mirrored, tile=(12, 16))):
         a, b, c, _ = np.moveaxis(export.tile_polygons(each), 1, 0)
         across = np.cross(b - a, c - a)
-        normals = each.planes[export.exported(each)][:, :3]
+        normals = each.planes[exported(each)][:, :3]
         cosine = (across * normals).sum(axis=1) / np.linalg.norm(across, axis=1)
         np.testing.assert_allclose(cosine, 1.0, atol=1e-9)
 
@@ -89,7 +91,7 @@ def test_a_tile_that_its_corner_rays_miss_has_no_polygon():
     metres = np.where(inverse_depth > 0.0, 1.0 / inverse_depth, np.nan)
     tiles = rp.fit_tiles(metres, camera, tile=(8, 16))
     assert tiles.fitted.all()
-    assert not export.exported(tiles).any()
+    assert not exported(tiles).any()
     assert export.tile_polygons(tiles).shape == (0, 4, 3)
     assert export.to_dict(tiles)["planes"][0]["polygon"] is None
     assert export.to_ros_polygons(tiles)["polygons"] == export.to_ros_planes(tiles)["coefficients"] == []
@@ -119,7 +121,7 @@ def test_ply_holds_the_polygons(tiles, depth, tmp_path):
     xyz = np.stack([vertex[name] for name in "xyz"], axis=-1)
     np.testing.assert_allclose(xyz.reshape(-1, 4, 3), polygons, rtol=1e-6)
     normals = np.stack([vertex["n" + name] for name in "xyz"], axis=-1)
-    planes = tiles.planes[export.exported(tiles)]
+    planes = tiles.planes[exported(tiles)]
     np.testing.assert_allclose(normals.reshape(-1, 4, 3)[:, 2], planes[:, :3], rtol=1e-6, atol=1e-7)
     blue = np.rint(255 * (0.5 - 0.5 * planes[:, 2]))
     np.testing.assert_array_equal(vertex["blue"].reshape(-1, 4)[:, 0], blue)
@@ -213,7 +215,7 @@ def test_faces_have_as_many_corners_as_a_byte_can_count(tmp_path):
 def test_open3d_gets_the_same_mesh_and_points(tiles, depth, tmp_path):
     open3d = pytest.importorskip("open3d", exc_type=ImportError)
     mesh = export.to_open3d(tiles)
-    polygons, planes = export.tile_polygons(tiles), tiles.planes[export.exported(tiles)]
+    polygons, planes = export.tile_polygons(tiles), tiles.planes[exported(tiles)]
     np.testing.assert_array_equal(np.asarray(mesh.vertices).reshape(-1, 4, 3), polygons)
     mesh.compute_triangle_normals()
     # Counter-clockwise as seen from the camera: Open3D's own normals point at it, as ours do.
@@ -307,7 +309,7 @@ def test_what_is_no_tiles_is_refused(tmp_path, tiles):
 
 def test_ros_messages_survive_serialisation(tiles, depth):
     pytest.importorskip("rosbags")
-    chosen = export.exported(tiles)
+    chosen = exported(tiles)
     about = ("camera_depth_optical_frame", 12.345678901)
     planes = round_trip("jsk_recognition_msgs/msg/ModelCoefficientsArray", export.to_ros_planes(tiles, *about))
     assert planes.header.frame_id == about[0]
@@ -482,7 +484,7 @@ def test_rerun_recording_has_each_frames_camera_time_and_settings(tmp_path):
         origins = columns["/planes/normals", "Arrows3D:origins"][i]
         np.testing.assert_allclose(origins, polygons.mean(axis=1), rtol=1e-4, atol=1e-6)
         vectors = np.array(columns["/planes/normals", "Arrows3D:vectors"][i])
-        normals = tiles.planes[export.exported(tiles)][:, :3]
+        normals = tiles.planes[exported(tiles)][:, :3]
         np.testing.assert_allclose(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), normals, atol=1e-5)
 
 

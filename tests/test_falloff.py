@@ -4,18 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import real_data
 from scipy import stats
 from scipy.ndimage import gaussian_filter
 from test_noise_estimation import CAMERA as SEEING
 from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
+from bench import real_data
+from rgbd_planes.fitting.tile_grid import tile_footprints, tile_windows
 from rgbd_planes.kernels.statistics.label_variances import label_variances
 from rgbd_planes.kernels.statistics.tiles.assess import assess
-from rgbd_planes.noise import estimation
-from rgbd_planes.noise.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
-from rgbd_planes.tile_grid import footprints, tile_footprints, tile_windows
+from rgbd_planes.noise_estimation import estimation
+from rgbd_planes.uncertainty.falloff import growth_of_parts, growth_of_pixels, growth_of_tiles, growth_of_windows
+from rgbd_planes.uncertainty.footprints import footprints
 
 PINHOLE = rp.Camera(192, 144, 120.0, 120.0, 90.5, 74.5)  # up to 40 degrees off the axis
 CAMERAS = {

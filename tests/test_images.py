@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rgbd_planes import files, images
+from rgbd_planes._core import files
+from rgbd_planes.sequences import images
 
 
 def a_frame(dtype=np.uint16, shape=(37, 53)):
@@ -508,7 +509,10 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
 
 @pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="this system has no /dev/stdout")
 def test_the_output_is_written_to_where_it_is_a_pipe():
-    write = "from rgbd_planes import files\nwith files.write_beside('/dev/stdout') as target: target.write_text('out')"
+    write = (
+        "from rgbd_planes._core import files\n"
+        "with files.write_beside('/dev/stdout') as target: target.write_text('out')"
+    )
     made = subprocess.run([sys.executable, "-c", write], stdout=subprocess.PIPE, check=True)
     assert made.stdout == b"out"
 

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rgbd_planes import presets, scenes
-from rgbd_planes.metrics import compare_labels, plane_errors
+from rgbd_planes.camera import presets
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels, plane_errors
 
 SMALL_LABELS = arrays(np.int32, (5, 6), elements=st.integers(0, 4))
 

@@ -6,12 +6,14 @@ import warnings
 
 import numpy as np
 import pytest
-import real_data
 from matroska import write_recording
 
 import rgbd_planes as rp
-from rgbd_planes import cli, scenes, sequences
-from rgbd_planes.sequences.mkv import _depth_camera
+from bench import real_data
+from rgbd_planes import sequences
+from rgbd_planes.cli import main as cli
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.sequences.matroska import _depth_camera
 
 pytest.importorskip("av")
 

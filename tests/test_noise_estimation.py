@@ -8,13 +8,13 @@ import pytest
 from scipy import ndimage
 
 import rgbd_planes as rp
-from rgbd_planes.noise import estimation
-from rgbd_planes.noise import large_planes as large
-from rgbd_planes.noise.flatness import flatness
-from rgbd_planes.noise.large_planes import large_planes
-from rgbd_planes.noise.samples import WINDOW, Samples, _mode, flat_windows, outlying, unevenness
-from rgbd_planes.ray_pitch import WEIGHTS_OF_PLACES
-from rgbd_planes.wording import percent
+from rgbd_planes._core.text import percent
+from rgbd_planes.camera.pixel_pitch import WEIGHTS_OF_PLACES
+from rgbd_planes.noise_estimation import estimation
+from rgbd_planes.noise_estimation import large_planes as large
+from rgbd_planes.noise_estimation.bias_map import flatness
+from rgbd_planes.noise_estimation.large_planes import large_planes
+from rgbd_planes.noise_estimation.samples import WINDOW, Samples, _mode, flat_windows, outlying, unevenness
 
 CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
 VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
@@ -703,7 +703,7 @@ def test_real_kinect_frames():
     folder = real_data.FOLDER / "kinect1_7scenes_seq"
     if not folder.exists():
         pytest.skip(real_data.REASON)
-    from rgbd_planes.images import read_depth
+    from rgbd_planes.sequences.images import read_depth
 
     camera = rp.Camera.load(folder / "camera.json")
     paths = sorted((folder / "depth").glob("*.png"))[::4]

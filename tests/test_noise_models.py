@@ -5,14 +5,14 @@ import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
-import monte_carlo
 import numpy as np
 import pytest
-from monte_carlo import CORRELATED
 from scipy import stats
 
 import rgbd_planes as rp
-from rgbd_planes.quadtree import QuadtreeFitter
+from bench import monte_carlo
+from bench.monte_carlo import CORRELATED
+from rgbd_planes.segmentation.quadtree import QuadtreeFitter
 
 CAMERA = rp.Camera(4, 4, 5.0, 5.0, 1.5, 1.5)
 CAMERA_OF_ROUNDING = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5)

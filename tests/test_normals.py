@@ -15,8 +15,10 @@ from PIL import Image
 from test_tiles import DISTORTIONS, as_dtype, make_camera, make_depth
 
 import rgbd_planes as rp
-from rgbd_planes import cli, images, scenes
+from rgbd_planes.cli import main as cli
+from rgbd_planes.evaluation import scenes
 from rgbd_planes.plotting.surfaces import plot_surfaces
+from rgbd_planes.sequences import images
 
 HOLES = ("none", "some", "most", "patches", "lines", "almost all")
 
@@ -500,7 +502,7 @@ def test_command_says_what_is_wrong(folder, capsys, options, message):
 @pytest.mark.parametrize("options", [[], ["--avoid-edges"]])
 def test_figure_says_that_edges_look_flat_unless_they_are_avoided(folder, monkeypatch, options):
     figures = []
-    command = importlib.import_module("rgbd_planes.commands.normals")
+    command = importlib.import_module("rgbd_planes.cli.normals")
     monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
     assert cli.main(["normals", "depth.png", "--camera", "camera.json", "--figure", "normals.png", *options]) == 0
     texts = [axes.get_xlabel() for below in figures[0].axes for axes in below.child_axes]
@@ -537,7 +539,7 @@ def test_labels_of_the_curvature_are_legible(low, high):
 
 def test_figure_has_the_curvature_of_the_same_windows(folder, monkeypatch):
     figures = []
-    command = importlib.import_module("rgbd_planes.commands.normals")
+    command = importlib.import_module("rgbd_planes.cli.normals")
     monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
     arguments = "normals depth.png --camera camera.json --window 9 --avoid-edges --max-missing 0.3 --figure n.png"
     assert cli.main(arguments.split()) == 0

@@ -16,7 +16,7 @@ from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
 import rgbd_planes.kernels
-from rgbd_planes import compilation
+from rgbd_planes._core import compile_notice
 from rgbd_planes.kernels._jit import compiler_pauses
 
 
@@ -116,40 +116,40 @@ def wait_for(messages, caplog):
 
 
 def test_slow_first_call_is_announced_once(caplog, monkeypatch):
-    monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
-    monkeypatch.setattr(compilation, "_announced", {})
-    monkeypatch.setattr(compilation, "_compiled", set())
-    with compilation.announced("loaded"):  # however long it takes
+    monkeypatch.setattr(compile_notice, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compile_notice, "_announced", {})
+    monkeypatch.setattr(compile_notice, "_compiled", set())
+    with compile_notice.announced("loaded"):  # however long it takes
         time.sleep(0.1)
     monkeypatch.setattr(compiler_pauses, "is_compiling", True)
     with monkeypatch.context() as patch:
-        patch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 60.0)
-        with compilation.announced("quick"):
+        patch.setattr(compile_notice, "SECONDS_BEFORE_NOTICE", 60.0)
+        with compile_notice.announced("quick"):
             pass
     assert caplog.messages == []
-    with compilation.announced("slow"):
+    with compile_notice.announced("slow"):
         wait_for(1, caplog)
-    with compilation.announced("slow too"):
+    with compile_notice.announced("slow too"):
         time.sleep(0.1)
     assert len(caplog.messages) == 1
     # Of threads that wait for the same kernels, too: their timers have been started already.
-    compilation._announced.clear()
-    with compilation.announced("one"), compilation.announced("other"):
+    compile_notice._announced.clear()
+    with compile_notice.announced("one"), compile_notice.announced("other"):
         wait_for(2, caplog)
     assert len(caplog.messages) == 2
     assert caplog.messages[0].startswith("compiling kernels: some seconds")
     # What takes far longer is said all the same.
-    with compilation.announced("segment", "about a minute"):
+    with compile_notice.announced("segment", "about a minute"):
         wait_for(3, caplog)
     assert caplog.messages[2].startswith("compiling kernels: about a minute")
 
 
 def test_a_notice_waits_until_something_is_compiled(caplog, monkeypatch):
     """Of several kernels the first ones may come from the disk."""
-    monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
-    monkeypatch.setattr(compilation, "_announced", {})
-    monkeypatch.setattr(compilation, "_compiled", set())
-    with compilation.announced("one is not there"):
+    monkeypatch.setattr(compile_notice, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compile_notice, "_announced", {})
+    monkeypatch.setattr(compile_notice, "_compiled", set())
+    with compile_notice.announced("one is not there"):
         time.sleep(0.1)
         assert caplog.messages == []
         monkeypatch.setattr(compiler_pauses, "is_compiling", True)
@@ -159,12 +159,12 @@ def test_a_notice_waits_until_something_is_compiled(caplog, monkeypatch):
 
 def test_what_compiles_for_long_says_how_far_it_is(caplog, monkeypatch):
     """And says no more once everything is compiled, however long the call goes on."""
-    monkeypatch.setattr(compilation, "SECONDS_BEFORE_NOTICE", 0.01)
-    monkeypatch.setattr(compilation, "SECONDS_BETWEEN_NOTICES", 0.01)
-    monkeypatch.setattr(compilation, "_announced", {})
-    monkeypatch.setattr(compilation, "_compiled", set())
+    monkeypatch.setattr(compile_notice, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compile_notice, "SECONDS_BETWEEN_NOTICES", 0.01)
+    monkeypatch.setattr(compile_notice, "_announced", {})
+    monkeypatch.setattr(compile_notice, "_compiled", set())
     monkeypatch.setattr(compiler_pauses, "is_compiling", True)
-    with compilation.announced("segment"):
+    with compile_notice.announced("segment"):
         wait_for(2, caplog)
         monkeypatch.setattr(compiler_pauses, "compiled", 41)
         wait_for(len(caplog.messages) + 2, caplog)
@@ -182,8 +182,8 @@ def test_a_notice_that_gets_no_thread_is_not_given(monkeypatch):
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", limited)
-    monkeypatch.setattr(compilation, "_announced", {})
-    monkeypatch.setattr(compilation, "_compiled", set())
+    monkeypatch.setattr(compile_notice, "_announced", {})
+    monkeypatch.setattr(compile_notice, "_compiled", set())
     camera = make_camera()
     assert rp.fit_tiles(np.full(camera.shape, 2.0), camera).fitted.all()
 
@@ -223,12 +223,12 @@ def test_warmup_does_not_doubt_a_camera():
 @pytest.mark.parametrize("many", ["fit", "fit_batch", "fit_stream"])
 def test_what_is_compiled_is_announced(many, monkeypatch):
     """However frames are fitted, and by the type that kernels are compiled for."""
-    monkeypatch.setattr(compilation, "_announced", {})
-    monkeypatch.setattr(compilation, "_compiled", set())
+    monkeypatch.setattr(compile_notice, "_announced", {})
+    monkeypatch.setattr(compile_notice, "_compiled", set())
     fitter = rp.TileFitter(make_camera(), 8, num_threads=2)
     frame = np.full((48, 64), 1000, np.int32)
     fitter.fit(frame) if many == "fit" else list(getattr(fitter, many)([frame] * 3))
-    assert compilation._compiled == {("range_explicit", "direct", False, False, np.dtype(np.float64))}
+    assert compile_notice._compiled == {("range_explicit", "direct", False, False, np.dtype(np.float64))}
 
 
 def test_works_without_a_place_for_a_cache():
@@ -237,9 +237,9 @@ def test_works_without_a_place_for_a_cache():
         "import os; os.environ['NUMBA_CPU_NAME'] = 'generic'\n"
         "import numba.core.caching as caching; caching.CacheImpl._locator_classes = []\n"
         "import logging, sys, numpy as np, rgbd_planes as rp\n"
-        "from rgbd_planes import compilation\n"
+        "from rgbd_planes._core import compile_notice\n"
         "logging.basicConfig(stream=sys.stdout)\n"
-        "compilation.SECONDS_BEFORE_NOTICE = 0.01\n"
+        "compile_notice.SECONDS_BEFORE_NOTICE = 0.01\n"
         "camera = rp.Camera(16, 16, 9.0, 9.0, 8.0, 8.0)\n"
         "print(rp.fit_tiles(np.full((16, 16), 2.0), camera).planes.round(9).tolist())"
     )

@@ -14,8 +14,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import rgbd_planes as rp
-from rgbd_planes import scenes
-from rgbd_planes.noise.evidence import NoiseEvidence
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.noise_estimation.evidence import NoiseEvidence
 from rgbd_planes.plotting import segments
 from rgbd_planes.plotting import tiles as plotting
 from rgbd_planes.plotting.quadtree import OUTLINES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import scenes
+from rgbd_planes.evaluation import scenes
 
 
 @pytest.fixture

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from rgbd_planes import Camera, fit_labels, presets, scenes, segment
+from rgbd_planes import Camera, fit_labels, segment
+from rgbd_planes.camera import presets
+from rgbd_planes.evaluation import scenes
 
 shapely = pytest.importorskip("shapely")
 
-from rgbd_planes.polygons import PlanePolygon, _multi, plane_polygons  # noqa: E402
-from rgbd_planes.rays import rays_through  # noqa: E402
-from rgbd_planes.segmentation.result import Reason  # noqa: E402
+from rgbd_planes._core.status import Reason  # noqa: E402
+from rgbd_planes.camera.rays import rays_through  # noqa: E402
+from rgbd_planes.segmentation.polygons import PlanePolygon, _multi, plane_polygons  # noqa: E402
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
 

@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 
 import rgbd_planes as rp
-from rgbd_planes import scenes
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, label_colours, normal_colours
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.plotting.colours import MISSING, STATUS_COLOURS, label_colours, normal_colours
+from rgbd_planes.plotting.preview import fits_picture
 from rgbd_planes.plotting.segments import label_image
-from rgbd_planes.preview import fits_picture
 
 
 @pytest.fixture(scope="module")

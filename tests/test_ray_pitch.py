@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 import rgbd_planes as rp
+from rgbd_planes.camera.pixel_pitch import lens_by_angle, pitch_square, slope_square
+from rgbd_planes.fitting.tile_grid import tile_footprints, tile_windows
 from rgbd_planes.kernels.segmentation.model.pixel_noise import through_lens
-from rgbd_planes.ray_pitch import lens_by_angle, pitch_square, slope_square
-from rgbd_planes.tile_grid import tile_footprints, tile_windows
 
 PINHOLE = rp.Camera(160, 120, 90.0, -95.0, 81.0, 57.0)
 LENSES = {

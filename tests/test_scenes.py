@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rgbd_planes as rp
-from rgbd_planes import scenes
-from rgbd_planes.camera import Camera
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.evaluation import scenes
 
 SHEET = scenes.polygon("sheet", [(-1, -1, 3), (0, -1, 3), (0, 1, 3), (-1, 1, 3)])
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from segment_frames import CAMERA, blocks_and_squares, inside
 
-from rgbd_planes import Camera, scenes, segment
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes import Camera, segment
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.evaluation import scenes
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import take_over
 from rgbd_planes.kernels.segmentation.assign.whole_blocks import ALONE, DONE, OPEN, SAME, keep_unchanged
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
@@ -17,7 +18,7 @@ from rgbd_planes.kernels.segmentation.merge.merge import number_regions
 from rgbd_planes.kernels.segmentation.model.records import BLOCK, MIXED, Owners, Planes, Rays, Rules, Runs, Shares
 from rgbd_planes.kernels.segmentation.pipeline import read_frame
 from rgbd_planes.kernels.segmentation.refit.interior import inside_moments
-from rgbd_planes.segmentation.noise import noise_of
+from rgbd_planes.segmentation.frame_noise import noise_of
 from rgbd_planes.segmentation.segment import _given
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from rgbd_planes import Camera, scenes, segment
+from rgbd_planes import Camera, segment
+from rgbd_planes._core.status import Reason
+from rgbd_planes.evaluation import scenes
 from rgbd_planes.kernels.segmentation.curved.creases import STRIPS, main_bend, two_planes
 from rgbd_planes.kernels.segmentation.curved.curved import find_turns
 from rgbd_planes.kernels.segmentation.model.boxes import boxes
 from rgbd_planes.kernels.segmentation.model.planes import fit_regions
 from rgbd_planes.kernels.segmentation.model.quadrics import step_of
 from rgbd_planes.kernels.segmentation.model.records import Noise, Planes, Rules
-from rgbd_planes.segmentation.result import Reason
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=5000.0)
 

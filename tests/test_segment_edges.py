@@ -6,12 +6,12 @@ from scipy.ndimage import convolve, gaussian_filter
 from segment_frames import CAMERA, smooth_noise, two_planes
 
 from rgbd_planes import Camera, segment
+from rgbd_planes._core.status import Reason
+from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.curved.curved import continues
 from rgbd_planes.kernels.segmentation.curved.facets import AWAY, STRAIGHT, TOWARDS, bend_of
 from rgbd_planes.kernels.segmentation.model.quadrics import room_for_blocks, turn_of_groups
 from rgbd_planes.kernels.segmentation.model.records import Planes
-from rgbd_planes.metrics import compare_labels
-from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import rays_of
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from bench import block_scenes
 from rgbd_planes import segment
+from rgbd_planes._core.status import Reason
+from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.merge import split_faces
 from rgbd_planes.kernels.segmentation.model.quadrics import PLANE_TERMS, TERMS
 from rgbd_planes.kernels.segmentation.model.records import Noise, Rules
-from rgbd_planes.metrics import compare_labels
-from rgbd_planes.segmentation.result import Reason
 
 SIGMA = 1e-3
 SHAPES = {

@@ -7,12 +7,13 @@ import pytest
 from scipy.ndimage import find_objects
 from segment_frames import CAMERA
 
-from rgbd_planes import Camera, fit_labels, scenes, segment
+from rgbd_planes import Camera, fit_labels, segment
+from rgbd_planes._core.status import Reason
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.components.occlusion_gaps import find_coplanar, label_boxes
 from rgbd_planes.kernels.segmentation.merge.contacts import contract, neighbours
 from rgbd_planes.kernels.segmentation.model.records import Runs
-from rgbd_planes.metrics import compare_labels
-from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 

@@ -14,8 +14,11 @@ from segment_frames import CAMERA, blocks_and_squares, smooth_noise, two_planes
 
 from bench import block_scenes
 from bench.segmentation import empty_room
-from rgbd_planes import Camera, estimate_noise, scenes, segment
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes import Camera, estimate_noise, segment
+from rgbd_planes._core.status import Reason
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.common.quantiles import quantile
 from rgbd_planes.kernels.segmentation.model.pixel_noise import sensor_variance, sensor_variances, waviness
 from rgbd_planes.kernels.segmentation.model.records import Rules
@@ -23,11 +26,8 @@ from rgbd_planes.kernels.segmentation.noise.estimate import estimate_noise as es
 from rgbd_planes.kernels.segmentation.noise.estimate import is_of_depth, varied_squares
 from rgbd_planes.kernels.segmentation.noise.frame_noise import tolerance
 from rgbd_planes.kernels.segmentation.pipeline import read_frame
-from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel, function, kinect_v1
-from rgbd_planes.segmentation.noise import noise_of
-from rgbd_planes.segmentation.reach import reach_table
-from rgbd_planes.segmentation.result import Reason
+from rgbd_planes.segmentation.frame_noise import noise_of, reach_table
 from rgbd_planes.segmentation.segment import _given, segment_frame
 from rgbd_planes.segmentation.workspace import rays_of, workspaces
 

@@ -4,11 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
-from real_data import FOLDER
-from real_data import REASON as NO_FRAMES
 from scipy import ndimage
 
-from rgbd_planes import Camera, images, segment
+from bench.real_data import FOLDER
+from bench.real_data import REASON as NO_FRAMES
+from rgbd_planes import Camera, segment
+from rgbd_planes._core.status import Reason
 from rgbd_planes.kernels.segmentation.curved.curved import BENT_SHARE, find_curled, find_turns
 from rgbd_planes.kernels.segmentation.curved.occluded import gap_between
 from rgbd_planes.kernels.segmentation.model.boxes import boxes
@@ -35,8 +36,8 @@ from rgbd_planes.kernels.segmentation.model.records import (
     Rules,
     Shares,
 )
-from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import rays_of
+from rgbd_planes.sequences import images
 
 CAMERA = Camera(90, 70, 131.0, 131.0, 44.5, 34.5)
 SIGMA = 1e-3

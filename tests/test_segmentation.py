@@ -12,10 +12,11 @@ from processes import printed_by
 from segment_frames import CAMERA, inside, two_planes
 
 from bench.segmentation import empty_room
-from rgbd_planes import Camera, fit_tiles, scenes, segment
-from rgbd_planes.metrics import compare_labels, plane_errors
+from rgbd_planes import Camera, fit_tiles, segment
+from rgbd_planes._core.status import Reason
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import kinect_v1
-from rgbd_planes.segmentation.result import Reason
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 
 

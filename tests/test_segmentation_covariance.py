@@ -7,8 +7,10 @@ import pytest
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from segment_frames import CAMERA
 
-from rgbd_planes import Camera, fit_labels, scenes, segment
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes import Camera, fit_labels, segment
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.noise.correlation import (
     OF_ONE,
     SIZES,
@@ -20,9 +22,8 @@ from rgbd_planes.kernels.segmentation.noise.correlation import (
 from rgbd_planes.kernels.segmentation.pipeline import read_frame
 from rgbd_planes.kernels.segmentation.refit.weights import weigh_rays
 from rgbd_planes.kernels.statistics.tiles.block import EXPECTED
-from rgbd_planes.metrics import compare_labels
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.segmentation.reach import reach_table
+from rgbd_planes.segmentation.frame_noise import reach_table
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 

@@ -18,22 +18,21 @@ from rgbd_planes import (
     Camera,
     Segmentation,
     TileStatus,
-    cli,
     fit_labels,
     fit_tiles,
-    images,
     recording,
-    scenes,
     segment,
     segment_sequence,
     segmentation_export,
 )
-from rgbd_planes.colours import NO_PLANE, label_colours
+from rgbd_planes._core.status import Reason
+from rgbd_planes.cli import main as cli
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.export.segments import write_points_ply, write_polygons_ply
 from rgbd_planes.noise import kinect_v1
+from rgbd_planes.plotting.colours import NO_PLANE, label_colours
 from rgbd_planes.plotting.segments import label_image
-from rgbd_planes.segmentation.result import Reason
-from rgbd_planes.segmentation_export import write_points_ply, write_polygons_ply
-from rgbd_planes.sequences import FrameEntry, FrameSequence
+from rgbd_planes.sequences import FrameEntry, FrameSequence, images
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
 
@@ -271,7 +270,7 @@ def test_command_shows_the_largest_planes(folder, capsys, depth):
 
 def test_command_draws_planes_over_the_relief_of_the_depth(folder, depth, monkeypatch):
     figures = []
-    command = importlib.import_module("rgbd_planes.commands.segment")
+    command = importlib.import_module("rgbd_planes.cli.segment")
     monkeypatch.setattr(command, "write_figure", lambda figure, path: figures.append(figure))
     assert cli.main(["segment", "depth.png", "--camera", "camera.json", "--figure", "planes.png"]) == 0
     (image,) = figures[0].axes[0].get_images()

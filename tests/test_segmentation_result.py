@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from rgbd_planes import scenes
+from rgbd_planes.evaluation import scenes
 
 CAMERA = rp.Camera(160, 120, 131.25, 131.25, 79.5, 59.5, distortion=(0.1, -0.05, 0.001, 0.0, 0.0), depth_scale=1000.0)
 

@@ -17,17 +17,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import real_data
 from bags import Cut, messages, type_store, write_bag
 from matroska import write_recording
 from PIL import Image
 
 import rgbd_planes as rp
-from rgbd_planes import images, presets, sequences
-from rgbd_planes.commands.arguments import read_sequence
-from rgbd_planes.sequences.bag import _decode, _decode_compressed, _OpenBag
+from bench import real_data
+from rgbd_planes import sequences
+from rgbd_planes.camera import presets
+from rgbd_planes.cli.arguments import read_sequence
+from rgbd_planes.sequences import images
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, numbered
 from rgbd_planes.sequences.problems import reason_to_skip
+from rgbd_planes.sequences.rosbag import _decode, _decode_compressed, _OpenBag
 from rgbd_planes.sequences.scannet import SensLocation, read_sens_frame
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)

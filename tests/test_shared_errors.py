@@ -2,20 +2,20 @@
 
 from dataclasses import replace
 
-import monte_carlo
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from monte_carlo import CORRELATED
 from scipy import stats
 from scipy.ndimage import minimum_filter
 
 import rgbd_planes as rp
-from rgbd_planes.depth import DepthFrame
+from bench import monte_carlo
+from bench.monte_carlo import CORRELATED
+from rgbd_planes.camera.depth_frame import DepthFrame
 from rgbd_planes.kernels.segmentation.refit.interior import runs_inside
 from rgbd_planes.kernels.statistics.tiles.block import EXPECTED, FREEDOM
-from rgbd_planes.pixel_runs import joined, runs_found, runs_of_labels, runs_of_windows
+from rgbd_planes.uncertainty.pixel_runs import joined, runs_found, runs_of_labels, runs_of_windows
 
 FAR = rp.noise.NoiseModel((1e-3,), correlation=((0.6, 9.0),), floor=1.2, floor_length=40.0)
 NOISES = {

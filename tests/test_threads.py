@@ -16,9 +16,10 @@ from processes import printed_by
 from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
-from rgbd_planes import threads, tiles
-from rgbd_planes.batch import sequence as batch
-from rgbd_planes.caller_warnings import warn_caller
+from rgbd_planes._core import threads
+from rgbd_planes._core.user_warnings import warn_caller
+from rgbd_planes.batch import fit_sequence as batch
+from rgbd_planes.fitting import tiles
 
 ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
@@ -61,7 +62,7 @@ FORK_WHILE_TABLES_ARE_MADE = """
 import os, signal, threading
 from dataclasses import replace
 import rgbd_planes as rp
-from rgbd_planes.lenses import distortion
+from rgbd_planes.camera.lenses import distortion
 
 one = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, (0.01, 0.0, 0.0, 0.0))
 other = replace(one, fx=53.0)
@@ -98,7 +99,7 @@ STATISTICS_WHILE_A_THREAD_WORKS_THEM_OUT = """
 import os, signal, threading
 import numpy as np
 import rgbd_planes as rp
-from rgbd_planes import fit_statistics
+from rgbd_planes.uncertainty import statistics as fit_statistics
 
 camera = rp.Camera(64, 48, 52.0, 52.0, 31.5, 23.5, noise=rp.noise.kinect_v1())
 fitter = rp.TileFitter(camera, 8)
@@ -575,7 +576,7 @@ def test_there_are_no_ranges_of_nothing():
 
 INTERRUPTED = """
 import signal, sys
-from rgbd_planes import threads
+from rgbd_planes._core import threads
 
 signal.alarm(120)  # which ends it if it hangs
 

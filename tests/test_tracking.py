@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rgbd_planes import Camera, noise, scenes, segment
-from rgbd_planes.metrics import compare_labels
+from rgbd_planes import Camera, noise, segment
+from rgbd_planes.camera.frame import Frame
+from rgbd_planes.evaluation import scenes
+from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.segmentation import known_planes
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.known_planes import (
@@ -22,7 +24,6 @@ from rgbd_planes.segmentation.known_planes import (
     same_planes,
 )
 from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation, segment_sequence
-from rgbd_planes.sequences.frames import Frame
 
 CAMERA = Camera(width=160, height=120, fx=131.0, fy=131.0, cx=79.5, cy=59.5, depth_scale=1000.0)
 

@@ -4,18 +4,18 @@ import pickle
 from dataclasses import replace
 from functools import partial
 
-import monte_carlo
 import numpy as np
 import pytest
-from monte_carlo import CORRELATED
 from scipy import special, stats
 
 import rgbd_planes as rp
-from rgbd_planes import fit_statistics
+from bench import monte_carlo
+from bench.monte_carlo import CORRELATED
 from rgbd_planes.kernels.statistics.distributions import chi_square, f_ratio
 from rgbd_planes.kernels.statistics.distributions.normal import WORK
 from rgbd_planes.kernels.statistics.distributions.normal import tails as normal_tails
-from rgbd_planes.noise import residuals
+from rgbd_planes.noise import correlation
+from rgbd_planes.uncertainty import statistics
 
 METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 
@@ -116,7 +116,7 @@ def test_tail_of_chi_square(low, high, error, rng):
 def test_tail_of_a_ratio_of_variances(spread, rng):
     """As near to Fisher's F as documented, for 3 degrees of freedom or more; its limits are its inverse."""
     freedom = np.exp(rng.uniform(np.log(3.0), np.log(1e4), 2000))
-    inverse = residuals.inverse_freedom(spread)
+    inverse = correlation.inverse_freedom(spread)
     assert stats.invgamma(0.5 / inverse, scale=0.5 / inverse - 1.0).std() == pytest.approx(spread, rel=1e-6)
     work = np.empty((WORK, len(freedom)))
     for p, low, high in (
@@ -131,10 +131,10 @@ def test_tail_of_a_ratio_of_variances(spread, rng):
         f_ratio.deviates(inverse, work, len(freedom))
         normal_tails(work, len(freedom))
         assert low * p < work[0].min() < work[0].max() < high * p
-        deviate = residuals.deviate_of(ratio, freedom, spread)
+        deviate = correlation.deviate_of(ratio, freedom, spread)
         np.testing.assert_allclose(work[0], stats.norm.sf(deviate), rtol=1e-5)
-        limit = residuals.ratio_at(stats.norm.isf(p), freedom, spread)
-        np.testing.assert_allclose(residuals.deviate_of(limit, freedom, spread), stats.norm.isf(p), atol=1e-12)
+        limit = correlation.ratio_at(stats.norm.isf(p), freedom, spread)
+        np.testing.assert_allclose(correlation.deviate_of(limit, freedom, spread), stats.norm.isf(p), atol=1e-12)
 
 
 def test_tails_end_at_one_and_zero_and_keep_nan():
@@ -233,12 +233,12 @@ def test_rough_is_a_small_p_value_for_any_number_of_pixels(noise, rng):
 
 def test_limits_of_the_default_level():
     """The numbers that are there are those that SciPy gives, and the quantiles of chi-square."""
-    limits = fit_statistics._limits(fit_statistics.DEFAULT_SIGNIFICANCE, 0.0)
-    made = fit_statistics._made_limits(fit_statistics.DEFAULT_SIGNIFICANCE)
+    limits = statistics._limits(statistics.DEFAULT_SIGNIFICANCE, 0.0)
+    made = statistics._made_limits(statistics.DEFAULT_SIGNIFICANCE)
     np.testing.assert_allclose(limits, made, rtol=1e-7)  # a fit, whose last digits are the processor's
     freedom = np.geomspace(1.0, 1e5, 200)
     p = stats.chi2.sf(np.polynomial.Polynomial(limits)(freedom**-0.5) * freedom, freedom)
-    np.testing.assert_allclose(p, fit_statistics.DEFAULT_SIGNIFICANCE, atol=2e-5)
+    np.testing.assert_allclose(p, statistics.DEFAULT_SIGNIFICANCE, atol=2e-5)
 
 
 def test_one_level_at_every_depth(rng):

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 
 import rgbd_planes as rp
-from rgbd_planes.fitting import solve_planes
+from rgbd_planes._core.status import TileStatus
+from rgbd_planes.fitting.methods import solve_planes
+from rgbd_planes.fitting.results import allocate
 from rgbd_planes.kernels.moments.summed_area import missing_rays
-from rgbd_planes.plane_fits import TileStatus, allocate
 
 
 @settings(max_examples=40)

@@ -1,7 +1,7 @@
 """How every kernel is compiled: the one place that holds Numba's options.
 
 Kernels are serial and release the GIL; they work on a range of tiles or rows, and
-``rgbd_planes.threads`` gives the ranges to threads. So nothing here depends on a Numba threading layer:
+``rgbd_planes._core.threads`` gives the ranges to threads. So nothing here depends on a Numba threading layer:
 not its launch cost, not its behaviour after a fork, not its thread safety.
 """
 

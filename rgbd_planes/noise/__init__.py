@@ -14,23 +14,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.caller_warnings import warn_caller
-from rgbd_planes.checks import number, real_array
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.checks import number, real_array
+from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.noise.model import KINECT_V1 as KINECT_V1
 from rgbd_planes.noise.model import NoiseModel as NoiseModel
-
-if TYPE_CHECKING:
-    from rgbd_planes.camera import Camera
 
 _LONGEST_BASELINE = 5.0  # metres, of a stereo camera
 _SHORTEST_FOCAL_LENGTH = 20.0  # pixels; most likely millimetres
 _COARSEST_STEP = 0.1  # metres
+
+
+@runtime_checkable
+class HasUnits(Protocol):
+    """A camera, as far as it says what the numbers of its frames mean."""
+
+    @property
+    def depth_scale(self) -> float | None: ...
+    @property
+    def disparity(self) -> tuple[float, float] | None: ...
 
 
 def kinect_v1() -> NoiseModel:
@@ -172,7 +179,7 @@ def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
     return NoiseModel(formula=sigma)
 
 
-def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
+def quantised(model: NoiseModel, step: float | HasUnits) -> NoiseModel:
     """Add the rounding of integer depth to a model.
 
     Parameters
@@ -197,11 +204,9 @@ def quantised(model: NoiseModel, step: float | Camera) -> NoiseModel:
     step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances account for
     it, p-values are then too large, or too small where it climbs by a whole step or a half from pixel to pixel.
     """
-    from rgbd_planes.camera import Camera  # which has a noise model itself
-
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")
-    if not isinstance(step, Camera):
+    if not isinstance(step, HasUnits):
         if not number("step", step) > 0.0:
             raise ValueError(f"expected a positive step in metres, got {step!r}")
         if step > _COARSEST_STEP:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
@@ -9,13 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.checks import number, numbers, real_array, shaped_array
-from rgbd_planes.depth import DepthFrame, some_of
-from rgbd_planes.keeping import kept
-from rgbd_planes.noise.residuals import Components, ResidualStatistics, correlated_statistics
-from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, for_each, warn_of_large_noise
-from rgbd_planes.wording import counted, two_digits
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.checks import number, numbers, real_array, shaped_array
+from rgbd_planes._core.lazy_property import kept
+from rgbd_planes._core.text import counted, two_digits
+from rgbd_planes.noise.correlation import Components, ResidualStatistics, correlated_statistics
+from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, for_each
 
 # Tables of the noise by inverse depth: number of entries, and the largest inverse depth in 1/m.
 _ENTRIES, _LARGEST = 8192, 20.0
@@ -141,9 +141,8 @@ class NoiseModel:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the noise at some depths and, if it was estimated, from what."""
-        from rgbd_planes.preview import noise_html
-
-        return noise_html(self)
+        text = f"<div>{html.escape(repr(self).strip('<>'))}</div>"
+        return text if self.evidence is None else f"<div>{text}{self.evidence._figure_html()}</div>"
 
     def _summary(self) -> str:
         # No Greek: printing letters that stdout's encoding lacks is an error, as into a file on Windows.
@@ -360,20 +359,8 @@ def _pairs(name: str, values: Any, of: str) -> Floats:
     return pairs
 
 
-_NOT_ROUGH = "nothing is ROUGH, and standard deviations are far too large"
-
-
-def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None, result: str = _NOT_ROUGH) -> bool:
-    """Warn of noise that most likely is in other units, which planes do not show; return whether the frame tells."""
-    if noise is None:
-        return False
-    sample = some_of(frame.raw)[:, ::8]  # a hundred tell the middle well enough
-    measured = np.sort(sample[(sample >= frame.lowest) & (sample <= frame.highest)])
-    if not len(measured):
-        return False
-    # That of 1/Z, which falls as depth grows, and of an even number of values the larger of the two in the middle.
-    grows = frame.is_disparity and frame.scale > 0.0
-    value = float(measured[len(measured) // 2 if grows else -1 - len(measured) // 2])
-    middle = frame.scale * value + frame.offset if frame.is_disparity else frame.scale / value
-    warn_of_large_noise(float(noise._sigma(np.asarray(middle), 1.0)), middle, result)
-    return True
+def check_not_a_maker(noise: Any) -> None:
+    """Raise a TypeError for a function of `rgbd_planes.noise` given in place of the model that it makes."""
+    if getattr(noise, "__module__", "") == "rgbd_planes.noise" and hasattr(noise, "__name__"):
+        name = noise.__name__
+        raise TypeError(f"expected noise as a NoiseModel, got the function {name}: {name}(...) makes one")

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.caller_warnings import warn_caller
-from rgbd_planes.checks import real_array
+from rgbd_planes._core.checks import real_array
+from rgbd_planes._core.user_warnings import warn_caller
 
 # Share of 1/Z that no sensor's noise reaches, between what is nearest in a frame and twice as far away.
 TOO_LARGE = 0.2

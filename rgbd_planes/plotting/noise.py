@@ -5,22 +5,21 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes.checks import check_figure
-from rgbd_planes.noise.samples import REFERENCE
-from rgbd_planes.plotting.tiles import NotebookFigure, beyond
-from rgbd_planes.wording import two_digits
+from rgbd_planes._core.text import two_digits
+from rgbd_planes.plotting.figures import NotebookFigure, check_figure
+from rgbd_planes.plotting.tiles import beyond
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rgbd_planes.noise.evidence import NoiseEvidence
+    from rgbd_planes.plotting.protocols import Evidence
 
 _PALE = 6.0  # standard deviations of chance that the colours of the bias reach at least
 _SEEN, _MODEL, _PLAIN = "#2f6fb0", "#c8442e", "#8a8a8a"
 
 
-def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> "Figure":
+def plot_evidence(evidence: "Evidence", figure: "Figure | None" = None) -> "Figure":
     """Draw what a noise model was estimated from, and the model.
 
     Parameters
@@ -64,20 +63,21 @@ def plot_evidence(evidence: "NoiseEvidence", figure: "Figure | None" = None) -> 
     return figure
 
 
-def _draw_depth(axes: "Axes", evidence: "NoiseEvidence") -> None:
+def _draw_depth(axes: "Axes", evidence: "Evidence") -> None:
     depth = 1.0 / evidence.inverse_depth
     axes.plot(depth, 1e3 * evidence.sigma, "o", color=_SEEN, label="flat tiles (median)")
     order = np.argsort(depth)
     axes.plot(depth[order], 1e3 * evidence.sigma_fit[order], color=_MODEL, label="model")
     axes.set_ylim(0.0, 1.15e3 * max(evidence.sigma.max(), evidence.sigma_fit.max()))
-    _finish(axes, f"Residual of 1/Z in tiles of {REFERENCE} x {REFERENCE} pixels", "depth, m", "rms residual, 1e-3 / m")
+    title = f"Residual of 1/Z in tiles of {evidence.TILE} x {evidence.TILE} pixels"
+    _finish(axes, title, "depth, m", "rms residual, 1e-3 / m")
 
 
-def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
+def _draw_sizes(axes: "Axes", evidence: "Evidence") -> None:
     axes.plot(evidence.sizes, evidence.residuals, "o", color=_SEEN, label="flat tiles and large planes (median)")
     axes.plot(evidence.sizes, evidence.expected, color=_MODEL, label="model")
     independent = np.sqrt(1.0 - 3.0 / evidence.sizes**2)
-    reference = int(np.argmin(np.abs(evidence.sizes - REFERENCE)))
+    reference = int(np.argmin(np.abs(evidence.sizes - evidence.TILE)))
     independent *= evidence.residuals[reference] / independent[reference]
     axes.plot(evidence.sizes, independent, "--", color=_PLAIN, label="if pixels were independent")
     axes.set_xscale("log", base=2)
@@ -88,7 +88,7 @@ def _draw_sizes(axes: "Axes", evidence: "NoiseEvidence") -> None:
     _finish(axes, title, "side of the tile or plane, pixels", "rms residual / noise of a pixel")
 
 
-def _draw_p_values(axes: "Axes", evidence: "NoiseEvidence") -> None:
+def _draw_p_values(axes: "Axes", evidence: "Evidence") -> None:
     density = axes.hist(evidence.p_values, bins=20, range=(0.0, 1.0), density=True, color=_SEEN, alpha=0.8)[0]
     axes.set_ylim(0.0, 1.25 * max(1.0, float(np.max(density))))  # the legend above the bars
     axes.axhline(1.0, color=_MODEL, label="if the model were exact")

@@ -1,7 +1,5 @@
 """The paper's figure of a segmented frame: depth, and the elements outlined by status."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.collections import PatchCollection
@@ -9,8 +7,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from rgbd_planes.colours import MISSING
-from rgbd_planes.plane_fits import TileStatus
+from rgbd_planes._core.status import TileStatus
+from rgbd_planes.plotting.colours import MISSING
+from rgbd_planes.plotting.protocols import SegmentedElements
 from rgbd_planes.plotting.tiles import (
     PANEL_INCHES,
     depth_limits,
@@ -20,9 +19,6 @@ from rgbd_planes.plotting.tiles import (
     fitted_depth,
     panels_with_legends,
 )
-
-if TYPE_CHECKING:
-    from rgbd_planes.quadtree import QuadtreeSegmentation
 
 # The colours of the paper's figure, which has none for pixels that determine no plane; as in `STATUS_COLOURS` the
 # green is bluish. They are brighter than the grey image, so that thin lines show on it.
@@ -37,7 +33,7 @@ _PANEL_POINTS = 72.0 * PANEL_INCHES
 
 
 def plot_quadtree(
-    segmentation: "QuadtreeSegmentation", depth_metres: NDArray[np.float64] | None = None, figure: Figure | None = None
+    segmentation: SegmentedElements, depth_metres: NDArray[np.float64] | None = None, figure: Figure | None = None
 ) -> Figure:
     """Draw a segmented frame: its depth in colours, and the elements over its depth in grey.
 

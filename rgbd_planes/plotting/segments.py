@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.checks import check_figure
-from rgbd_planes.colours import NO_PLANE, label_colours
-from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.ray_pitch import ray_changes
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.camera.pixel_pitch import ray_changes
+from rgbd_planes.plotting.colours import NO_PLANE, label_colours
+from rgbd_planes.plotting.figures import check_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rgbd_planes.camera import Camera
-    from rgbd_planes.segmentation.result import Segmentation
+    from rgbd_planes.camera.camera import Camera
+    from rgbd_planes.plotting.protocols import SegmentedFrame
 
 
 _NOT_MEASURED = (1.0, 1.0, 1.0)
@@ -27,14 +27,14 @@ _FONT = 7  # points
 
 
 def label_image(
-    segmentation: Segmentation, depth: ArrayLike | None = None, ids: NDArray[np.int32] | None = None
+    segmentation: SegmentedFrame, depth: ArrayLike | None = None, ids: NDArray[np.int32] | None = None
 ) -> Floats:
     """(H, W, 3) float64: each pixel in the colour of its plane, light and dark following the surface.
 
     Dark grey is measured but on no plane, white is missing. Without ``depth`` there is no relief; with ``ids`` a plane
     has the colour of its id instead of its label.
     """
-    from rgbd_planes.segmentation.result import Reason
+    from rgbd_planes._core.status import Reason
 
     colours = label_colours(len(segmentation)) if ids is None else label_colours(int(ids.max(initial=0)))[ids - 1]
     palette = np.vstack([[NO_PLANE], colours])
@@ -75,7 +75,7 @@ def _smooth_difference(image: Floats, axis: int) -> Floats:
 
 
 def plot_segments(
-    segmentation: Segmentation,
+    segmentation: SegmentedFrame,
     depth: ArrayLike | None = None,
     figure: Figure | None = None,
     ids: NDArray[np.int32] | None = None,
@@ -96,7 +96,7 @@ def plot_segments(
     -------
     matplotlib Figure or SubFigure
     """
-    from rgbd_planes.plotting.tiles import NotebookFigure, panel_height
+    from rgbd_planes.plotting.figures import NotebookFigure, panel_height
 
     check_figure(figure)
     if figure is None:
@@ -112,7 +112,7 @@ def plot_segments(
     return figure
 
 
-def _write_numbers(segmentation: Segmentation, axes: Axes, numbers: NDArray[np.integer]) -> None:
+def _write_numbers(segmentation: SegmentedFrame, axes: Axes, numbers: NDArray[np.integer]) -> None:
     """Write each large plane's number where most of the plane is around it, if no larger plane's is there."""
     labels = segmentation.labels
     least = _NUMBERED * labels.size / (640 * 480)

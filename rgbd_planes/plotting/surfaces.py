@@ -10,9 +10,9 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.colours import MISSING, in_image, normal_colours
-from rgbd_planes.depth import as_depth_frame
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.plotting.colours import MISSING, in_image, normal_colours
 from rgbd_planes.plotting.tiles import draw_legend_of_normals, draw_measured_depth, draw_scale, panels_with_legends
 
 _FLAT = 1e-6

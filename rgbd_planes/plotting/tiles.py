@@ -4,7 +4,6 @@ Figures are made without pyplot: nothing here touches a display, a backend or gl
 when something is drawn, since matplotlib takes a while.
 """
 
-import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,15 +17,14 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_figure
-from rgbd_planes.colours import MISSING, STATUS_COLOURS, in_image, normal_colours, status_colours
-from rgbd_planes.depth import as_depth_frame
-from rgbd_planes.plane_fits import PlacedFits, TileStatus
-from rgbd_planes.tile_planes import TilePlanes
-from rgbd_planes.windows import WindowPlanes
-from rgbd_planes.wording import percent
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.status import TileStatus
+from rgbd_planes._core.text import percent
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.plotting.colours import MISSING, STATUS_COLOURS, in_image, normal_colours, status_colours
+from rgbd_planes.plotting.figures import NotebookFigure, check_figure, panel_height
+from rgbd_planes.plotting.protocols import PlacedPlanes
 
 STATUS_MEANINGS = {
     TileStatus.OK: "plane fitted",
@@ -39,21 +37,7 @@ PANEL_INCHES = 4.5  # wide
 _LEGEND_INCHES = 0.85
 
 
-class NotebookFigure(Figure):
-    """A figure that a notebook shows, even where pyplot, which would see to that, was never imported."""
-
-    def _repr_png_(self) -> bytes:
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=80)
-        return buffer.getvalue()
-
-
-def panel_height(width: float, camera: Camera) -> float:
-    """Height of a panel: that of its image, unless that is very narrow or very low."""
-    return width * min(max(camera.height / camera.width, 0.06), 1.6)
-
-
-def plot_fits(fits: PlacedFits, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
+def plot_fits(fits: PlacedPlanes, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
     """Draw a fitted frame: depth, normals as colours, and the tiles or windows by status.
 
     Parameters
@@ -173,7 +157,7 @@ def draw_legend_of_normals(legend: Axes) -> None:
     axes.text(1.3, 0.0, "facing right", **(style | {"ha": "left"}))
 
 
-def _draw_status(panel: Axes, legend: Axes, fits: PlacedFits) -> None:
+def _draw_status(panel: Axes, legend: Axes, fits: PlacedPlanes) -> None:
     # Lit like a relief: a plane that is wrong catches the eye as a facet that is lit wrongly.
     normals = in_image(fits.planes[..., :3], fits.camera)
     light = np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
@@ -203,32 +187,27 @@ def draw_legend_of_statuses(
     )  # fmt: skip
 
 
-def _draw_outlines(panel: Axes, fits: PlacedFits) -> None:
-    sides = (
-        np.array([min(fits.tile)]) if isinstance(fits, TilePlanes)
-        else fits.windows[:, 2:].min(axis=1) if isinstance(fits, WindowPlanes)
-        else np.empty(0)
-    )  # fmt: skip
-    smallest = float(np.median(sides)) * 640 / fits.camera.width if len(sides) else 0.0
-    if smallest < 5:  # lines would hide what they divide
+def _draw_outlines(panel: Axes, fits: PlacedPlanes) -> None:
+    outlines = fits._outlines
+    smallest = 0.0 if outlines is None else outlines.side * 640 / fits.camera.width
+    if outlines is None or smallest < 5:  # lines would hide what they divide
         return
     style: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.5 if smallest >= 12 else 0.3, "alpha": 0.6}
-    if isinstance(fits, WindowPlanes):
-        boxes = [Rectangle((x - 0.5, y - 0.5), width, height) for y, x, height, width in fits.windows]
+    if len(outlines.windows):
+        boxes = [Rectangle((x - 0.5, y - 0.5), width, height) for y, x, height, width in outlines.windows]
         panel.add_collection(PatchCollection(boxes, facecolor="none", **style))
-    if isinstance(fits, TilePlanes):
-        bottom, right = fits.camera.height - 0.5, fits.camera.width - 0.5
-        panel.vlines(np.cumsum(fits.tile_widths[:-1]) - 0.5, -0.5, bottom, **style)
-        panel.hlines(np.cumsum(fits.tile_heights[:-1]) - 0.5, -0.5, right, **style)
+    else:
+        panel.vlines(outlines.columns - 0.5, -0.5, fits.camera.height - 0.5, **style)
+        panel.hlines(outlines.rows - 0.5, -0.5, fits.camera.width - 0.5, **style)
 
 
-def _to_pixels(values: Floats, fits: PlacedFits, nothing: tuple[float, ...]) -> Floats:
+def _to_pixels(values: Floats, fits: PlacedPlanes, nothing: tuple[float, ...]) -> Floats:
     """(H, W, 3): the values (S, 3) of each tile or window on each of its pixels, and `nothing` on others."""
     cells = fits._cells(np.arange(fits.camera.height), np.arange(fits.camera.width))
     return np.asarray(np.vstack([values.reshape(-1, 3), nothing])[cells])  # -1, no window, is the last
 
 
-def fitted_depth(fits: PlacedFits) -> Floats:
+def fitted_depth(fits: PlacedPlanes) -> Floats:
     """(H, W) depth in metres where each pixel's ray meets its tile's or window's plane; NaN where it does not."""
     alpha = _to_pixels(np.where(fits.fitted[..., None], fits.alpha, np.nan), fits, (np.nan,) * 3)
     camera = fits.camera

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.rotations import nearest_rotation
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.rotations import nearest_rotation
 
 # Weights of what holds without planes, no turn and no step, against 1 for all planes together: it decides what they
 # leave open, as a wall does about steps along it.

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.camera import Camera
-from rgbd_planes.metrics import plane_errors
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.rays import ray_tables
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.result import Segmentation
-from rgbd_planes.window_moments import ray_tables
+from rgbd_planes.uncertainty.planes import angle_and_offset
 
 SHARED = 0.25  # share of the smaller one's pixels that a plane and its earlier self must have in common
 TURNED = 20.0  # degrees between them, at most
@@ -237,16 +237,16 @@ def same_planes(
     shared = sums(1.0)
     rows, columns = np.nonzero(shared)
     old, squares = known.planes[rows], shared[rows, columns]
-    errors = plane_errors(found.planes[columns], old)
+    angle, offset = angle_and_offset(found.planes[columns], old)
     # For a plane seen at a slant, a small turn changes the distance a lot, and 1/Z where it is hardly; for one that
     # the camera turns away from it is the other way round.
     x, y = (sums(tangent[row, column])[rows, columns] / squares for tangent in (view.tan_x, view.tan_y))
     before, now = (a[:, 0] * x + a[:, 1] * y + a[:, 2] for a in (-old[:, :3] / old[:, 3:], found.alpha[columns]))
     change = np.abs(now - before)
-    near = (np.abs(errors.offset) <= moved * np.abs(old[:, 3])) | (change <= moved * before)
+    near = (np.abs(offset) <= moved * np.abs(old[:, 3])) | (change <= moved * before)
     size = np.bincount(known.points.of, known.points.squares, len(known.ids))
     smaller = np.minimum(size[rows], view.sizes[1:][columns])
-    same = (squares >= SHARED * smaller) & (errors.angle_deg <= turned) & near
+    same = (squares >= SHARED * smaller) & (angle <= turned) & near
     # Planes in sight take precedence over those that were covered, and those known for long over new ones.
     weight = squares / (1.0 + known.missed[rows]) * np.sqrt(np.minimum(known.seen[rows], LONG))
     weight /= 1.0 + (change / np.maximum(close * before, 1e-12)) ** 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -10,33 +9,15 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.array_types import Floats
-from rgbd_planes.camera import Camera
-from rgbd_planes.saved import Arrays, Savable, check_alike, check_planes
-from rgbd_planes.tile_grid import common_labels
-from rgbd_planes.wording import counted, percent
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.status import Reason
+from rgbd_planes._core.text import counted, percent
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.fitting.saving import Arrays, Savable, check_alike, check_planes
+from rgbd_planes.fitting.tile_grid import common_labels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class Reason(enum.IntEnum):
-    """Why a pixel belongs to a plane, or to none."""
-
-    PLANE = 0
-    """It belongs to one."""
-    MISSING = 1
-    """Nothing was measured."""
-    UNCLAIMED = 2
-    """No plane nearby fits it."""
-    SMALL = 3
-    """Its region has too few pixels."""
-    ROUGH = 4
-    """Its region is not a plane: the residual is too large."""
-    NARROW = 5
-    """Its region is a strip of a few pixels, as depth edges make."""
-    CURVED = 6
-    """Its region is part of a curved surface."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,7 +82,7 @@ class Segmentation(Savable):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture."""
-        from rgbd_planes.preview import segments_html
+        from rgbd_planes.plotting.preview import segments_html
 
         return segments_html(self)
 

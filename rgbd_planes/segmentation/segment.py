@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes.aligned_arrays import aligned
-from rgbd_planes.array_types import Floats
-from rgbd_planes.caller_warnings import warn_caller
-from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_not_a_maker, check_whole, number
-from rgbd_planes.compilation import announced
-from rgbd_planes.depth import DepthFrame, as_depth_frame, step_of
-from rgbd_planes.distances import warn_of_distances
+from rgbd_planes._core.arrays import Floats, aligned
+from rgbd_planes._core.checks import check_whole, number
+from rgbd_planes._core.compile_notice import announced
+from rgbd_planes._core.status import Reason
+from rgbd_planes._core.user_warnings import warn_caller
+from rgbd_planes.camera.camera import Camera, check_camera
+from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, step_of
+from rgbd_planes.camera.frame_warnings import warn_of_distances
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes
 from rgbd_planes.kernels.segmentation.model.records import Rays, Reasons, Rules
 from rgbd_planes.kernels.segmentation.pipeline import find_planes, read_frame
-from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.noise.model import NoiseModel, check_not_a_maker
 from rgbd_planes.noise.sigma import LARGEST_NOISE
-from rgbd_planes.segmentation.noise import Given, noise_of
-from rgbd_planes.segmentation.result import Reason, Segmentation
+from rgbd_planes.segmentation.frame_noise import Given, noise_of
+from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
-from rgbd_planes.shared_errors import shares_errors
+from rgbd_planes.uncertainty.correlated_errors import shares_errors
 
 MIN_SIZE = 60  # pixels of a region, unless the caller says otherwise
 _RULES = Rules()

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.checks import FixedArguments, check_whole, each_of
-from rgbd_planes.depth import as_numbered_frame
+from rgbd_planes._core.checks import FixedArguments, check_whole, each_of
+from rgbd_planes._core.text import counted
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.frame import Frame, as_numbered_frame
 from rgbd_planes.segmentation.known_planes import KnownPlanes, View, recognise, remember
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_settings, segment_frame
-from rgbd_planes.sequences.frames import Frame
-from rgbd_planes.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,7 +44,7 @@ class TrackedSegmentation:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the counts and a small picture, in the colours of the ids."""
-        from rgbd_planes.preview import segments_html
+        from rgbd_planes.plotting.preview import segments_html
 
         return segments_html(self.segmentation, repr(self), self.ids)
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rgbd_planes.aligned_arrays import aligned
-from rgbd_planes.camera import Camera
+from rgbd_planes._core.arrays import aligned
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.pixel_pitch import lens_by_angle
 from rgbd_planes.kernels.segmentation.assign.contested_blocks import NEIGHBOURS
 from rgbd_planes.kernels.segmentation.model.pixel_noise import stretches as write_stretches
 from rgbd_planes.kernels.segmentation.model.records import (
@@ -21,7 +22,6 @@ from rgbd_planes.kernels.segmentation.model.records import (
     Rays,
     Runs,
 )
-from rgbd_planes.ray_pitch import lens_by_angle
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
 

@@ -8,14 +8,14 @@
 files leave open. A frame is read when it is asked for, and as it is stored.
 """
 
+from rgbd_planes.camera.frame import Frame
 from rgbd_planes.sequences.arkitscenes import arkitscenes
-from rgbd_planes.sequences.bag import rosbag
-from rgbd_planes.sequences.folder import folder
+from rgbd_planes.sequences.folder import folder, seven_scenes
 from rgbd_planes.sequences.formats import FORMATS, open_sequence
-from rgbd_planes.sequences.frames import Frame, FrameEntry, FrameSequence
-from rgbd_planes.sequences.mkv import mkv
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence
+from rgbd_planes.sequences.matroska import mkv
+from rgbd_planes.sequences.rosbag import rosbag
 from rgbd_planes.sequences.scannet import scannet, scannet_sens
-from rgbd_planes.sequences.seven_scenes import seven_scenes
 from rgbd_planes.sequences.tum import icl_nuim, tum
 
 __all__ = [

@@ -5,9 +5,9 @@ import math
 import os
 from pathlib import Path
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.images import read_depth
+from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, numbered, some
+from rgbd_planes.sequences.images import read_depth
 
 # Images and calibrations of one moment may be named a few milliseconds apart; frames are 16 ms apart.
 _SAME_MOMENT = 0.0085

@@ -2,9 +2,10 @@
 
 import os
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.images import DEPTH_SUFFIXES
+from rgbd_planes.camera import presets
+from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
+from rgbd_planes.sequences.images import DEPTH_SUFFIXES
 from rgbd_planes.sequences.tum import read_index
 
 
@@ -46,3 +47,28 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     files = [file for file in files if "depth" in file.stem.lower()] or files
     files = some(numbered(files), f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
     return image_sequence(files, camera, root)
+
+
+def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+    """Open a sequence of 7-Scenes (Shotton et al. 2013).
+
+    Parameters
+    ----------
+    path : folder
+        A ``seq-NN`` with ``frame-NNNNNN.depth.png``.
+    camera : Camera, optional
+        `presets.seven_scenes`, for which 0 and 65535 are missing, if not given.
+
+    Returns
+    -------
+    FrameSequence
+        Without times: the data set numbers its frames.
+
+    Raises
+    ------
+    NotADirectoryError, ValueError
+        It is not such a folder.
+    """
+    root = existing_folder(path)
+    files = some(numbered(root.glob("frame-*.depth.png")), "frame-*.depth.png", root)
+    return image_sequence(files, camera or presets.seven_scenes(), root)

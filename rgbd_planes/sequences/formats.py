@@ -4,16 +4,15 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, check_choice
-from rgbd_planes.images import RECORDINGS
+from rgbd_planes._core.checks import check_choice
+from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.sequences.arkitscenes import arkitscenes
-from rgbd_planes.sequences.bag import rosbag
-from rgbd_planes.sequences.folder import folder
+from rgbd_planes.sequences.folder import folder, seven_scenes
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, numbered
-from rgbd_planes.sequences.mkv import mkv
+from rgbd_planes.sequences.images import RECORDINGS
+from rgbd_planes.sequences.matroska import mkv
+from rgbd_planes.sequences.rosbag import rosbag
 from rgbd_planes.sequences.scannet import scannet, scannet_sens
-from rgbd_planes.sequences.seven_scenes import seven_scenes
 from rgbd_planes.sequences.tum import icl_nuim, tum
 
 FORMATS: dict[str, Callable[..., FrameSequence]] = {

@@ -1,6 +1,5 @@
 """What every format is reduced to: a list that describes the frames, and a function that reads one of them."""
 
-import math
 import os
 import re
 import threading
@@ -13,36 +12,12 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.checks import check_camera, each_of, number
-from rgbd_planes.images import read_depth
+from rgbd_planes._core.checks import each_of, number
+from rgbd_planes._core.text import counted
+from rgbd_planes.camera.camera import Camera, check_camera
+from rgbd_planes.camera.frame import Frame
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.wording import counted
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Frame:
-    """A depth frame with all that is needed to fit it.
-
-    Attributes
-    ----------
-    depth : (H, W) array
-        As stored; see `fit_tiles`.
-    camera : Camera
-    timestamp : float
-        Seconds on the recording's own clock; NaN where it states none.
-    name : str
-        The frame's name in its data set.
-    """
-
-    depth: NDArray[Any]
-    camera: Camera
-    timestamp: float
-    name: str
-
-    def __repr__(self) -> str:
-        time = "" if math.isnan(self.timestamp) else f", {self.timestamp:.6f} s"
-        return f"<Frame: {self.name}, {self.camera.width} x {self.camera.height} pixels{time}>"
+from rgbd_planes.sequences.images import read_depth
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import errno
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from rgbd_planes.files import MissingFolderError
-from rgbd_planes.wording import ranges, reason_of
+from rgbd_planes._core.files import MissingFolderError
+from rgbd_planes._core.text import ranges, reason_of
 
 # What the system says where nothing is wrong with a file: files or memory are short, or a disk, near or far, does not
 # answer. Not every system knows all of them.

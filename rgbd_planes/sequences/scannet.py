@@ -10,10 +10,10 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes.camera import Camera
-from rgbd_planes.files import existing_file, naming
-from rgbd_planes.images import read_depth
+from rgbd_planes._core.files import existing_file, naming
+from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, image_sequence, numbered, some
+from rgbd_planes.sequences.images import read_depth
 
 _ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
 _TRIED = 10  # images, until one can be read

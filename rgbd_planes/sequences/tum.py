@@ -5,8 +5,8 @@ import os
 import re
 from pathlib import Path
 
-from rgbd_planes import presets
-from rgbd_planes.camera import Camera
+from rgbd_planes.camera import presets
+from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
 
 _NUMBER = re.compile(r"freiburg([123])|(?:^|[^a-z])fr([123])(?![0-9])")

@@ -36,8 +36,8 @@ from .block import (
 # depths differ a hundredfold the series may be below 0: at most LARGEST_LOSS is taken off. Where the variance of this
 # variance, relative to its squared mean, is more than MOST_EVEN, or that of q so large that the series might be off
 # by what a chi-square of the tile's pixels shows (about 1/√n), means come from `noise_variances.means_over` instead.
-# Not where the squared residual is HOPELESS times what errors explain in the middle: such a tile crosses an edge, and is
-# no plane by any mean.
+# Not where the squared residual is HOPELESS times what errors explain in the middle: such a tile crosses an edge, and
+# is no plane by any mean.
 STEEPEST = 8.0
 LARGEST_LOSS = 0.5
 BENT_SQUARE = 0.2  # the variance of half the square of what is spread evenly, over the square of its own variance

@@ -1,0 +1,1 @@
+"""What knows no camera: arrays, checks, text, files, threads. Uses the kernels alone."""

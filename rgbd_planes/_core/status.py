@@ -1,0 +1,36 @@
+"""Why a part of a frame has a plane, or none."""
+
+import enum
+
+
+class TileStatus(enum.IntEnum):
+    """Whether a tile has a plane, or why not."""
+
+    OK = 0
+    """Fitted."""
+    TOO_FEW = 1
+    """Fewer than three valid pixels, or a larger share missing than ``max_missing``."""
+    DEGENERATE = 2
+    """The valid pixels do not determine a plane: collinear, or the plane passes through the camera centre. (A row of
+    pixels that a lens bends counts as determining one, however badly.)"""
+    ROUGH = 3
+    """Fitted, and it keeps its plane, but its residual is above ``max_error`` or what the noise explains."""
+
+
+class Reason(enum.IntEnum):
+    """Why a pixel belongs to a plane, or to none."""
+
+    PLANE = 0
+    """It belongs to one."""
+    MISSING = 1
+    """Nothing was measured."""
+    UNCLAIMED = 2
+    """No plane nearby fits it."""
+    SMALL = 3
+    """Its region has too few pixels."""
+    ROUGH = 4
+    """Its region is not a plane: the residual is too large."""
+    NARROW = 5
+    """Its region is a strip of a few pixels, as depth edges make."""
+    CURVED = 6
+    """Its region is part of a curved surface."""

@@ -1,0 +1,1 @@
+"""A sensor's geometry: intrinsics, lenses, rays, units of depth. Uses `noise` and `_core`."""

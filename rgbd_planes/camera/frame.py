@@ -1,0 +1,65 @@
+"""A depth frame of a sequence, with the camera that took it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from rgbd_planes._core.files import naming
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Frame:
+    """A depth frame with all that is needed to fit it.
+
+    Attributes
+    ----------
+    depth : (H, W) array
+        As stored; see `fit_tiles`.
+    camera : Camera
+    timestamp : float
+        Seconds on the recording's own clock; NaN where it states none.
+    name : str
+        The frame's name in its data set.
+    """
+
+    depth: NDArray[Any]
+    camera: Camera
+    timestamp: float
+    name: str
+
+    def __repr__(self) -> str:
+        time = "" if math.isnan(self.timestamp) else f", {self.timestamp:.6f} s"
+        return f"<Frame: {self.name}, {self.camera.width} x {self.camera.height} pixels{time}>"
+
+
+def depth_of(frame: ArrayLike | Frame, camera: Camera) -> ArrayLike:
+    """The depth of a frame of a sequence, taken by this camera; anything else is a depth itself.
+
+    Raises
+    ------
+    ValueError
+        The frame's own camera has other rays or another unit: its depth would be taken for what it is not.
+    """
+    if not isinstance(frame, Frame):
+        return frame
+    own = frame.camera
+    if own is not camera:
+        units = (own.depth_scale, own.disparity)
+        if own._lens != camera._lens or units not in ((None, None), (camera.depth_scale, camera.disparity)):
+            raise ValueError(
+                f"expected frames of the camera that is given, got {frame.name}, whose own camera has other intrinsics "
+                "or another unit; if it is the given one's all the same, give frame.depth"
+            )
+    return frame.depth
+
+
+def as_numbered_frame(number: int, frame: ArrayLike | Frame, camera: Camera) -> DepthFrame:
+    """`as_depth_frame` of one of many: an error begins with its number, from 0."""
+    with naming(f"frame {number}"):
+        return as_depth_frame(depth_of(frame, camera), camera)

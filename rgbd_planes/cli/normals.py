@@ -1,0 +1,71 @@
+"""``rgbd-planes normals``."""
+
+import argparse
+import io
+from pathlib import Path
+
+from rgbd_planes._core.text import percent
+from rgbd_planes.cli.arguments import FIGURES, Run, add_frame, check_outputs, read_frame, write_figure
+
+
+def normals(parser: argparse.ArgumentParser) -> Run:
+    """Compute the normal at every pixel of a depth image.
+
+    example: rgbd-planes normals depth.png --camera camera.json --out normals.npy
+    """
+    add_frame(parser)
+    parser.add_argument(
+        "--window", type=int, default=7, metavar="N", help="side of the window in pixels: odd, 3 to 31 (7)"
+    )
+    parser.add_argument(
+        "--avoid-edges",
+        action="store_true",
+        help="use a window beside an edge for pixels whose own window it runs through",
+    )
+    parser.add_argument(
+        "--max-missing",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="largest share of a window's pixels that may be missing (0.5)",
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
+    parser.add_argument("--out", type=Path, metavar="NPY", help="write the normals, (H, W, 3) float32")
+    parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and curvature")
+
+    def run(arguments: argparse.Namespace) -> int:
+        import numpy as np
+
+        import rgbd_planes as rp
+        from rgbd_planes._core.files import write_beside
+
+        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npy",), figure=FIGURES)
+        depth, camera, status = read_frame(arguments)
+        options = {
+            "avoid_edges": arguments.avoid_edges,
+            "max_missing": arguments.max_missing,
+            "num_threads": arguments.threads,
+        }
+        found = rp.normals(depth, camera, arguments.window, **options)
+        share = np.isfinite(found[..., 0]).mean()
+        height, width = camera.shape
+        print(
+            f"{width} x {height} pixels, windows of {arguments.window} x {arguments.window}: "
+            f"normals at {percent(share)} of the pixels."
+        )
+        if arguments.out is not None:
+            content = io.BytesIO()  # writing to a file, NumPy would not say why it cannot
+            np.save(content, found)
+            with write_beside(arguments.out) as beside:
+                beside.write_bytes(content.getbuffer())
+            print(f"Wrote {arguments.out}")
+        if arguments.figure is not None:
+            from rgbd_planes.plotting.surfaces import plot_surfaces
+
+            curvature = rp.curvature(depth, camera, arguments.window, **options)
+            figure = plot_surfaces(depth, camera, found, curvature, avoid_edges=arguments.avoid_edges)
+            write_figure(figure, arguments.figure)
+            print(f"Wrote {arguments.figure}")
+        return status
+
+    return run

@@ -1,0 +1,1 @@
+"""Scenes whose planes are known, and scores against them. Uses `fitting` and what is below it."""

@@ -1,0 +1,211 @@
+"""A recording for the rerun viewer: frames, points, planes and their polygons over time."""
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+
+from rgbd_planes._core.files import write_beside
+from rgbd_planes._core.optional_imports import needs
+from rgbd_planes._core.user_warnings import warn_caller
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.frame import Frame
+from rgbd_planes.export.tiles import polygons_of
+from rgbd_planes.fitting.tiles import TileFitter
+from rgbd_planes.plotting.colours import in_image, label_colours, normal_colours
+from rgbd_planes.segmentation.polygons import plane_polygons
+from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
+from rgbd_planes.segmentation.tracking import PlaneTracker
+from rgbd_planes.sequences.frames import FrameSequence, check_sequence
+from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
+
+Fit = TypeVar("Fit")
+
+_MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
+
+
+def record(
+    sequence: FrameSequence,
+    path: str | os.PathLike[str],
+    tile: int | tuple[int, int] = 16,
+    method: str = "range_explicit",
+    *,
+    max_missing: float = 0.5,
+    max_error: float | None = None,
+) -> None:
+    """Fit the tiles of a sequence and write a recording that rerun shows; whole or not at all.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    path : .rrd file
+    tile, method, max_missing, max_error
+        As in `rgbd_planes.fit_tiles`.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        rerun-sdk is not installed.
+    OSError
+        It cannot be written there, or a frame cannot be read for a reason that is not its own, as in
+        `rgbd_planes.fit_sequence`.
+    TypeError, ValueError
+        An argument cannot be used, or no frame can be read and fitted.
+
+    Warns
+    -----
+    UserWarning
+        Frames that cannot be read or fitted are skipped. And as `rgbd_planes.fit_tiles`.
+
+    Notes
+    -----
+    Entities: ``camera`` (pinhole and depth image, in metres; the distortion of an ordinary lens is not shown, and a
+    fisheye has ``points`` in place of the pinhole; where fx or fy is negative, x is to the right of the image all the
+    same, and y down),
+    ``planes/outlines`` and ``planes/normals`` (a tile's polygon and, from its middle, its normal, of the
+    length of the tile; red right, green up, blue towards the camera), ``fitted`` (number of fitted tiles).
+    Timelines: ``frame``, and ``time`` where the sequence has times.
+    """
+
+    @lru_cache(maxsize=1)
+    def fitter(camera: Camera) -> TileFitter:
+        return TileFitter(camera, tile, method, max_missing=max_missing, max_error=max_error)
+
+    with _recording(path) as (rr, stream):
+        check_sequence(sequence)
+        fitter(sequence.camera)  # what is wrong with the settings is wrong with no frame
+        for index, frame, tiles in _each(sequence, lambda frame: fitter(frame.camera).fit(frame.depth)):
+            camera = frame.camera
+            _log_frame(rr, stream, index, frame)
+            # In the axes of the image, the only ones that rerun's pinhole has.
+            corners, planes = polygons_of(tiles)
+            polygons, normals = in_image(corners, camera), in_image(planes[:, :3], camera)
+            colours = normal_colours(normals)
+            outlines = np.concatenate([polygons, polygons[:, :1]], axis=1)
+            size = np.linalg.norm(polygons[:, 0] - polygons[:, 2], axis=1, keepdims=True)
+            stream.log("planes/outlines", rr.LineStrips3D(outlines, colors=colours))
+            arrows = rr.Arrows3D(origins=polygons.mean(axis=1), vectors=normals * size, colors=colours)
+            stream.log("planes/normals", arrows)
+            stream.log("fitted", rr.Scalars(float(np.count_nonzero(tiles.fitted))))
+
+
+def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = MIN_SIZE) -> None:
+    """Segment a sequence and write a recording that rerun shows; whole or not at all.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    path : .rrd file
+    min_size : int
+        As in `rgbd_planes.segment`.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        rerun-sdk or shapely is not installed.
+    OSError
+        As `record`.
+    TypeError, ValueError
+        `min_size` cannot be used, or no frame can be read and segmented.
+
+    Warns
+    -----
+    UserWarning
+        Frames that cannot be read or segmented are skipped. And as `rgbd_planes.segment`.
+
+    Notes
+    -----
+    Entities: ``camera`` (as in `record`), ``camera/planes`` (the id of each pixel's plane, as
+    `segment_sequence` gives it, 0 for none; a frame of another size than the one before has new ids),
+    ``planes/outlines`` (outlines and holes, in the colour of the plane's id), ``found`` (number of planes).
+    Timelines as in `record`.
+    """
+    tracker = PlaneTracker()
+    most = 0
+    with _recording(path) as (rr, stream):
+        check_sequence(sequence)
+        check_min_size(min_size)
+        for index, frame, found in _each(sequence, lambda frame: segment(frame.depth, frame.camera, min_size=min_size)):
+            tracked = tracker.follow(found)
+            _log_frame(rr, stream, index, frame)
+            ids = (tracked.ids - 1) % _MOST_CLASSES + 1
+            labels = np.append(0, ids)[tracked.segmentation.labels]
+            stream.log("camera/planes", rr.SegmentationImage(labels.astype(np.uint16)))
+            most = max(most, int(ids.max(initial=0)))
+            colours = label_colours(most)
+            outlines, own = [], []
+            for plane in plane_polygons(tracked.segmentation):
+                rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
+                outlines += [in_image(ring, frame.camera) for ring in rings]
+                own += [colours[ids[plane.label - 1] - 1]] * len(rings)
+            stream.log("planes/outlines", rr.LineStrips3D(outlines, colors=np.reshape(own, (-1, 3))))
+            stream.log("found", rr.Scalars(float(len(tracked.ids))))
+        classes = [(i, str(i), colour) for i, colour in enumerate(label_colours(most).tolist(), start=1)]
+        stream.log("/", rr.AnnotationContext(classes), static=True)
+
+
+@contextmanager
+def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
+    """The module rerun and a stream into a file."""
+    with needs("rerun-sdk", "viewer"):
+        import rerun as rr
+    in_block = False
+    with write_beside(path, ".rrd") as beside:
+        try:
+            with rr.RecordingStream("rgbd_planes") as stream:
+                stream.save(beside)
+                stream.log("/", rr.ViewCoordinates.RDF, static=True)
+                in_block = True
+                yield rr, stream
+                in_block = False
+                stream.flush()
+        except RuntimeError as error:  # rerun's, for a full disk
+            if in_block:
+                raise
+            raise OSError(str(error)) from error
+
+
+def _each(sequence: FrameSequence, fit: Callable[[Frame], Fit]) -> Iterator[tuple[int, Frame, Fit]]:
+    """Number, frame and fit of those that can be read and fitted; in the end a warning names the others."""
+    problems = []
+    for index, name in enumerate(sequence.names):
+        try:
+            frame = sequence[index]
+            fitted = fit(frame)
+        except Exception as error:
+            problems.append(Problem(index, name, reason_to_skip(error, name)))
+            continue
+        yield index, frame, fitted
+    lines = in_words(problems)
+    if len(problems) == len(sequence):
+        raise ValueError(f"expected a frame that can be read and fitted, got none: {'; '.join(lines)}")
+    for line in lines:
+        warn_caller(f"skipped {line}")
+
+
+def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:
+    """Set the time, and log the camera and its depth."""
+    camera = frame.camera
+    stream.set_time("frame", sequence=index)
+    if math.isfinite(frame.timestamp):
+        stream.set_time("time", timestamp=frame.timestamp)
+    else:
+        stream.disable_timeline("time")  # which would stay at the frame before
+    points = camera.points(frame.depth)
+    if camera.distortion_model == "fisheye":  # rerun has no such camera
+        measured = np.isfinite(points[..., 2])
+        stream.log("points", rr.Points3D(in_image(points[measured], camera)))
+    else:
+        pinhole = rr.Pinhole(
+            focal_length=(abs(camera.fx), abs(camera.fy)),
+            principal_point=(camera.cx, camera.cy),
+            width=camera.width,
+            height=camera.height,
+        )
+        stream.log("camera", pinhole)
+    metres = np.nan_to_num(points[..., 2]).astype(np.float32)
+    stream.log("camera/depth", rr.DepthImage(metres, meter=1.0))

@@ -1,0 +1,1 @@
+"""Planes of tiles, windows, labels and unions; normals. Uses `uncertainty`, `plotting` and what is below them."""

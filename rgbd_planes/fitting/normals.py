@@ -1,0 +1,216 @@
+"""Normals and surface variation around every pixel of a depth frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes._core.checks import check_bool, check_num_threads, check_share, check_whole
+from rgbd_planes._core.compile_notice import announced
+from rgbd_planes._core.threads import choose_num_threads, run_in_ranges
+from rgbd_planes.camera.camera import Camera, check_camera
+from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, some_of, step_of
+from rgbd_planes.fitting.methods import valid_needed
+from rgbd_planes.kernels.fits import edge_windows
+from rgbd_planes.kernels.fits import normals as normal_kernels
+from rgbd_planes.kernels.moments.sliding_window import BAND
+
+_EDGES = 0.2  # most of the windows of a frame that are across edges
+
+
+def normals(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    window: int = 7,
+    *,
+    avoid_edges: bool = False,
+    max_missing: float = 0.5,
+    num_threads: int | None = None,
+) -> npt.NDArray[np.float32]:
+    """Fit a plane to the window around every pixel and return its normal.
+
+    The plane is the least-squares fit of the inverse depth to the window's valid pixels (the paper's eq. 15), whatever
+    is missing; at the border the window is clipped. The time hardly depends on the window's size.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        As `fit_tiles` takes it.
+    camera : Camera
+    window : int
+        Side of the square window in pixels: odd, 3 to 31.
+    avoid_edges : bool
+        Where an edge runs through a pixel's window, or too much of it is missing, use the one of eight windows beside
+        it, which still hold the pixel, that has the smallest residual: normals do not bleed over steps and creases.
+        See Notes.
+    max_missing : float
+        Share of the window's pixels inside the frame above which there is no normal; at 1 any pixels that determine a
+        plane will do.
+    num_threads : int, optional
+        None takes threads when the frame is large enough to pay for them. The result is the same for any number.
+
+    Returns
+    -------
+    (H, W, 3) ndarray of float32
+        Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, too much of
+        its window is (with ``avoid_edges``, of each of the eight, too), the window's valid pixels lie on one line, or
+        the pixel's ray does not meet the fitted plane. (A row of pixels that a lens bends counts as determining a
+        plane, however badly.) Sums and solution are float64; float32 only rounds the result, by less than 1e-7 rad.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that cannot be used, saying what was expected and what came.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
+
+    Notes
+    -----
+    A window counts as crossed by an edge when the variance of its residuals is larger than that of a window beside
+    it by more than noise explains: by the factor that the ratio of two such variances exceeds in one to two cases
+    of a thousand, or four with a window of 3, for independent normal noise. It does not count where rounding to the
+    frame's raw values makes as large a variance, or where most windows of the frame have one as large: sensors
+    round, too, and neighbouring pixels share errors, so that some windows are far calmer than others by chance. So
+    chance makes an edge where the frame is much noisier than elsewhere: of one pixel in a hundred with a window of
+    3, and eight others; where a fifth is missing of six in a hundred, and with a window of 7 of five in a thousand.
+    There is no threshold to set. It takes about four times as long. A surface that bends by more than its noise
+    within a window is also taken for an edge: its normals are then those half a window away; with a window of 15,
+    on a ball of 0.2 m radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 13° to 18° at
+    its very rim.
+    """
+    return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
+
+
+def curvature(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    window: int = 7,
+    *,
+    avoid_edges: bool = False,
+    max_missing: float = 0.5,
+    num_threads: int | None = None,
+) -> npt.NDArray[np.float32]:
+    """Surface variation around every pixel: how far the surface, or its noise, departs from the fitted plane.
+
+    Parameters
+    ----------
+    depth, camera, window, avoid_edges, max_missing, num_threads
+        As in `normals`.
+
+    Returns
+    -------
+    (H, W) ndarray of float32
+        Between 0 (flat) and 1. NaN where there is no normal.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `normals`.
+
+    Warns
+    -----
+    UserWarning
+        As `fit_tiles`.
+
+    Notes
+    -----
+    Surface variation is λ₁ / (λ₁ + λ₂ + λ₃), the share of the points' variance that lies across the plane
+    (Pauly, Gross, Kobbelt, "Efficient simplification of point-sampled surfaces", IEEE Visualization 2002); PCL
+    calls it curvature. Here the plane is that of `normals`; λ₁ is the mean squared distance of the points from it, and
+    λ₂ + λ₃ the variance of the plane's own points under the window's rays, both to first order in the window's
+    extent. Noise counts: a flat wall has λ₁ = σ², so a window must be wide enough for its points to spread
+    farther than the sensor's noise. It does not find depth edges: a plane across one runs along the rays, on which
+    the points spread far, so that it is small there; with ``avoid_edges`` it is that of one side.
+    """
+    return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=False)[1]
+
+
+def _surfaces(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    window: int,
+    avoid_edges: bool,
+    max_missing: float,
+    num_threads: int | None,
+    normals_only: bool,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return normals and surface variation, the latter empty for ``normals_only`` when that is quicker."""
+    check_camera(camera)
+    window = _check_window(window)
+    needed = valid_needed(np.arange(window**2 + 1), check_share("max_missing", max_missing))
+    avoid_edges = check_bool("avoid_edges", avoid_edges)
+    frame = as_depth_frame(depth, camera)
+    height, width = frame.raw.shape
+    needs_surfaces = avoid_edges or not normals_only or camera.is_distorted
+    threads = choose_num_threads(check_num_threads(num_threads), frame.raw.size)
+
+    made = np.empty((height, width, 3), np.float32)
+    variance = np.empty((height, width) if needs_surfaces else (0, 0), np.float32)
+    variation = np.empty_like(variance)
+    arrays = made.reshape(-1), variance.reshape(-1), variation.reshape(-1)
+    work: Any
+    if not camera.is_distorted:
+        rays = camera.fx, camera.fy, camera.tan_x_columns, camera.tan_y_rows
+
+        def work(start: int, stop: int) -> None:
+            normal_kernels.separable(
+                *frame.values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays
+            )
+    else:
+
+        def work(start: int, stop: int) -> None:
+            normal_kernels.distorted(
+                *frame.values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
+            )
+
+    with announced(("normals", camera.is_distorted, frame.raw.dtype)):
+        run_in_ranges(work, -(-height // BAND), threads)
+        if not avoid_edges:
+            return made, variation
+        chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
+        step = float(step_of(frame) * frame.scale)
+        rounding = step * step / 12.0  # which may be infinite, as a power may not
+        typical = _typical(frame, rounding, variance)
+
+        def choose(start: int, stop: int) -> None:
+            edge_windows.choose_windows(
+                frame.raw, frame.lowest, frame.highest, rounding, typical, frame.is_disparity, camera.tan_x,
+                camera.tan_y, window // 2, _ratio(window), arrays[0], variance, arrays[2], start, stop,
+                chosen, chosen_variation,
+            )  # fmt: skip
+
+        run_in_ranges(choose, height, threads)
+    return chosen, chosen_variation
+
+
+def _typical(frame: DepthFrame, rounding: float, variance: npt.NDArray[np.float32]) -> float:
+    """Median residual variance of a frame's windows, without those that are flat but for rounding; 0 if most are."""
+    some = some_of(variance)
+    with np.errstate(all="ignore"):  # of pixels nearer than anything
+        q = frame._replace(raw=some_of(frame.raw)).inverse_depth
+        flat = rounding if frame.is_disparity else rounding * (q / frame.scale) ** 4
+        uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
+    # In frames without noise the others are those across edges; of a sensor with coarse steps, those across steps.
+    return float(np.median(uneven)) if uneven.size > _EDGES * np.count_nonzero(np.isfinite(some)) else 0.0
+
+
+def _check_window(window: int) -> int:
+    side = check_whole("window", window, 3, "whole number of pixels")
+    if side > 31 or side % 2 == 0:
+        raise ValueError(f"window must be odd, from 3 to 31 pixels, got {window}")
+    return side
+
+
+def _ratio(window: int) -> float:
+    """Ratio of two residual variances of full windows that noise exceeds in one to four cases of a thousand.
+
+    Half the logarithm of a variance ratio of f and f degrees of freedom is about normal, with variance 1/f
+    (Fisher's z).
+    """
+    return math.exp(2.0 * 3.09 / math.sqrt(window * window - 3))

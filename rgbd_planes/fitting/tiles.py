@@ -1,0 +1,465 @@
+"""Fit a plane to every tile of a depth frame."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import operator
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rgbd_planes._core.arrays import Arrays
+from rgbd_planes._core.checks import (
+    FixedArguments,
+    check_choice,
+    check_max_error,
+    check_num_threads,
+    check_share,
+    each_of,
+)
+from rgbd_planes._core.compile_notice import announced
+from rgbd_planes._core.threads import Work, choose_num_threads, run_in_ranges, submit
+from rgbd_planes.camera.camera import Camera, check_camera
+from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, as_depth_frames
+from rgbd_planes.camera.frame import as_numbered_frame
+from rgbd_planes.camera.frame_warnings import warn_of_noise
+from rgbd_planes.fitting.methods import ARRAYS, METHODS, SOLVES, in_order, solve_planes, valid_needed
+from rgbd_planes.fitting.results import allocate
+from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_windows
+from rgbd_planes.fitting.tile_planes import TilePlanes, assessment_of_tiles
+from rgbd_planes.fitting.window_moments import WindowMoments
+from rgbd_planes.kernels.fits import tiles as tile_kernels
+
+if TYPE_CHECKING:
+    from rgbd_planes.camera.frame import Frame
+
+IMPLEMENTATIONS = ("direct", "integral", "naive")
+
+_MANY = 8  # frames for each thread that are enough to share out whole ones fairly
+# Of frames in one array a thread fits so many in one call: only in between, in Python, do threads wait for one another.
+_PIXELS_AT_ONCE = 5_000_000
+
+_arrays_of = operator.attrgetter(*ARRAYS)
+
+
+@functools.lru_cache(maxsize=16)
+def _valid_needed(frame: tuple[int, int], tile: tuple[int, int], max_missing: float) -> npt.NDArray[np.float64]:
+    """`valid_needed` of all tiles of a frame of (height, width)."""
+    needed = valid_needed(tile_footprints(frame, tile)[:, 0], max_missing)
+    needed.flags.writeable = False
+    return needed
+
+
+class TileFitter(FixedArguments):
+    """Fits the tiles of one camera's frames; what depends on the camera alone is computed once, here.
+
+    Its attributes camera, tile, method and implementation cannot be changed: make a new one.
+
+    Parameters
+    ----------
+    camera, tile, method, implementation, max_missing, max_error, significance, num_threads
+        As in `fit_tiles`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that cannot be used, saying what was expected and what came.
+    """
+
+    camera: Camera
+    tile: tuple[int, int]
+    method: str
+    implementation: str
+
+    def __init__(
+        self,
+        camera: Camera,
+        tile: int | tuple[int, int] = 16,
+        method: str = "range_explicit",
+        *,
+        implementation: str = "direct",
+        max_missing: float = 0.5,
+        max_error: float | None = None,
+        significance: float | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        check_camera(camera)
+        check_choice("method", method, METHODS)
+        check_choice("implementation", implementation, IMPLEMENTATIONS)
+        max_missing = check_share("max_missing", max_missing)
+        tile = check_tile(tile, camera.shape)
+        vars(self).update(camera=camera, tile=tile, method=method, implementation=implementation)
+        self._options: dict[str, Any] = {
+            "implementation": implementation, "max_missing": max_missing, "max_error": max_error,
+            "significance": significance, "num_threads": num_threads,
+        }  # fmt: skip
+        self._max_error = check_max_error(max_error)
+        self._num_threads = check_num_threads(num_threads)
+
+        self._noise_is_asked = threading.Lock()  # kept from the first frame on that tells; no thread waits for it
+        self._grid = grid_shape(camera, self.tile)
+        # A copy: for a read-only array kernels would be compiled again.
+        self._needed = _valid_needed(camera.shape, self.tile, max_missing).copy()
+        self._compiled_for = method, implementation, camera.is_distorted
+        self._assessment = assessment_of_tiles(camera, method, significance, self.tile)
+        if implementation == "direct":
+            centre, tan_x, tan_y = tile_rays(camera, self.tile)
+            self._of_camera = (
+                tan_x, tan_y, *self.tile, centre.reshape(2, -1), self._needed, *SOLVES[method], self._max_error,
+            )  # fmt: skip
+        else:
+            self._windows = tile_windows(camera.shape, self.tile)
+            self._window_moments = WindowMoments(camera, method, implementation)
+            self._full_windows = np.empty((6, len(self._windows)))
+            self._window_moments.camera_moments(self._windows, 0, len(self._windows), self._full_windows)
+
+    def __repr__(self) -> str:
+        (rows, columns), (height, width) = self._grid, self.tile
+        return f"<TileFitter: {rows} x {columns} tiles of {height} x {width} pixels, {self.method}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Numba pickles a kernel as code to be compiled without its cache, and arrays come back writable, for which
+        # kernels would be compiled again.
+        return functools.partial(type(self), **self._options), (self.camera, self.tile, self.method)
+
+    def fit(self, depth: npt.ArrayLike, out: TilePlanes | None = None) -> TilePlanes:
+        """Fit the tiles of a frame.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like
+            Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
+            ``disparity``, disparities.
+        out : TilePlanes, optional
+            An earlier result for a frame of this fitter: its arrays are written into, with those of its
+            uncertainty if it was asked for that, and it is returned.
+
+        Returns
+        -------
+        TilePlanes
+            Arrays of shape (R, C, ...).
+
+        Raises
+        ------
+        TypeError, ValueError
+            The frame is not an array of the camera's size, or is one of integers without a unit; or ``out`` is not a
+            result of this fitter for one frame.
+
+        Warns
+        -----
+        UserWarning
+            As `fit_tiles`.
+        """
+        return self._fit(as_depth_frame(depth, self.camera), out)
+
+    def _fit(self, frame: DepthFrame, out: TilePlanes | None = None) -> TilePlanes:
+        if out is None:
+            arrays = self._arrays((), None)
+            fit, out = self._into(arrays), self._result(arrays)
+        else:
+            fit = self._into_result(out)
+        threads = choose_num_threads(self._num_threads, frame.raw.size)
+        with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
+            run_in_ranges(fit(frame), self._grid[0], threads)
+        return out
+
+    def fit_batch(
+        self, frames: Sequence[npt.ArrayLike | Frame] | npt.NDArray[Any], out: TilePlanes | None = None
+    ) -> TilePlanes:
+        """Fit the tiles of many frames, which threads share.
+
+        Parameters
+        ----------
+        frames : (F, H, W) array or sequence of (H, W), or of Frame by this camera, as of `open_sequence`
+            Each is asked for once, if there are eight or more for each thread; threads share fewer. With four threads
+            or more, an array takes less time than a sequence.
+        out : TilePlanes, optional
+            An earlier result for as many frames, as in `fit`.
+
+        Returns
+        -------
+        TilePlanes
+            Arrays of shape (F, R, C, ...).
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `fit`, for each frame; or there is no frame, or no length to count them by.
+
+        Warns
+        -----
+        UserWarning
+            As `fit_tiles`, for each frame.
+        """
+        if isinstance(frames, Mapping) or not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
+            raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any")
+        if len(frames) == 0:
+            raise ValueError("expected at least one frame, got none")
+        arrays = self._arrays((len(frames),), out)
+        rows = self._grid[0]
+
+        stack = None
+        if isinstance(frames, np.ndarray) and frames.ndim == 3 and self.implementation == "direct":
+            stack = frames
+        at_once = 1 if stack is None else max(1, _PIXELS_AT_ONCE // math.prod(self.camera.shape))
+
+        def fit_some(start: int, stop: int) -> None:
+            """Fit tile rows ``start`` to ``stop``, counted through all frames."""
+            end = -(-stop // rows)
+            for first in range(start // rows, end, at_once):
+                last = min(first + at_once, end)
+                if stack is None:
+                    frame = as_numbered_frame(first, frames[first], self.camera)
+                else:
+                    frame = as_depth_frames(stack[first:last], self.camera)
+                fit = self._into({name: array[first:last] for name, array in arrays.items()})
+                with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
+                    fit(frame)(max(start - first * rows, 0), min(stop, last * rows) - first * rows)
+
+        threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
+        # A frame that two threads share is read twice; but of a few whole ones, some threads would get many more than
+        # others.
+        step = rows if len(frames) >= _MANY * threads else 1
+        run_in_ranges(lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads)
+        return self._result(arrays) if out is None else out
+
+    def fit_stream(self, frames: Iterable[npt.ArrayLike | Frame]) -> Iterator[TilePlanes]:
+        """Fit the tiles of frames one after the other, as they come, in constant memory.
+
+        Parameters
+        ----------
+        frames : iterable of (H, W) array_like, or of Frame by this camera
+            Of any length, even without end: a generator that reads a camera or files.
+
+        Yields
+        ------
+        TilePlanes
+            Of one frame, in order. With ``num_threads`` above 1, that many frames are fitted at a time, and read ahead:
+            a frame must then not be overwritten before its planes have come. Otherwise each frame is finished before
+            the next is asked for.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `fit`, in place of the frame's planes, after which no more come. Exceptions from ``frames`` itself come
+            after the planes of all earlier frames.
+
+        Warns
+        -----
+        UserWarning
+            As `fit_tiles`, for each frame.
+        """
+        return self._stream(each_of(frames))
+
+    def _stream(self, source: Iterator[npt.ArrayLike | Frame]) -> Iterator[TilePlanes]:
+        ahead = 1 if self._num_threads is None else self._num_threads
+        if ahead == 1:
+            for number, frame in enumerate(source):
+                yield self._fit(as_numbered_frame(number, frame, self.camera))
+            return
+        waiting: deque[Callable[[], TilePlanes]] = deque()
+        wrong: Exception | None = None
+        for number in itertools.count():
+            try:
+                frame = next(source)
+            except StopIteration:  # not kept: it refers to this call's variables, which would refer to it
+                break
+            except Exception as error:  # raised after the planes of earlier frames
+                wrong = error
+                break
+            waiting.append(submit(self._fit_alone, ahead, number, frame))
+            if len(waiting) == ahead:
+                yield waiting.popleft()()
+        while waiting:
+            yield waiting.popleft()()
+        if wrong is not None:
+            raise wrong
+
+    def _fit_alone(self, number: int, depth: npt.ArrayLike | Frame) -> TilePlanes:
+        """Fit a frame in this thread."""
+        arrays = self._arrays((), None)
+        frame = as_numbered_frame(number, depth, self.camera)
+        with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
+            self._into(arrays)(frame)(0, self._grid[0])
+        return self._result(arrays)
+
+    def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
+        if out is None:
+            return allocate(frames, self._grid)
+        shape = frames + self._grid
+        if (
+            not isinstance(out, TilePlanes)
+            or out.shape != shape
+            or out.tile != self.tile
+            or out.camera != self.camera
+            or out.method != self.method
+        ):
+            raise ValueError(f"out must be a result of this fitter of shape {shape}, got {out!r}")
+        arrays = dict(zip(ARRAYS, _arrays_of(out), strict=True))
+        for name, array in arrays.items():
+            if not (array.flags.c_contiguous and array.flags.writeable):
+                raise ValueError(f"expected an out whose arrays are contiguous and may be written, {name} is not")
+        statistics = out._asked_for
+        if statistics is not None:
+            arrays["_statistics"] = statistics.rows
+        return arrays
+
+    def _result(self, arrays: Arrays) -> TilePlanes:
+        return TilePlanes(camera=self.camera, method=self.method, tile=self.tile, **arrays)
+
+    def _into_result(self, out: TilePlanes) -> Callable[[DepthFrame], Work]:
+        """`_into` the arrays of a result; kept with it, since checking and making it takes 5 µs."""
+        statistics = getattr(out, "_asked_for", None)
+        kept = getattr(out, "_kept", None)
+        if kept is None or kept[0] is not self or kept[1] is not statistics:
+            kept = self, statistics, self._into(self._arrays((), out))
+            out.__dict__["_kept"] = kept
+        fit: Callable[[DepthFrame], Work] = kept[2]
+        return fit
+
+    def _into(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
+        """Return a function of a frame that returns a function to fit some of its tile rows into ``arrays``.
+
+        Or of as many frames, all at once, as there are arrays for.
+        """
+        fit = self._direct(arrays) if self.implementation == "direct" else self._windowed(arrays)
+        if self.camera.noise is None:
+            return fit
+        assess, columns = self._assessment.of(arrays), self._grid[1]
+
+        def fit_and_assess(frame: DepthFrame) -> Work:
+            if not self._noise_is_asked.locked():
+                self._warn_of_noise(frame)
+            fit_rows = fit(frame)
+
+            def work(start: int, stop: int) -> None:
+                fit_rows(start, stop)
+                assess(start * columns, stop * columns)
+
+            return work
+
+        return fit_and_assess
+
+    def _warn_of_noise(self, frame: DepthFrame) -> None:
+        """Ask one frame of all, the first with measurements, whether the noise is in other units."""
+        if self._noise_is_asked.acquire(blocking=False) and not warn_of_noise(frame, self.camera.noise):
+            self._noise_is_asked.release()
+
+    def _direct(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
+        frames = arrays["status"].size // math.prod(self._grid)
+        results = [array.reshape(frames, -1) for array in in_order(arrays)]
+
+        def fit(frame: DepthFrame) -> Work:
+            # Numba compiles for depth images and for disparity images.
+            offset = frame.offset if frame.is_disparity else None
+            values = frame.raw.reshape(frames, *self.camera.shape), frame.lowest, frame.highest, frame.scale, offset
+            return lambda start, stop: tile_kernels.fit_tiles(*values, *self._of_camera, start, stop, *results)
+
+        return fit
+
+    def _windowed(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
+        moments = arrays["_moments"].reshape(10, -1)
+        columns = self._grid[1]
+
+        def fit(frame: DepthFrame) -> Work:
+            arrays["_reference"][:] = 0.0
+            source = self._window_moments.prepare(frame)
+
+            def work(start: int, stop: int) -> None:
+                start, stop = start * columns, stop * columns
+                source(self._windows, self._full_windows, start, stop, moments)
+                solve_planes(self.method, arrays, self._needed, self._max_error, start, stop, source.total)
+
+            return work
+
+        return fit
+
+
+def fit_tiles(
+    depth: npt.ArrayLike,
+    camera: Camera,
+    tile: int | tuple[int, int] = 16,
+    method: str = "range_explicit",
+    *,
+    implementation: str = "direct",
+    max_missing: float = 0.5,
+    max_error: float | None = None,
+    significance: float | None = None,
+    num_threads: int | None = None,
+) -> TilePlanes:
+    """Fit a plane to every tile of a depth frame.
+
+    For many frames of one camera, make a `TileFitter` once; it has the same parameters.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        Along the optical axis, not along the ray. Integers in the camera's ``depth_scale`` or ``disparity``, or
+        floats: metres, or, where the camera has ``disparity``, disparities. Missing is NaN, infinity, 0 and
+        negative depth, one of the camera's ``invalid_values`` or outside its ``depth_range``.
+    camera : Camera
+    tile : int or (height, width)
+        Size of a tile in pixels, at least 2 each way. A frame that is not a multiple of it keeps its ragged last row
+        and column of tiles.
+    method : str
+        ``range_explicit``, least squares of the inverse depth (the paper's eq. 15), the maximum-likelihood fit for a
+        disparity sensor whose pixels err independently; ``range_implicit`` (eq. 14); ``standard_explicit``, least
+        squares of Z (eq. 7); ``standard_implicit`` (eq. 6); ``standard_pca``, the orthogonal regression. The implicit
+        methods depend on the unit of length, since the paper's norm mixes the normal with an offset: here it is the
+        metre.
+    implementation : {"direct", "integral", "naive"}
+        Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes, up to
+        rounding, which sums over a whole frame leave more of: by ``standard_`` methods small tiles may be DEGENERATE.
+    max_missing : float
+        Share of missing pixels above which a tile gets TOO_FEW; at 1 any pixels that determine a plane are fitted.
+    max_error : float, optional
+        Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
+    significance : float, optional
+        For a camera with a noise model: tiles get ROUGH whose residual the noise alone exceeds less often than this, at
+        any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
+    num_threads : int, optional
+        None takes threads when the work is large enough to pay for them. The result is the same for any number.
+
+    Returns
+    -------
+    TilePlanes
+        Arrays of shape (R, C, ...).
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that cannot be used, saying what was expected and what came.
+
+    Warns
+    -----
+    UserWarning
+        Most likely something is not meant as it is:
+
+        - The unit of the frame: its typical depth is above 50 m, or all of its depths are below 2 cm, or it has 8 bits
+          and ends before 1 m, as a picture does. A ``depth_range`` that reaches beyond 50 m, or ends below those
+          limits, says that this is meant; of a ``disparity`` a scale of 1 does, as that of a network's has no unit.
+        - The unit of the ``depth_range``: it begins beyond 50 m and leaves nothing of the frame, which is between those
+          numbers of millimetres.
+        - A number that means missing, but counts as depth in more than one pixel of a hundred: 65535 or 32767, the
+          largest of 16 bits; one beyond 50 m and more than three times as far as all else in the frame, such as the
+          1e10 of a renderer's sky, unless the ``depth_range`` reaches beyond 50 m; a disparity of 0 or less.
+        - The direction of z: all depths are negative.
+        - The unit of the camera's noise model: it says more than a fifth of 1/Z. A `TileFitter` asks one frame for it.
+    """
+    fitter = TileFitter(
+        camera,
+        tile,
+        method,
+        implementation=implementation,
+        max_missing=max_missing,
+        max_error=max_error,
+        significance=significance,
+        num_threads=num_threads,
+    )
+    return fitter.fit(depth)

@@ -1,0 +1,1 @@
+"""A sensor's noise, estimated from its frames. Uses `fitting` and what is below it."""

@@ -1,0 +1,284 @@
+"""ROS 1 and ROS 2 bags, read by rosbags: no ROS needed. RealSense recordings are ROS 1 bags."""
+
+import atexit
+import io
+import math
+import os
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes._core.files import damage, existing_file, identity, naming, readable
+from rgbd_planes._core.optional_imports import needs
+from rgbd_planes.camera.calibrations import depth_scale_of
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
+from rgbd_planes.sequences.images import check_png_size
+
+_BAG = "a ROS bag"
+_IMAGES = "sensor_msgs/msg/Image"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_INFOS = "sensor_msgs/msg/CameraInfo"
+_GREY = "mono16"  # infrared images have it, too
+_ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
+
+_TRIED = 10  # messages of a topic, until one is whole
+
+# What saves a recording that was cut off, as by a power cut, by the suffix of its files.
+_SAVED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3's .recover"}
+
+
+def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None) -> FrameSequence:
+    """Open the depth images of a ROS 1 bag, a ROS 2 bag or a RealSense recording.
+
+    Parameters
+    ----------
+    path : .bag, .mcap or .db3 file, or folder of a ROS 2 bag
+    camera : Camera, optional
+        If not given, that of the topic's CameraInfo: the P of a topic named as rectified (``image_rect...``),
+        the K and D of any other. ROS has 16-bit depth in millimetres (REP 118); if a RealSense recording states its
+        unit, that is used.
+    topic : str, optional
+        A topic of sensor_msgs/Image (16UC1, mono16, 32FC1) or of CompressedImage (compressedDepth, PNG). Needed if a
+        bag has more than one with depth, or one of mono16 without "depth" in its name.
+
+    Returns
+    -------
+    FrameSequence
+        Timestamps are the messages' stamps in seconds, or the times of recording where they have none.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        rosbags is not installed.
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        It is not a bag, or damaged; it has no depth, or several topics of depth; it has no CameraInfo for them.
+    """
+    source = Path(path).absolute()
+    bag = _OpenBag(source)
+    try:
+        topics = bag.depth_topics()
+        named = [name for name, encoding in topics.items() if encoding != _GREY or "depth" in name.lower()]
+        if topic is None and len(named) == 1:
+            topic = named[0]
+        if topic not in topics:
+            asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
+            where = f"depth is in {', '.join(named)}" if named else f"depth is in none; there is {bag.contents()}"
+            raise ValueError(f"{path}: {asked}; {where}")
+        bag.check_type(topic)
+        camera = camera or bag.camera(topic)
+        entries = [
+            FrameEntry(f"{i:06d}", seconds, camera, _Location(source, topic, recorded, nth))
+            for i, (seconds, recorded, nth) in enumerate(bag.times(topic))
+        ]
+    finally:
+        bag.close()
+    return FrameSequence(entries, _read_message)
+
+
+class _Location(NamedTuple):
+    """Where a message is: the `nth` that was recorded at a certain time, in nanoseconds."""
+
+    path: Path
+    topic: str
+    recorded: int
+    nth: int
+
+
+class _OpenBag:
+    """A bag that is open for reading."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise ValueError(
+                f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none; "
+                "ros2 bag reindex makes one for the files of a recording"
+            )
+        if path.name.endswith(".bag.active"):
+            raise ValueError(f"{path}: a ROS bag that was not closed: rosbag reindex mends it, to be named .bag then")
+        if not path.is_dir():
+            existing_file(path)
+        with needs("rosbags", "ros"):
+            from rosbags import rosbag1, rosbag2
+            from rosbags.typesys import Stores, get_typestore
+        self.identity = identity(path)
+        self.is_ros1 = path.suffix == ".bag"
+        # Not the definitions of the bag, which those of older ROS 2 lack, and one of which may be damaged: what is read
+        # here is the same in all releases.
+        self._types = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
+        suffixes = {file.suffix for file in (path.iterdir() if path.is_dir() else [path])}
+        tool = next((tool for suffix, tool in _SAVED_BY.items() if suffix in suffixes), None)
+        remedy = f"; if the recording was cut off, {tool} saves what is there" if tool else ""
+        with readable(self.path, _BAG, remedy):
+            self._reader: Any = rosbag1.Reader(path) if self.is_ros1 else rosbag2.Reader(path)
+            self._reader.open()
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def __del__(self) -> None:
+        with suppress(Exception):  # closed already, or never opened
+            self._reader.close()
+
+    def messages(self, topic: str, **times: int) -> Iterator[tuple[int, bytes, str]]:
+        """Time in nanoseconds, content and type of the messages of a topic."""
+        connections = [c for c in self._reader.connections if c.topic == topic]
+        if connections:
+            with readable(self.path, _BAG):
+                for connection, time, content in self._reader.messages(connections, **times):
+                    yield time, content, connection.msgtype
+
+    def check_type(self, topic: str) -> None:
+        """Refuse a topic whose type is not what ROS has under that name."""
+        for connection in self._reader.connections:
+            kind = connection.msgtype
+            if connection.topic == topic and connection.digest:
+                known = self._types.generate_msgdef(kind)[1] if self.is_ros1 else self._types.hash_rihs01(kind)
+                if connection.digest != known:
+                    raise ValueError(f"{self.path}: {topic}: expected {kind} as ROS defines it, got another")
+
+    def first(self, topic: str) -> Any:
+        """The first message of a topic that is whole; None if there is none."""
+        for _, content, kind in islice(self.messages(topic), _TRIED):
+            with suppress(ValueError):
+                return self.message(content, kind)
+        return None
+
+    def message(self, content: bytes, kind: str) -> Any:
+        with readable(self.path, _BAG):
+            read = self._types.deserialize_ros1 if self.is_ros1 else self._types.deserialize_cdr
+            return read(content, kind)
+
+    def depth_topics(self) -> dict[str, str]:
+        """Encodings of the topics whose first message may be a depth image."""
+        found = {}
+        for topic, about in sorted(self._reader.topics.items()):
+            message = self.first(topic) if about.msgtype in (_IMAGES, _COMPRESSED) else None
+            if message is None:
+                continue
+            if about.msgtype == _IMAGES and message.encoding in _ENCODINGS:
+                found[topic] = message.encoding
+            elif about.msgtype == _COMPRESSED and "compressedDepth" in message.format:
+                found[topic] = message.format
+        return found
+
+    def contents(self) -> str:
+        """The topics and their types, in words."""
+        topics = sorted(self._reader.topics.items())
+        return ", ".join(f"{name} ({about.msgtype})" for name, about in topics) or "no topic at all"
+
+    def camera(self, topic: str) -> Camera:
+        """The camera of the CameraInfo that is nearest to a topic in the tree of names."""
+        infos = {name for name, about in self._reader.topics.items() if about.msgtype == _INFOS}
+        parents = [topic.rsplit("/", i)[0] for i in range(1, topic.count("/") + 1)]
+        nearest = [f"{p}{info}" for p in parents for info in ("/camera_info", "/info/camera_info")]
+        name = next((name for name in nearest if name in infos), "")
+        self.check_type(name)
+        info = self.first(name)
+        if info is None:
+            raise ValueError(
+                f"{self.path}: expected a CameraInfo beside {topic}, or a camera; "
+                f"there is {', '.join(sorted(infos)) or 'none'}"
+            )
+        rectified = re.search(r"(^|[_/])rect", topic) is not None
+        with naming(self.path):
+            return Camera.from_ros(info, rectified=rectified, depth_scale=self._depth_scale(topic))
+
+    def _depth_scale(self, topic: str) -> float:
+        sensor = re.match(r"(/device_\d+/sensor_\d+)/", topic)
+        if sensor is not None:
+            for name in self._reader.topics:
+                if re.fullmatch(re.escape(sensor[1]) + r"/option/Depth[_ ]Units/value", name):
+                    return depth_scale_of(getattr(self.first(name), "data", None))  # type: ignore[arg-type]
+        return 1000.0
+
+    def times(self, topic: str) -> Iterator[tuple[float, int, int]]:
+        """(seconds, nanoseconds of recording, index among those recorded then) of every message, in order."""
+        previous, nth = None, 0
+        for recorded, content, _ in self.messages(topic):
+            nth = nth + 1 if recorded == previous else 0
+            previous = recorded
+            stamp = self._stamp(content)
+            yield stamp or recorded * 1e-9, recorded, nth
+
+    def _stamp(self, content: bytes) -> float:
+        """Seconds of the header that both kinds of message begin with; 0 where it is not set."""
+        # ROS 1: the header's number, then its time. CDR: the encoding, then the header's time.
+        with readable(self.path, _BAG):
+            order = "<" if self.is_ros1 or content[1] & 1 else ">"
+            seconds, nanoseconds = struct.unpack_from(f"{order}II", content, 4)
+        return float(seconds + nanoseconds * 1e-9)
+
+
+_open = kept_open()
+
+
+@atexit.register
+def _close_the_last_one() -> None:
+    # At its end the interpreter would warn about the bag's file before it lets go of the bag.
+    _open.__dict__.clear()
+
+
+def _read_message(location: _Location) -> NDArray[Any]:
+    # A bag stays open in its thread: opening it reads its index.
+    bag: _OpenBag | None = getattr(_open, "bag", None)
+    if bag is None or (bag.path, bag.identity) != (location.path, identity(location.path)):
+        bag = _open.bag = _OpenBag(location.path)
+    times = {"start": location.recorded, "stop": location.recorded + 1}
+    for nth, (_, content, kind) in enumerate(bag.messages(location.topic, **times)):
+        if nth == location.nth:
+            message = bag.message(content, kind)
+            try:
+                return _decode_compressed(message) if kind == _COMPRESSED else _decode(message)
+            except ValueError as error:
+                raise ValueError(f"{location.path}: {location.topic}: {error}") from None
+    raise ValueError(f"{location.path}: the message of {location.recorded * 1e-9:.6f} s is gone")
+
+
+def _decode(image: Any) -> NDArray[Any]:
+    """The depth in a sensor_msgs/Image, whose rows may be padded."""
+    if image.encoding not in _ENCODINGS:
+        raise ValueError(f"expected the encoding {', '.join(_ENCODINGS)}, got {image.encoding!r}")
+    dtype = np.dtype(_ENCODINGS[image.encoding]).newbyteorder(">" if image.is_bigendian else "<")
+    height, width, step = int(image.height), int(image.width), int(image.step)
+    if step < width * dtype.itemsize or len(image.data) < height * step:
+        raise ValueError(f"truncated image: {len(image.data)} bytes for {height} rows of {step} bytes, {width} pixels")
+    rows = np.asarray(image.data, np.uint8)[: height * step].reshape(height, step)
+    return rows[:, : width * dtype.itemsize].copy().view(dtype).astype(dtype.newbyteorder("="))
+
+
+def _decode_compressed(image: Any) -> NDArray[Any]:
+    """The depth in a sensor_msgs/CompressedImage of compressed_depth_image_transport.
+
+    Before the PNG there are twelve bytes: a number and the A and B with which floats were quantised, as
+    A / Z + B.
+    """
+    from PIL import Image
+
+    encoding = image.format.split(";")[0].strip()
+    if encoding not in ("16UC1", "32FC1") or "rvl" in image.format.lower():
+        raise ValueError(f"expected depth compressed as PNG, 16UC1 or 32FC1, got {image.format!r}")
+    content = bytes(image.data)
+    try:
+        _, a, b = struct.unpack_from("<iff", content)
+        with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
+            check_png_size(png, len(content))
+            pixels = np.array(png)
+    except Exception as error:  # from the bytes before it, or one of Pillow's many
+        raise damage("damaged compressed image", error) from None
+    if pixels.ndim != 2:
+        raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
+    if encoding == "16UC1":
+        return pixels.astype(np.uint16)
+    with np.errstate(all="ignore"):
+        return np.where(pixels == 0, math.nan, a / (pixels.astype(np.float32) - b)).astype(np.float32)

@@ -1,0 +1,29 @@
+"""What errors that neighbours share do to the planes of parts of any shape."""
+
+import numpy as np
+
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
+from rgbd_planes.kernels.statistics.tiles.block import COLUMNS
+from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.uncertainty.statistics import settings_of
+
+
+def shares_errors(noise: NoiseModel | None) -> bool:
+    """Whether a noise model has errors that neighbours share."""
+    return noise is not None and any(length for _, length in noise._components)
+
+
+def covariances_by_shape(
+    runs: PixelRuns, camera: Camera, counts: Floats, rays: Floats, alpha: Floats, with_freedom: bool = True
+) -> Floats:
+    """(N, COLUMNS) float64: see `kernels.statistics.shared_errors.shared_covariances`; by the camera's noise."""
+    # Its many kernels take 10 ms to import, of which fits and segments without such errors have no use.
+    from rgbd_planes.kernels.statistics.correlated_errors import shared_covariances
+
+    assert camera.noise is not None
+    components = np.array(camera.noise._components)
+    made = np.empty((len(alpha), COLUMNS))
+    shared_covariances(runs, *camera._rays, counts, rays, alpha, settings_of(camera), components, with_freedom, made)
+    return made
