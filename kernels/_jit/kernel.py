@@ -30,19 +30,23 @@ has_cache = True
 """Whether compiled kernels have a place on disk: False if neither the installation nor the home folder is writable."""
 
 
+LAYERS = ("_jit", "common", "moments", "solvers", "fits", "statistics", "segmentation")
+"""Folders of kernels, lowest first. A kernel calls those of its own folder and of folders before it."""
+
+
 @functools.cache
-def _sources_digest() -> str:
-    """Digest of all kernel sources.
+def _sources_digest(folder: str = LAYERS[-1]) -> str:
+    """Digest of the kernels' sources in a folder and in all below it.
 
     Numba's cache looks only at the file of the function itself: a kernel that calls another file's
     kernel would stay stale when that file changes. The digest in the function's qualified name, which is
-    part of the cache's file name, gives every change to any kernel a new cache entry.
+    part of the cache's file name, gives every change to what a kernel may call a new cache entry.
     """
     digest = hashlib.sha256()
-    folder = KERNELS
-    paths = sorted(folder.glob("**/*.py"))
+    folders = LAYERS[: LAYERS.index(folder) + 1]
+    paths = sorted(path for name in folders for path in (KERNELS / name).glob("**/*.py"))
     for path in paths:
-        digest.update(path.relative_to(folder).as_posix().encode())
+        digest.update(path.relative_to(KERNELS).as_posix().encode())
         digest.update(path.read_bytes())
     if not paths:  # they are in a zip, or in a program without sources, which another may replace
         stat = os.stat(getattr(__loader__, "archive", sys.executable))
@@ -52,9 +56,12 @@ def _sources_digest() -> str:
 
 @functools.cache
 def _digest(file: str) -> str:
-    """Digest of all kernel sources, and of the file of a kernel that lies elsewhere, as those of the benches do."""
+    """Digest of what a kernel in this file may call, and of the file itself if it lies elsewhere, as in the benches."""
     path = Path(file)
-    if path.is_relative_to(KERNELS) or not path.is_file():
+    if path.is_relative_to(KERNELS):
+        folder = path.relative_to(KERNELS).parts[0]
+        return _sources_digest(folder if folder in LAYERS else LAYERS[-1])
+    if not path.is_file():
         return _sources_digest()
     return hashlib.sha256(_sources_digest().encode() + path.read_bytes()).hexdigest()[:12]
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from frames import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 
 import rgbd_planes as rp
 

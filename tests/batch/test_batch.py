@@ -943,7 +943,7 @@ def cluster(tmp_path):
     pytest.importorskip("distributed")
     environment = os.environ | {
         "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "1h",
-        "PYTHONPATH": os.pathsep.join([*sys.path, os.path.dirname(__file__)]),
+        "PYTHONPATH": os.pathsep.join(sys.path),
     }
     started = []
 

@@ -3,6 +3,7 @@
 import errno
 import importlib.util
 import os
+import shutil
 import time
 import zipfile
 from pathlib import Path
@@ -62,6 +63,23 @@ def test_a_kernel_elsewhere_is_another_one_if_its_file_changes(of_a_process, fil
     path.write_text(path.read_text().replace("def twice(x): return x + x", "def twice(x): return 2 + x"))
     jit._digest.cache_clear()  # as in another process
     assert of_a_process()(3) == 5
+
+
+def test_a_change_gives_kernels_of_its_folder_and_of_those_above_new_files(tmp_path, monkeypatch):
+    """What a kernel may call is in its own folder and in those below; nothing of it may stay stale."""
+    copied = tmp_path / "kernels"
+    shutil.copytree(jit.KERNELS, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(jit, "KERNELS", copied)
+
+    def digests() -> list[str]:
+        return [jit._sources_digest.__wrapped__(folder) for folder in jit.LAYERS]
+
+    assert {path.name for path in copied.iterdir() if path.is_dir()} == set(jit.LAYERS)
+    for changed, folder in enumerate(jit.LAYERS):
+        before = digests()
+        path = sorted((copied / folder).glob("**/*.py"))[-1]
+        path.write_text(path.read_text() + "# changed\n")
+        assert [a != b for a, b in zip(before, digests(), strict=True)] == [i >= changed for i in range(len(before))]
 
 
 def test_kernels_of_other_sources_are_removed_after_a_while(of_a_process, files, tmp_path):

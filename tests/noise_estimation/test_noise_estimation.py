@@ -1,10 +1,10 @@
 """Noise estimated from frames: a known one is found again, and it serves frames it was not estimated from."""
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from noisy_scenes import CAMERA, VIEWS, rendering, smooth
 from scipy import ndimage
 
 import rgbd_planes as rp
@@ -15,20 +15,6 @@ from rgbd_planes.noise_estimation import large_planes as large
 from rgbd_planes.noise_estimation.bias_map import flatness
 from rgbd_planes.noise_estimation.large_planes import large_planes
 from rgbd_planes.noise_estimation.samples import WINDOW, Samples, _mode, flat_windows, outlying, unevenness
-
-CAMERA = rp.Camera(480, 384, 394.0, 394.0, 239.5, 191.5, depth_scale=10000.0)
-VIEWS = [((0.35 - 0.2 * i, -1.5, -0.2 + 0.1 * i), (-0.12 + 0.3 * i, -0.8 - 0.2 * i, 2.6)) for i in range(4)]
-
-
-@functools.cache
-def rendering(*view):
-    return rp.scenes.room(*view).render(CAMERA)
-
-
-def smooth(rng, length):
-    """Normal errors of variance 1 whose correlation at distance r is exp(-r²/(2·length²))."""
-    width = length / np.sqrt(2.0)
-    return ndimage.gaussian_filter(rng.standard_normal(CAMERA.shape), width, mode="wrap") * 2.0 * width * np.sqrt(np.pi)
 
 
 def frames(model, rng, views=VIEWS):

@@ -11,8 +11,8 @@ import warnings
 
 import numpy as np
 import pytest
+from frames import make_camera, make_depth
 from processes import printed_by
-from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
 import rgbd_planes.kernels

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_tiles import make_camera, make_depth, make_holes
+from frames import make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
 from rgbd_planes.kernels.solvers import methods as solve

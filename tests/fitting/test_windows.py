@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from frames import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_tiles import CHANGE, METHODS, RMSE_FLOOR, assert_equals_oracle, make_camera, make_depth
 
 import rgbd_planes as rp
 from rgbd_planes._core.status import TileStatus

@@ -23,7 +23,7 @@ from rgbd_planes.cli import main as cli
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.sequences import images
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTIONAL = {

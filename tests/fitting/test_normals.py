@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from frames import DISTORTIONS, as_dtype, make_camera, make_depth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image
-from test_tiles import DISTORTIONS, as_dtype, make_camera, make_depth
 
 import rgbd_planes as rp
 from rgbd_planes.cli import main as cli

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frames import make_camera, make_depth
 from scipy import stats
 from scipy.linalg import eigvalsh
-from test_tiles import make_camera, make_depth
 
 import rgbd_planes as rp
 from bench import monte_carlo

@@ -12,8 +12,8 @@ import weakref
 
 import numpy as np
 import pytest
+from frames import METHODS, as_dtype, make_camera, make_depth, make_holes
 from processes import printed_by
-from test_tiles import METHODS, as_dtype, make_camera, make_depth, make_holes
 
 import rgbd_planes as rp
 from rgbd_planes._core import threads

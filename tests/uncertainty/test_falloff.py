@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from noisy_scenes import CAMERA as SEEING
+from noisy_scenes import VIEWS, rendering, smooth
 from scipy import stats
 from scipy.ndimage import gaussian_filter
-from test_noise_estimation import CAMERA as SEEING
-from test_noise_estimation import VIEWS, rendering, smooth
 
 import rgbd_planes as rp
 from bench import real_data
