@@ -941,10 +941,7 @@ def test_frames_of_another_size_are_an_error_before_a_table_is_begun(recording, 
 def cluster(tmp_path):
     """A scheduler and three workers, each a process of its own."""
     pytest.importorskip("distributed")
-    environment = os.environ | {
-        "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "1h",
-        "PYTHONPATH": os.pathsep.join(sys.path),
-    }
+    environment = os.environ | {"DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "1h", "PYTHONPATH": os.pathsep.join(sys.path)}
     started = []
 
     def start(*arguments):

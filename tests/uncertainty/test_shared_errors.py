@@ -13,6 +13,7 @@ import rgbd_planes as rp
 from bench import monte_carlo
 from bench.monte_carlo import CORRELATED
 from rgbd_planes.camera.depth_frame import DepthFrame
+from rgbd_planes.fitting.methods import METHODS
 from rgbd_planes.kernels.segmentation.refit.interior import runs_inside
 from rgbd_planes.kernels.statistics.tiles.block import EXPECTED, FREEDOM
 from rgbd_planes.uncertainty.pixel_runs import joined, runs_found, runs_of_labels, runs_of_windows
@@ -130,7 +131,7 @@ def test_variances_that_differ(noise, distortion):
     assert most < 1.03
 
 
-@pytest.mark.parametrize("method", rp.fitting.METHODS)
+@pytest.mark.parametrize("method", METHODS)
 def test_of_all_methods(method, rng):
     """They have the covariance of `range_explicit` on the same pixels, whatever the depths: here 1 to 3 m."""
     shape = (20, 20)
