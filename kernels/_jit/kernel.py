@@ -9,6 +9,7 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -30,40 +31,42 @@ has_cache = True
 """Whether compiled kernels have a place on disk: False if neither the installation nor the home folder is writable."""
 
 
-LAYERS = ("_jit", "common", "moments", "solvers", "fits", "statistics", "segmentation")
-"""Folders of kernels, lowest first. A kernel calls those of its own folder and of folders before it."""
-
-
-@functools.cache
-def _sources_digest(folder: str = LAYERS[-1]) -> str:
-    """Digest of the kernels' sources in a folder and in all below it.
-
-    Numba's cache looks only at the file of the function itself: a kernel that calls another file's
-    kernel would stay stale when that file changes. The digest in the function's qualified name, which is
-    part of the cache's file name, gives every change to what a kernel may call a new cache entry.
-    """
-    digest = hashlib.sha256()
-    folders = LAYERS[: LAYERS.index(folder) + 1]
-    paths = sorted(path for name in folders for path in (KERNELS / name).glob("**/*.py"))
-    for path in paths:
-        digest.update(path.relative_to(KERNELS).as_posix().encode())
-        digest.update(path.read_bytes())
-    if not paths:  # they are in a zip, or in a program without sources, which another may replace
-        stat = os.stat(getattr(__loader__, "archive", sys.executable))
-        digest.update(repr((stat.st_mtime_ns, stat.st_size)).encode())
-    return digest.hexdigest()[:12]
+_IMPORTS = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 
 @functools.cache
 def _digest(file: str) -> str:
-    """Digest of what a kernel in this file may call, and of the file itself if it lies elsewhere, as in the benches."""
+    """Digest of a file's source and of the kernels that it imports.
+
+    Numba's cache looks only at the file of the function itself: a kernel that calls another file's kernel would stay
+    stale when that file changes. The digest in the function's qualified name, which is part of the cache's file name,
+    gives every change to what a kernel may call a new cache entry.
+    """
     path = Path(file)
+    if not path.is_file():  # in a zip, or in a program without sources, which another may replace
+        stat = os.stat(getattr(__loader__, "archive", sys.executable))
+        return hashlib.sha256(repr((stat.st_mtime_ns, stat.st_size)).encode()).hexdigest()[:12]
+    source = path.read_bytes()
+    digest = hashlib.sha256(source)
     if path.is_relative_to(KERNELS):
-        folder = path.relative_to(KERNELS).parts[0]
-        return _sources_digest(folder if folder in LAYERS else LAYERS[-1])
-    if not path.is_file():
-        return _sources_digest()
-    return hashlib.sha256(_sources_digest().encode() + path.read_bytes()).hexdigest()[:12]
+        for imported in _imported(path, source.decode()):
+            digest.update(_digest(str(imported)).encode())
+    else:  # it may import any of them, under any name
+        for each in sorted(KERNELS.glob("**/*.py")):
+            digest.update(_digest(str(each)).encode())
+    return digest.hexdigest()[:12]
+
+
+def _imported(path: Path, source: str) -> list[Path]:
+    """The files that a kernel's file imports: all imports between kernels are relative, and at the top."""
+    found = []
+    for dots, module, names in _IMPORTS.findall(source):
+        place = path.parents[len(dots) - 1].joinpath(*module.split("."))
+        if place.is_dir():
+            found += [place / f"{name.split()[0]}.py" for name in names.strip("()").split(",") if name.strip()]
+        else:
+            found.append(place.with_suffix(".py"))
+    return sorted(set(found))
 
 
 def _of_any_value(template: Callable[..., Any]) -> Callable[..., Any]:

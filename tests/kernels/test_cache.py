@@ -1,5 +1,6 @@
 """Compiled kernels on disk: what one process saves, another loads, whatever happened in between."""
 
+import ast
 import errno
 import importlib.util
 import os
@@ -65,21 +66,46 @@ def test_a_kernel_elsewhere_is_another_one_if_its_file_changes(of_a_process, fil
     assert of_a_process()(3) == 5
 
 
-def test_a_change_gives_kernels_of_its_folder_and_of_those_above_new_files(tmp_path, monkeypatch):
-    """What a kernel may call is in its own folder and in those below; nothing of it may stay stale."""
+def test_a_change_gives_new_files_to_all_kernels_that_may_call_it(tmp_path, monkeypatch):
+    """Those that import the changed file, however many files lie between; and no others."""
     copied = tmp_path / "kernels"
     shutil.copytree(jit.KERNELS, copied, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(jit, "KERNELS", copied)
+    paths = sorted(copied.glob("**/*.py"))
 
-    def digests() -> list[str]:
-        return [jit._sources_digest.__wrapped__(folder) for folder in jit.LAYERS]
+    def digests() -> dict[str, str]:
+        jit._digest.cache_clear()
+        return {path.relative_to(copied).as_posix(): jit._digest(str(path)) for path in paths}
 
-    assert {path.name for path in copied.iterdir() if path.is_dir()} == set(jit.LAYERS)
-    for changed, folder in enumerate(jit.LAYERS):
+    for changed, calls, does_not in (
+        ("solvers/eigen3.py", "fits/tiles.py", "moments/summed_area.py"),
+        ("common/union_find.py", "segmentation/pipeline.py", "fits/tiles.py"),
+        ("_jit/array_lowering.py", "segmentation/pipeline.py", "_jit/disk_cache.py"),
+    ):
         before = digests()
-        path = sorted((copied / folder).glob("**/*.py"))[-1]
-        path.write_text(path.read_text() + "# changed\n")
-        assert [a != b for a, b in zip(before, digests(), strict=True)] == [i >= changed for i in range(len(before))]
+        (copied / changed).write_text((copied / changed).read_text() + "# changed\n")
+        after = digests()
+        assert {name: before[name] != after[name] for name in (changed, calls, does_not)} == {
+            changed: True, calls: True, does_not: False
+        }  # fmt: skip
+    jit._digest.cache_clear()
+
+
+def test_all_imports_between_kernels_are_seen():
+    """What Python imports from other kernels' files, and what the digest looks for."""
+    for path in sorted(jit.KERNELS.glob("**/*.py")):
+        source = path.read_text()
+        expected = set()
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                place = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+                inside = place.is_dir()
+                expected |= {place / f"{name.name}.py" for name in node.names} if inside else {place.with_suffix(".py")}
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [each.name for each in node.names]
+                assert not any(name.startswith("rgbd_planes") for name in names), path
+        assert set(jit._imported(path, source)) == expected
+        assert all(each.is_file() for each in expected)
 
 
 def test_kernels_of_other_sources_are_removed_after_a_while(of_a_process, files, tmp_path):
