@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.files import naming
@@ -26,12 +27,15 @@ class Frame:
         Seconds on the recording's own clock; NaN where it states none.
     name : str
         The frame's name in its data set.
+    pose : (4, 4) array of float64, or None
+        Camera to world in metres, as the data set states it: X_world = pose · (X, Y, Z, 1). None where it states none.
     """
 
     depth: NDArray[Any]
     camera: Camera
     timestamp: float
     name: str
+    pose: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         time = "" if math.isnan(self.timestamp) else f", {self.timestamp:.6f} s"

@@ -8,6 +8,7 @@ from pathlib import Path
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, numbered, some
 from rgbd_planes.sequences.images import read_depth
+from rgbd_planes.sequences.poses import poses_of_trajectory, rotation_vector_line
 
 # Images and calibrations of one moment may be named a few milliseconds apart; frames are 16 ms apart.
 _SAME_MOMENT = 0.0085
@@ -27,7 +28,7 @@ def arkitscenes(path: str | os.PathLike[str], camera: Camera | None = None) -> F
     Returns
     -------
     FrameSequence
-        Seconds on the phone's clock.
+        Seconds on the phone's clock. With the poses of ``lowres_wide.traj``, between its two nearest lines.
 
     Raises
     ------
@@ -39,6 +40,8 @@ def arkitscenes(path: str | os.PathLike[str], camera: Camera | None = None) -> F
     times = [_seconds(file) for file in files]
     order = sorted(range(len(files)), key=times.__getitem__)
     cameras = _Calibrations(root / "lowres_wide_intrinsics") if camera is None else None
+    track = root / "lowres_wide.traj"
+    poses = poses_of_trajectory(track, times, rotation_vector_line) if track.is_file() else [None] * len(files)
     return FrameSequence(
         (
             FrameEntry(
@@ -46,6 +49,7 @@ def arkitscenes(path: str | os.PathLike[str], camera: Camera | None = None) -> F
                 times[i],
                 camera if cameras is None else cameras.at(times[i], files[i]),  # type: ignore[arg-type]
                 files[i],
+                poses[i],
             )
             for i in order
         ),

@@ -6,6 +6,7 @@ from rgbd_planes.camera import presets
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
 from rgbd_planes.sequences.images import DEPTH_SUFFIXES
+from rgbd_planes.sequences.poses import beside, poses_of_files, poses_of_trajectory, quaternion_line
 from rgbd_planes.sequences.tum import read_index
 
 
@@ -23,7 +24,9 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     Returns
     -------
     FrameSequence
-        With the times of ``depth.txt``, if there is one.
+        With the times of ``depth.txt``, if there is one, and poses, where files have them: ``NAME.pose.txt`` beside
+        ``NAME.depth.png``, ``pose/NAME.txt`` or ``poses/NAME.txt`` for ``depth/NAME.png``, or ``groundtruth.txt``, as
+        the TUM benchmark writes it.
 
     Raises
     ------
@@ -40,13 +43,15 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     index = root / "depth.txt"
     if index.is_file():
         times, files = read_index(index)
-        return image_sequence(files, camera, root, times)
+        truth = root / "groundtruth.txt"
+        track = poses_of_trajectory(truth, times, quaternion_line) if truth.is_file() else poses_of_files(beside(files))
+        return image_sequence(files, camera, root, times, track)
     place = root / "depth" if (root / "depth").is_dir() else root
     # A broken link stays, so that reading it is an error, and the frames after it keep their numbers.
     files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and not file.is_dir()]
     files = [file for file in files if "depth" in file.stem.lower()] or files
     files = some(numbered(files), f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
-    return image_sequence(files, camera, root)
+    return image_sequence(files, camera, root, poses=poses_of_files(beside(files)))
 
 
 def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
@@ -62,7 +67,7 @@ def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     Returns
     -------
     FrameSequence
-        Without times: the data set numbers its frames.
+        Without times: the data set numbers its frames. With the poses of ``frame-NNNNNN.pose.txt``.
 
     Raises
     ------
@@ -71,4 +76,5 @@ def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     """
     root = existing_folder(path)
     files = some(numbered(root.glob("frame-*.depth.png")), "frame-*.depth.png", root)
-    return image_sequence(files, camera or presets.seven_scenes(), root)
+    poses = poses_of_files(beside(files))
+    return image_sequence(files, camera or presets.seven_scenes(), root, poses=poses)

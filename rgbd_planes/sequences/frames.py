@@ -5,7 +5,7 @@ import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -28,6 +28,7 @@ class FrameEntry:
     timestamp: float
     camera: Camera
     location: Any
+    pose: NDArray[np.float64] | None = field(default=None, compare=False)
 
 
 class FrameSequence(Sequence[Frame]):
@@ -81,7 +82,7 @@ class FrameSequence(Sequence[Frame]):
             raise TypeError(f"expected the number of a frame, or a slice, got {index!r}") from None
         except IndexError:
             raise IndexError(f"expected the number of one of {len(self)} frames, got {index}") from None
-        return Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name)
+        return Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name, entry.pose)
 
     def __iter__(self) -> Iterator[Frame]:
         # Sequence's own takes an IndexError of the reader for the end.
@@ -131,13 +132,22 @@ class FrameSequence(Sequence[Frame]):
 
 
 def image_sequence(
-    files: Iterable[Path], camera: Camera, root: Path, timestamps: Iterable[float] | None = None
+    files: Iterable[Path],
+    camera: Camera,
+    root: Path,
+    timestamps: Iterable[float] | None = None,
+    poses: Iterable[NDArray[np.float64] | None] | None = None,
 ) -> FrameSequence:
     """A sequence of image files of one camera, named by their paths, below `root` if they are there."""
     paths = list(files)
     times = [float("nan")] * len(paths) if timestamps is None else timestamps
+    known = [None] * len(paths) if poses is None else poses
     return FrameSequence(
-        (FrameEntry(_name(path, root), time, camera, path) for path, time in zip(paths, times, strict=True)), read_depth
+        (
+            FrameEntry(_name(path, root), time, camera, path, pose)
+            for path, time, pose in zip(paths, times, known, strict=True)
+        ),
+        read_depth,
     )
 
 

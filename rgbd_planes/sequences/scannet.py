@@ -14,6 +14,7 @@ from rgbd_planes._core.files import existing_file, naming
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, image_sequence, numbered, some
 from rgbd_planes.sequences.images import read_depth
+from rgbd_planes.sequences.poses import beside, motion_of_numbers, poses_of_files
 
 _ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
 _TRIED = 10  # images, until one can be read
@@ -34,7 +35,8 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
     Returns
     -------
     FrameSequence
-        Without times: the exporters leave them out; `scannet_sens` has them.
+        Without times: the exporters leave them out; `scannet_sens` has them. With the poses of ``pose/N.txt`` or
+        ``frame-NNNNNN.pose.txt``.
 
     Raises
     ------
@@ -44,10 +46,13 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
     root = existing_folder(path)
     files = [file for file in root.glob("frame-*.depth.*") if file.suffix in (".pgm", ".png")]
     if files:
-        return image_sequence(numbered(files), camera or _camera_of_info(root / "_info.txt"), root)
+        files = numbered(files)
+        poses = poses_of_files(beside(files))
+        return image_sequence(files, camera or _camera_of_info(root / "_info.txt"), root, poses=poses)
     files = [file for file in (root / "depth").glob("*") if file.suffix in (".pgm", ".png")]
     files = some(numbered(files), "depth/N.png or frame-NNNNNN.depth.pgm", root)
-    return image_sequence(files, camera or _camera_of_matrix(root, files), root)
+    poses = poses_of_files(beside(files))
+    return image_sequence(files, camera or _camera_of_matrix(root, files), root, poses=poses)
 
 
 def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
@@ -63,7 +68,7 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     Returns
     -------
     FrameSequence
-        Seconds on the sensor's clock; NaN for a frame without a stamp.
+        Seconds on the sensor's clock; NaN for a frame without a stamp. With the file's poses.
 
     Raises
     ------
@@ -145,14 +150,14 @@ def _entries(stream: BinaryIO, file: Path, header: _Header, camera: Camera) -> A
     for i in range(header.frames):
         about = stream.read(_ABOUT_FRAME.size)
         if len(about) == _ABOUT_FRAME.size:
-            *_, microseconds, colour_size, depth_size = _ABOUT_FRAME.unpack(about)
+            *matrix, _, microseconds, colour_size, depth_size = _ABOUT_FRAME.unpack(about)
             start = stream.tell() + colour_size
         if len(about) < _ABOUT_FRAME.size or start + depth_size > end:
             raise ValueError(f"truncated: {end} bytes end in frame {i}, expected {header.frames} frames")
         stream.seek(start + depth_size)
         location = SensLocation(file, start, depth_size, header.compression, (height, width))
         time = microseconds * 1e-6 if microseconds else math.nan
-        yield FrameEntry(f"{i:06d}", time, camera, location)
+        yield FrameEntry(f"{i:06d}", time, camera, location, motion_of_numbers(matrix))
 
 
 def _unpack(stream: BinaryIO, layout: str) -> tuple[Any, ...]:

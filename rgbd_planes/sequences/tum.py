@@ -8,6 +8,7 @@ from pathlib import Path
 from rgbd_planes.camera import presets
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
+from rgbd_planes.sequences.poses import poses_of_trajectory, quaternion_line
 
 _NUMBER = re.compile(r"freiburg([123])|(?:^|[^a-z])fr([123])(?![0-9])")
 _CAMERAS = {"1": presets.tum_freiburg1, "2": presets.tum_freiburg2, "3": presets.tum_freiburg3}
@@ -26,7 +27,7 @@ def tum(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     Returns
     -------
     FrameSequence
-        Seconds since 1970.
+        Seconds since 1970. With the poses of ``groundtruth.txt``, between its two nearest lines.
 
     Raises
     ------
@@ -44,7 +45,9 @@ def tum(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
             )
         camera = _CAMERAS[found[-1][0] or found[-1][1]]()
     times, files = read_index(root / "depth.txt")
-    return image_sequence(files, camera, root, times)
+    truth = root / "groundtruth.txt"
+    poses = poses_of_trajectory(truth, times, quaternion_line) if truth.is_file() else None
+    return image_sequence(files, camera, root, times, poses)
 
 
 def icl_nuim(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
