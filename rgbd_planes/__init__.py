@@ -21,6 +21,7 @@ _NAMES = {
     "Camera": "camera.camera",
     "FitSettings": "batch.worker",
     "LabelPlanes": "fitting.labels",
+    "LiveView": "export.live",
     "MergedPlanes": "fitting.merge",
     "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
     from rgbd_planes.evaluation import scenes as scenes
     from rgbd_planes.export import rerun as _recording
     from rgbd_planes.export import segments as _segments
+    from rgbd_planes.export.live import LiveView as LiveView
     from rgbd_planes.fitting.labels import LabelPlanes as LabelPlanes
     from rgbd_planes.fitting.labels import fit_labels as fit_labels
     from rgbd_planes.fitting.merge import MergedPlanes as MergedPlanes

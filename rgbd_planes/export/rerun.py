@@ -1,6 +1,5 @@
 """A recording for the rerun viewer: frames, points, planes and their polygons over time."""
 
-import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,22 +9,19 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rgbd_planes._core.files import write_beside
-from rgbd_planes._core.optional_imports import needs
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.frame import Frame
+from rgbd_planes.export.rerun_scene import PlaneColours, log_camera, log_depth, log_planes, rerun, set_time
 from rgbd_planes.export.tiles import polygons_of
 from rgbd_planes.fitting.tiles import TileFitter
-from rgbd_planes.plotting.colours import in_image, label_colours, normal_colours
-from rgbd_planes.segmentation.polygons import plane_polygons
+from rgbd_planes.plotting.colours import in_image, normal_colours
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker
 from rgbd_planes.sequences.frames import FrameSequence, check_sequence
 from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
 
 Fit = TypeVar("Fit")
-
-_MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
 
 
 def record(
@@ -125,34 +121,21 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     Timelines as in `record`.
     """
     tracker = PlaneTracker()
-    most = 0
+    colours = PlaneColours()
     with _recording(path) as (rr, stream):
         check_sequence(sequence)
         check_min_size(min_size)
         for index, frame, found in _each(sequence, lambda frame: segment(frame.depth, frame.camera, min_size=min_size)):
             tracked = tracker.follow(found)
             _log_frame(rr, stream, index, frame)
-            ids = (tracked.ids - 1) % _MOST_CLASSES + 1
-            labels = np.append(0, ids)[tracked.segmentation.labels]
-            stream.log("camera/planes", rr.SegmentationImage(labels.astype(np.uint16)))
-            most = max(most, int(ids.max(initial=0)))
-            colours = label_colours(most)
-            outlines, own = [], []
-            for plane in plane_polygons(tracked.segmentation):
-                rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
-                outlines += [in_image(ring, frame.camera) for ring in rings]
-                own += [colours[ids[plane.label - 1] - 1]] * len(rings)
-            stream.log("planes/outlines", rr.LineStrips3D(outlines, colors=np.reshape(own, (-1, 3))))
-            stream.log("found", rr.Scalars(float(len(tracked.ids))))
-        classes = [(i, str(i), colour) for i, colour in enumerate(label_colours(most).tolist(), start=1)]
-        stream.log("/", rr.AnnotationContext(classes), static=True)
+            log_planes(rr, stream, found, tracked.ids, colours)
+        colours.log(rr, stream)
 
 
 @contextmanager
 def _recording(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
     """The module rerun and a stream into a file."""
-    with needs("rerun-sdk", "viewer"):
-        import rerun as rr
+    rr = rerun()
     in_block = False
     with write_beside(path, ".rrd") as beside:
         try:
@@ -190,22 +173,10 @@ def _each(sequence: FrameSequence, fit: Callable[[Frame], Fit]) -> Iterator[tupl
 def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:
     """Set the time, and log the camera and its depth."""
     camera = frame.camera
-    stream.set_time("frame", sequence=index)
-    if math.isfinite(frame.timestamp):
-        stream.set_time("time", timestamp=frame.timestamp)
-    else:
-        stream.disable_timeline("time")  # which would stay at the frame before
+    set_time(stream, index, frame.timestamp)
     points = camera.points(frame.depth)
     if camera.distortion_model == "fisheye":  # rerun has no such camera
         measured = np.isfinite(points[..., 2])
         stream.log("points", rr.Points3D(in_image(points[measured], camera)))
-    else:
-        pinhole = rr.Pinhole(
-            focal_length=(abs(camera.fx), abs(camera.fy)),
-            principal_point=(camera.cx, camera.cy),
-            width=camera.width,
-            height=camera.height,
-        )
-        stream.log("camera", pinhole)
-    metres = np.nan_to_num(points[..., 2]).astype(np.float32)
-    stream.log("camera/depth", rr.DepthImage(metres, meter=1.0))
+    log_camera(rr, stream, camera)
+    log_depth(rr, stream, points[..., 2])

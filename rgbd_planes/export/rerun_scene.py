@@ -1,0 +1,107 @@
+"""What goes to rerun of a frame, and under which names: shared by recordings and by the live view."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes._core.optional_imports import needs
+from rgbd_planes.camera.camera import Camera
+from rgbd_planes.plotting.colours import NO_PLANE, in_image, label_colours
+from rgbd_planes.segmentation.polygons import plane_polygons
+from rgbd_planes.segmentation.result import Segmentation
+
+_MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
+_MOST_POINTS = 80_000
+
+
+def rerun() -> Any:
+    """The module rerun; an error says how to install it."""
+    with needs("rerun-sdk", "viewer"):
+        import rerun
+    return rerun
+
+
+def set_time(stream: Any, index: int, timestamp: float) -> None:
+    """Set the number of the frame, and its time where it has one."""
+    stream.set_time("frame", sequence=index)
+    if math.isfinite(timestamp):
+        stream.set_time("time", timestamp=timestamp)
+    else:
+        stream.disable_timeline("time")  # which would stay at the frame before
+
+
+def log_camera(rr: Any, stream: Any, camera: Camera) -> None:
+    """Log ``camera``, a pinhole; a fisheye has none in rerun."""
+    if camera.distortion_model != "fisheye":
+        pinhole = rr.Pinhole(
+            focal_length=(abs(camera.fx), abs(camera.fy)),
+            principal_point=(camera.cx, camera.cy),
+            width=camera.width,
+            height=camera.height,
+        )
+        stream.log("camera", pinhole)
+
+
+def log_depth(rr: Any, stream: Any, metres: NDArray[np.float64]) -> None:
+    """Log ``camera/depth``, in metres."""
+    stream.log("camera/depth", rr.DepthImage(np.nan_to_num(metres).astype(np.float32), meter=1.0))
+
+
+class PlaneColours:
+    """One colour for each id, which a plane keeps from frame to frame, and the list of them that the viewer needs."""
+
+    def __init__(self) -> None:
+        self.most = 0
+        self._colours = np.zeros((0, 3))
+
+    def classes(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
+        """(N,) int32: the class of each id, 1 to 65535."""
+        classes = (ids - 1) % _MOST_CLASSES + 1
+        self.most = max(self.most, int(classes.max(initial=0)))
+        if self.most > len(self._colours):
+            self._colours = label_colours(2 * self.most)
+        return np.asarray(classes)
+
+    def of_classes(self, classes: NDArray[np.int32]) -> NDArray[np.float64]:
+        """(N, 3) float64: RGB of classes; dark grey for 0."""
+        return np.vstack([NO_PLANE, self._colours])[classes]
+
+    def log(self, rr: Any, stream: Any) -> None:
+        """Log the names and colours of all classes so far."""
+        colours = self.of_classes(np.arange(self.most + 1, dtype=np.int32))
+        classes = [(i, str(i), colours[i].tolist()) for i in range(1, self.most + 1)]
+        stream.log("/", rr.AnnotationContext(classes), static=True)
+
+
+def log_planes(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int32], colours: PlaneColours) -> None:
+    """Log ``camera/planes`` (the id of each pixel's plane), ``planes/outlines`` and ``found`` (how many)."""
+    classes = colours.classes(ids)
+    labels = np.append(0, classes)[found.labels]
+    stream.log("camera/planes", rr.SegmentationImage(labels.astype(np.uint16)))
+    outlines, own = [], []
+    for plane in plane_polygons(found):
+        rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
+        outlines += [in_image(ring, found.camera) for ring in rings]
+        own += [classes[plane.label - 1]] * len(rings)
+    strips = rr.LineStrips3D(outlines, colors=colours.of_classes(np.array(own, np.int32)))
+    stream.log("planes/outlines", strips)
+    stream.log("found", rr.Scalars(float(len(ids))))
+
+
+def log_points(
+    rr: Any,
+    stream: Any,
+    points: NDArray[np.float64],
+    found: Segmentation,
+    ids: NDArray[np.int32],
+    colours: PlaneColours,
+) -> None:
+    """Log ``points``: up to 80,000 of those measured, in the colours of their planes, dark grey where there is none."""
+    step = max(1, math.ceil(math.sqrt(found.labels.size / _MOST_POINTS)))
+    some = points[::step, ::step]
+    measured = np.isfinite(some[..., 2])
+    classes = np.append(np.int32(0), colours.classes(ids))[found.labels[::step, ::step][measured]]
+    rgb = np.rint(255.0 * colours.of_classes(classes)).astype(np.uint8)
+    stream.log("points", rr.Points3D(in_image(some[measured], found.camera), colors=rgb))
