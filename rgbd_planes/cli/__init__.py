@@ -10,5 +10,6 @@ from rgbd_planes.cli.fit import fit
 from rgbd_planes.cli.noise import noise
 from rgbd_planes.cli.normals import normals
 from rgbd_planes.cli.segment import segment
+from rgbd_planes.cli.view import view
 
-COMMANDS = (demo, fit, segment, normals, noise, batch)
+COMMANDS = (demo, fit, segment, normals, noise, batch, view)

@@ -21,7 +21,7 @@ from rgbd_planes.segmentation.tracking import TrackedSegmentation
 
 _WEB_PORT, _DATA_PORT = 9090, 9876  # rerun's usual ones
 _MEMORY = "40%"  # of the machine's: what a browser that comes later still gets
-_CURVATURE = 1e-5, 1e-1  # the colours' ends: of flat surfaces with a sensor's noise, and of sharp edges
+_CURVATURE = 1e-4, 0.3  # the colours' ends: flat but for a little noise, and all but no surface at all
 
 
 class LiveView:
@@ -173,10 +173,12 @@ def _blueprint() -> Any:
         name="Planes", contents=["+ /**", "- /camera/depth", "- /camera/planes", "- /camera/curvature"]
     )
     images = rrb.Vertical(
-        rrb.Spatial2DView(origin="camera", name="Depth and planes", contents=["camera/depth", "camera/planes"]),
-        rrb.Spatial2DView(origin="camera", name="Curvature", contents=["camera/curvature"]),
+        *(
+            rrb.Spatial2DView(origin="camera", name=name.capitalize(), contents=[f"camera/{name}"])
+            for name in ("depth", "planes", "curvature")
+        )
     )
-    return rrb.Blueprint(rrb.Horizontal(scene, images, column_shares=[3, 2]), collapse_panels=True)
+    return rrb.Blueprint(rrb.Horizontal(scene, images, column_shares=[2, 1]), collapse_panels=True)
 
 
 def _curvature_colours(curvature: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:

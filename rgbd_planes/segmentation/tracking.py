@@ -147,6 +147,11 @@ class PlaneTracker(FixedArguments):
         self._shape = (0, 0)
         self._known = KnownPlanes()
 
+    @property
+    def newest(self) -> int:
+        """The id that was given last: how many planes there were so far."""
+        return self._newest
+
     def follow(self, found: Segmentation) -> TrackedSegmentation:
         """Give the planes of the next frame their ids: new ones if its size differs from the one before.
 
