@@ -21,7 +21,7 @@ from rgbd_planes.segmentation.tracking import TrackedSegmentation
 
 _WEB_PORT, _DATA_PORT = 9090, 9876  # rerun's usual ones
 _MEMORY = "40%"  # of the machine's: what a browser that comes later still gets
-_CURVATURE = 1e-4, 0.3  # the colours' ends: flat but for a little noise, and all but no surface at all
+_CURVATURE = 1e-3, 1.0  # ends of the colours: flat but for a little noise, and no surface at all
 
 
 class LiveView:
