@@ -12,18 +12,7 @@ start = time.perf_counter()
 import rgbd_planes as rp  # noqa: E402
 
 seconds = time.perf_counter() - start
-heavy = {
-    "numba",
-    "matplotlib",
-    "pandas",
-    "dask",
-    "distributed",
-    "pyarrow",
-    "rosbags",
-    "rerun",
-    "open3d",
-    "scipy",
-}
+heavy = {"numba", "matplotlib", "pandas", "dask", "distributed", "pyarrow", "rosbags", "rerun", "open3d", "scipy"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
 assert seconds < 0.5, f"import took {seconds:.2f} s"
 assert Path(rp.__file__).is_relative_to(sys.prefix), f"not the installed one: {rp.__file__}"

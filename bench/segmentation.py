@@ -333,7 +333,10 @@ def _by_rules(frame: Frame, rules: Rules) -> Scores:
     return score(found.labels, frame)
 
 
-STAGES = {"read, blocks": "read_frame", "noise": "noise_of", "planes and labels": "find_planes"}
+STAGES = {
+    "read, blocks": "read_frame", "noise": "noise_of", "regions": "find_regions", "curved": "find_curved",
+    "planes and labels": "_find_planes",
+}  # fmt: skip
 
 
 def timing(frames: Sequence[Frame], vga: Frame, rounds: int = 40) -> dict[str, Any]:

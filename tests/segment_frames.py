@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera
 from rgbd_planes.camera.depth_frame import as_depth_frame
-from rgbd_planes.kernels.segmentation.blocks.pyramid import block_moments
+from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 CAMERA = Camera(width=320, height=240, fx=262.5, fy=262.5, cx=159.5, cy=119.5, depth_scale=1000.0)
@@ -36,5 +36,5 @@ def blocks_and_squares(depth, camera):
     """Inverse depth, moments and planes of blocks and squares, largest inverse depth."""
     frame, rays = as_depth_frame(depth, camera), rays_of(camera)
     work = Workspace(camera)
-    nearest = block_moments(*frame.values, rays, work.inverse_depth, work.pyramid)
+    nearest = read_frame(*frame.values, rays, work.inverse_depth, work.pyramid)
     return work.inverse_depth, work.pyramid, nearest

@@ -16,25 +16,10 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
+from .replaced import replaced
+
 CACHE_LINE = 64
 """Bytes of a line of the cache."""
-
-
-@contextlib.contextmanager
-def _replaced(owner: Any, name: str, replacement: Any) -> Iterator[None]:
-    """Have an attribute be another meanwhile, or, if it does not exist, do nothing: a later Numba may differ inside."""
-    if not hasattr(owner, name):
-        yield
-        return
-    is_own, before = name in vars(owner), getattr(owner, name)
-    setattr(owner, name, replacement)
-    try:
-        yield
-    finally:
-        if is_own:
-            setattr(owner, name, before)
-        else:
-            delattr(owner, name)
 
 
 @contextlib.contextmanager
@@ -45,19 +30,19 @@ def as_kernels_need() -> Iterator[None]:
             from numba.core.registry import cpu_target
 
             context = cpu_target.target_context
-            stack.enter_context(_replaced(context, "get_preferred_array_alignment", lambda _: CACHE_LINE))
+            stack.enter_context(replaced(context, "get_preferred_array_alignment", lambda _: CACHE_LINE))
         with contextlib.suppress(ImportError, AttributeError):
             from numba.np import arrayobj
 
-            stack.enter_context(_replaced(arrayobj, "fix_integer_index", _index_from(arrayobj.fix_integer_index)))
+            stack.enter_context(replaced(arrayobj, "fix_integer_index", _index_from(arrayobj.fix_integer_index)))
         with contextlib.suppress(ImportError, AttributeError):
             from numba.core.runtime.context import NRTContext
 
-            stack.enter_context(_replaced(NRTContext, "meminfo_data", _data_within(NRTContext.meminfo_data)))
+            stack.enter_context(replaced(NRTContext, "meminfo_data", _data_within(NRTContext.meminfo_data)))
         with contextlib.suppress(ImportError, AttributeError):
             from numba.core.pythonapi import PythonAPI
 
-            stack.enter_context(_replaced(PythonAPI, "nrt_adapt_ndarray_from_python", _borrow_array))
+            stack.enter_context(replaced(PythonAPI, "nrt_adapt_ndarray_from_python", _borrow_array))
         yield
 
 

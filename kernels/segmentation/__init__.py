@@ -2,10 +2,10 @@
 
 - `blocks`: the frame becomes blocks of 4 x 4 pixels, and squares of blocks
 - `noise`: what the frame shows of its noise
-- `rounds`, three times: `merge` makes regions of blocks, `assign` gives pixels to regions
+- `merge` and `assign`, in rounds: regions are made of blocks, pixels go to regions
 - `curved`: regions that are no planes
 - `components`: regions become connected parts, parts become labels
 - `refit`: the final planes, from interior pixels
 
-`pipeline` calls them. A stage uses `model`, never another stage.
+`rgbd_planes.segmentation` calls them, one kernel a step. A stage uses `model`, never another stage.
 """

@@ -6,20 +6,18 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.status import Reason
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame
-from rgbd_planes.kernels.segmentation.model.records import BLOCK, Modelled, Noise, Pyramid, Rays
+from rgbd_planes.kernels.segmentation.model.records import BLOCK, Found, Labels, Modelled, Noise, Pyramid, Rays
 from rgbd_planes.kernels.segmentation.noise.correlation import SIZES, SMALLEST
 from rgbd_planes.kernels.segmentation.noise.frame_noise import ENTRIES, FLATNESS, MIDDLE, find_noise
 from rgbd_planes.kernels.segmentation.refit.interior import runs_inside
 from rgbd_planes.kernels.statistics.tiles.block import COLUMNS, EXPECTED
 from rgbd_planes.noise.model import SMALLEST_INVERSE_DEPTH, NoiseModel
 from rgbd_planes.noise.sigma import LARGEST_NOISE, check_noise, warn_of_large_noise
-from rgbd_planes.segmentation.workspace import Workspace
 from rgbd_planes.uncertainty.correlated_errors import covariances_by_shape
 from rgbd_planes.uncertainty.pixel_errors import mean_rays
 from rgbd_planes.uncertainty.pixel_runs import runs_found
@@ -47,26 +45,18 @@ class Given(NamedTuple):
     is_sensors: bool = False
     model: NoiseModel | None = None
 
-    def of_planes(
-        self,
-        work: Workspace,
-        labels: NDArray[np.int32],
-        reason: NDArray[np.uint8],
-        count: int,
-        camera: Camera,
-        together: float,
-    ) -> Modelled:
+    def of_planes(self, found: Found, labels: Labels, camera: Camera, together: float) -> Modelled:
         """What a noise model says of the planes that were found, whose pixels are labelled.
 
         ``together`` is that of `FrameNoise`. A model of independent errors says nothing of a frame whose pixels share
         them: how large the errors are, such a frame tells better.
         """
-        moments, alpha = work.found.inside[:count], work.found.alpha[:count]
+        moments, alpha, count = found.inside, found.alpha, len(found.moments)
         shared, alone = np.zeros((count, COLUMNS)), np.zeros(count)
         pixels = moments[:, 0]
         if self.model is not None:
-            of_pixels = labels, reason, np.uint8(Reason.MISSING), work.found.moments[:count], moments
-            runs = runs_found(lambda found: runs_inside(*of_pixels, found), labels.size, count)
+            of_pixels = *labels, np.uint8(Reason.MISSING), found.moments, moments
+            runs = runs_found(lambda inside: runs_inside(*of_pixels, inside), labels.label.size, count)
             counts, rays, q = mean_rays("range_explicit", moments.T.copy(), np.zeros((3, count)))
             shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)
             shared[np.isnan(shared[:, EXPECTED])] = 0.0  # without a plane of these pixels: then the frame tells

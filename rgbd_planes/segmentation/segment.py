@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats, aligned
 from rgbd_planes._core.checks import check_whole, number
@@ -16,12 +16,22 @@ from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.camera.frame_warnings import warn_of_distances
+from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
+from rgbd_planes.kernels.segmentation.components.components import find_parts
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays, write_labels
+from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_across_gaps
+from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
+from rgbd_planes.kernels.segmentation.components.runs import PIECES
+from rgbd_planes.kernels.segmentation.curved.curved import find_curved
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes
-from rgbd_planes.kernels.segmentation.model.records import Rays, Reasons, Rules
-from rgbd_planes.kernels.segmentation.pipeline import find_planes, read_frame
+from rgbd_planes.kernels.segmentation.model.records import Found, Labels, Rays, Reasons, Regions, Rules, View, plain
+from rgbd_planes.kernels.segmentation.noise.correlation import as_planes_show
+from rgbd_planes.kernels.segmentation.noise.estimate import nearest_surface
+from rgbd_planes.kernels.segmentation.refit.interior import fit_inside
 from rgbd_planes.noise.model import NoiseModel, check_not_a_maker
 from rgbd_planes.noise.sigma import LARGEST_NOISE
 from rgbd_planes.segmentation.frame_noise import Given, noise_of
+from rgbd_planes.segmentation.regions import find_regions, fitted
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
 from rgbd_planes.uncertainty.correlated_errors import shares_errors
@@ -137,28 +147,29 @@ def _segment(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules, rays: Rays, work: Workspace
 ) -> Segmentation:
     """Find the planes and their pixels, and describe them."""
-    nearest = read_frame(*frame.values, rays, work.inverse_depth, work.pyramid)
+    inverse_depth, pyramid = work.inverse_depth, work.pyramid
+    nearest = nearest_surface(pyramid, read_frame(*frame.values, rays, inverse_depth, pyramid))
     step_of_raw = step_of(frame)
-    noise, about_noise = noise_of(frame, step_of_raw, rays, work.pyramid, nearest, given)
-    rules = rules.tolerating(about_noise.tolerance)
-    labels, reason = aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8)
-    while True:
-        runs, count, together = find_planes(
-            work.inverse_depth, rays, work.pyramid, noise, given.is_sensors, rules, min(min_size, MIN_SIZE), min_size,
-            _REASONS, work.owners, work.contended, work.contacts, work.region_moments, work.runs, work.loose,
-            work.found, labels, reason,
-        )  # fmt: skip
-        if runs <= len(work.runs.start):
-            break
-        work.make_room(runs)  # there are more edges than in any frame before
+    noise, about_noise = noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
+    view = View(inverse_depth, rays, pyramid, noise, rules.tolerating(about_noise.tolerance), work.sensor)
+    regions, touching = find_regions(view, work, min(min_size, MIN_SIZE))
+    curved, deviation = np.empty(len(regions.moments), np.bool_), np.empty(len(regions.moments))
+    of_regions = plain(fitted(regions, view))
+    find_curved(plain(view), plain(regions), of_regions, plain(work.contacts), touching, curved, deviation)
+    labels = Labels(aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8))
+    found = _find_planes(view, regions, curved, deviation, min_size, labels, work)
+    together = noise.together
+    if given.is_sensors and together > 1.0:
+        together = as_planes_show(together, pyramid, labels.label, inverse_depth)
+    count = len(found.moments)
     planes, alpha, covariance = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3, 3))
     rmse, sizes = np.empty(count), np.empty(count, np.int32)
-    modelled = given.of_planes(work, labels, reason, count, camera, together)
+    modelled = given.of_planes(found, labels, camera, together)
     describe_planes(
-        work.found, noise, together, modelled, step_of_raw, frame.scale, frame.is_disparity, planes, alpha, covariance,
-        rmse, sizes,
+        plain(found), plain(noise), together, plain(modelled), step_of_raw, frame.scale, frame.is_disparity, planes,
+        alpha, covariance, rmse, sizes,
     )  # fmt: skip
-    if about_noise.is_rougher and sizes.sum() < 0.5 * np.count_nonzero(work.inverse_depth):
+    if about_noise.is_rougher and sizes.sum() < 0.5 * np.count_nonzero(inverse_depth):
         warn_caller(
             "the frame is several times as rough as the noise that is given, and less than half of it is on planes: "
             "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
@@ -168,12 +179,37 @@ def _segment(
         warn_of_distances(frame, camera)
     return Segmentation(
         camera=camera,
-        labels=labels,
+        labels=labels.label,
         planes=planes,
         alpha=alpha,
         alpha_covariance=covariance,
         sizes=sizes,
         rmse=rmse,
-        reason=reason,
+        reason=labels.reason,
         sigma=about_noise.typical_sigma,
     )
+
+
+def _find_planes(
+    view: View,
+    regions: Regions,
+    curved: NDArray[np.bool_],
+    deviation: Floats,
+    min_size: int,
+    labels: Labels,
+    work: Workspace,
+) -> Found:
+    """Find the connected parts of regions that are planes, fit these, and write their labels."""
+    work.make_room(regions.owners.block.size + PIECES * len(regions.shares.region))
+    seen, runs, found, its = plain(view), plain(work.runs), work.found, plain(labels)
+    planes, parts, loose = find_parts(
+        seen, plain(regions), curved, deviation, min(min_size, MIN_SIZE), plain(_REASONS), runs, plain(found)
+    )  # fmt: skip
+    found = found.first(planes, parts)
+    found = found.first(join_across_gaps(seen, runs, plain(found)), parts)
+    found = found.first(leave_out(len(found.moments), min_size, _REASONS.small, runs, plain(found)), parts)
+    loose = write_labels(view.inverse_depth, runs, plain(found), plain(_REASONS), loose, its)
+    release_rims(seen, plain(regions.shares), runs, plain(found), loose, min_size, _REASONS.unclaimed, its)
+    fit_inside(seen, its, _REASONS.missing, plain(found))
+    settle_strays(view.inverse_depth, runs, plain(found), loose, _REASONS.unclaimed, min_size, its)
+    return found

@@ -81,6 +81,8 @@ class Workspace:
             np.empty(NEIGHBOURS * blocks, np.int32),
             np.empty((NEIGHBOURS * blocks, 3)),
         )
+        self.sensor = np.empty(blocks)
+        self.region, self.last_region = np.empty((2, *self.blocks), np.int32)
         self.region_moments = np.empty((blocks, 10))
         self.contacts = Contacts(
             np.empty((4 * blocks + 1, 3), np.int32),
@@ -91,8 +93,9 @@ class Workspace:
         self.runs, self.found = self._room_for(3 * blocks)
 
     def make_room(self, runs: int) -> None:
-        """Have room for twice so many runs, and for as many parts and planes."""
-        self.runs, self.found = self._room_for(2 * runs)
+        """Have room for so many runs, and for as many parts and planes; if there is not, for twice so many."""
+        if runs > len(self.runs.start):  # there are more edges than in any frame before
+            self.runs, self.found = self._room_for(2 * runs)
 
     def _room_for(self, runs: int) -> tuple[Runs, Found]:
         return (
@@ -108,6 +111,7 @@ class Workspace:
                 rss=np.empty(runs),
                 weighted=np.empty((runs, 5)),
                 size=np.empty(runs + 1, np.int32),
+                loose=self.loose,
             ),
         )
 

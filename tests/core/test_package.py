@@ -200,7 +200,7 @@ distorted = rp.Camera(200, 150, 170.0, 170.0, 99.5, 74.5, (0.1, -0.2, 0.0, 0.0, 
 known = distorted.with_noise(rp.noise.NoiseModel((1e-3,), correlation=((0.5, 2.0),), floor=0.5))
 rp.warmup(distorted, dtypes=["uint16", "float32"], segment=True)
 before = compiled()
-assert before["find_planes"]
+assert before["find_parts"]
 for scene in (scenes.room(), scenes.room((0.1, -1.5, 0.0)), scenes.plane((0.0, 0.0, -1.0), 2.0)):
     depth = scene.render(distorted).measure(holes=0.05, patches=0.1)
     rp.segment(depth, distorted)

@@ -79,8 +79,8 @@ def test_a_change_gives_new_files_to_all_kernels_that_may_call_it(tmp_path, monk
 
     for changed, calls, does_not in (
         ("solvers/eigen3.py", "fits/tiles.py", "moments/summed_area.py"),
-        ("common/union_find.py", "segmentation/pipeline.py", "fits/tiles.py"),
-        ("_jit/array_lowering.py", "segmentation/pipeline.py", "_jit/disk_cache.py"),
+        ("common/union_find.py", "segmentation/curved/curved.py", "fits/tiles.py"),
+        ("_jit/array_lowering.py", "segmentation/curved/curved.py", "_jit/disk_cache.py"),
     ):
         before = digests()
         (copied / changed).write_text((copied / changed).read_text() + "# changed\n")

@@ -12,11 +12,22 @@ from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import take_over
 from rgbd_planes.kernels.segmentation.assign.whole_blocks import ALONE, DONE, OPEN, SAME, keep_unchanged
-from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
+from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
+from rgbd_planes.kernels.segmentation.blocks.quadtree import find_planar
 from rgbd_planes.kernels.segmentation.components.labels import is_lone, leave_out, settle_strays
 from rgbd_planes.kernels.segmentation.merge.merge import number_regions
-from rgbd_planes.kernels.segmentation.model.records import BLOCK, MIXED, Owners, Planes, Rays, Rules, Runs, Shares
-from rgbd_planes.kernels.segmentation.pipeline import read_frame
+from rgbd_planes.kernels.segmentation.model.records import (
+    BLOCK,
+    MIXED,
+    Found,
+    Labels,
+    Owners,
+    Planes,
+    Rays,
+    Rules,
+    Runs,
+    Shares,
+)
 from rgbd_planes.kernels.segmentation.refit.interior import inside_moments
 from rgbd_planes.segmentation.frame_noise import noise_of
 from rgbd_planes.segmentation.segment import _given
@@ -31,7 +42,7 @@ def test_four_squares_are_one_plane_if_joining_them_adds_little(holes):
     noise, _ = noise_of(frame, 1.0, rays, work.pyramid, nearest, _given(None))
     moments, rss, slope_square, offsets, shapes = work.pyramid
     sensor, state = np.empty(offsets[1]), np.empty(len(rss), np.int8)
-    join_blocks(work.pyramid, noise, rules, sensor, state)
+    find_planar(work.pyramid, noise, rules, sensor, state)
 
     n, entries = moments[0], noise.sigma[1:]
     q = moments[3] / np.maximum(n, 1.0)
@@ -186,13 +197,26 @@ def test_shares_of_regions_that_have_become_one_are_one():
     np.testing.assert_array_equal(new.moments[:3], [moments[0] + moments[2], moments[1], moments[4]])
 
 
+def settled(label, reason, loose):
+    """Settle the loose pixels; returns the sizes of the labels."""
+    sizes = np.bincount(label.ravel())
+    parts, planes, moments = np.empty(0, np.int32), np.empty(0), np.zeros((len(sizes) - 1, 10))
+    moments[:, 0] = sizes[1:]
+    found = Found(
+        parts, parts.astype(np.uint8), parts.astype(bool), moments, planes, moments, moments[:, :3].copy(), planes,
+        moments[:, :5].copy(), np.zeros(len(sizes), np.int32), np.append(loose, np.zeros(9, np.int32)),
+    )  # fmt: skip
+    runs = Runs(np.zeros(len(label) // BLOCK + 1, np.int32), *[np.empty(0, np.int32)] * 11)
+    settle_strays(np.ones(label.shape, np.float32), runs, found, len(loose), np.uint8(2), 3, Labels(label, reason))
+    return found.size
+
+
 def test_pixels_at_the_rim_of_the_image_get_no_label_from_its_other_side():
     """Of five without a label the one that has eight neighbours gets theirs."""
-    label, reason, sizes = np.ones((8, 12), np.int32), np.zeros((8, 12), np.uint8), np.array([0, 91], np.int32)
+    label, reason = np.ones((8, 12), np.int32), np.zeros((8, 12), np.uint8)
     loose = np.ravel_multi_index(([0, 7, 3, 3, 3], [5, 5, 0, 11, 5]), label.shape).astype(np.int32)
     label.flat[loose], reason.flat[loose] = 0, 2
-    runs = Runs(np.zeros(3, np.int32), *[np.empty(0, np.int32)] * 11)
-    settle_strays(runs, np.ones((8, 12), np.float32), np.uint8(2), 3, loose, 5, label, reason, sizes)
+    sizes = settled(label, reason, loose)
     assert label.flat[loose].tolist() == [0, 0, 0, 0, 1]
     assert reason.flat[loose].tolist() == [2, 2, 2, 2, 0]
     assert sizes[1] == 92
@@ -205,10 +229,8 @@ def test_a_pixel_gets_the_label_that_five_of_the_eight_around_it_have():
     label[1, 7:10] = label[2, 7] = 1  # four around (2, 8)
     label[7, 3:8] = label[8, 3] = label[9, 5] = 2  # five around (8, 4), and four around the two pixels beside it
     reason = np.where(label > 0, 0, 2).astype(np.uint8)
-    sizes = np.bincount(label.ravel()).astype(np.int32)
     loose = np.ravel_multi_index(([2, 2, 8, 8, 8], [2, 8, 4, 5, 6]), label.shape).astype(np.int32)
-    runs = Runs(np.zeros(4, np.int32), *[np.empty(0, np.int32)] * 11)
-    settle_strays(runs, np.ones(label.shape, np.float32), np.uint8(2), 3, loose, 5, label, reason, sizes)
+    sizes = settled(label, reason, loose)
     assert label.flat[loose].tolist() == [1, 0, 2, 2, 0]
     assert reason.flat[loose].tolist() == [0, 2, 0, 0, 2]
     assert sizes[1:].tolist() == [10, 9]
@@ -240,7 +262,9 @@ def test_planes_that_are_left_keep_what_is_theirs():
     before = moments.copy()
     number, why = np.array([2, 1, 3, 0, 2, 4], np.int32), np.array([0, 0, 0, 5, 0, 0], np.uint8)
     runs = Runs(np.zeros(4, np.int32), *[np.empty(0, np.int32)] * 11)
-    assert leave_out(4, 30, np.uint8(7), runs, number, why, moments, deviation) == 2
+    others = moments.copy(), moments[:, :3].copy(), deviation.copy(), moments[:, :5].copy(), np.zeros(5, np.int32)
+    found = Found(number, why, number > 9, moments, deviation, *others, np.empty(0, np.int32))
+    assert leave_out(4, 30, np.uint8(7), runs, found) == 2
     assert number.tolist() == [0, 1, 2, 0, 0, 0]
     assert why.tolist() == [7, 0, 0, 5, 7, 7]
     np.testing.assert_array_equal(moments[:2], before[[0, 2]])

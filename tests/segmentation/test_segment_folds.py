@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from segment_frames import CAMERA
 
 from bench import block_scenes
 from rgbd_planes import segment
@@ -11,7 +12,18 @@ from rgbd_planes._core.status import Reason
 from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.merge import split_faces
 from rgbd_planes.kernels.segmentation.model.quadrics import PLANE_TERMS, TERMS
-from rgbd_planes.kernels.segmentation.model.records import Noise, Rules
+from rgbd_planes.kernels.segmentation.model.records import (
+    UNSEEN,
+    Noise,
+    Owners,
+    Pyramid,
+    Regions,
+    Rules,
+    Shares,
+    View,
+    plain,
+)
+from rgbd_planes.segmentation.workspace import rays_of
 
 SIGMA = 1e-3
 SHAPES = {
@@ -59,7 +71,15 @@ def are_faces(shape, height, noise, scale=1, ajar=False):
     chosen = np.zeros(strips, np.bool_)
     chosen[0] = True
     parent, again = np.zeros(strips, np.int64), np.arange(strips)
-    split_faces.keep_faces(labels, means, joined, moments, parent, again, noise, np.full(strips, ajar), chosen)
+    rows, columns = labels.shape
+    owners = Owners(np.full((rows, columns), UNSEEN, np.int32), *np.zeros((3, rows, columns), np.int32))
+    shares = Shares(np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 10)))
+    regions = Regions(labels.astype(np.int32), joined, parent, owners, shares)
+    sums = np.zeros((10, labels.size))
+    sums[:4] = means.reshape(4, -1) * np.vstack([np.ones(labels.size), *[means[0].ravel()] * 3])
+    pyramid = Pyramid(sums, np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty((0, 2), np.int64))
+    view = View(np.empty((0, 0), np.float32), rays_of(CAMERA), pyramid, noise, Rules(), np.empty(0))
+    split_faces.keep_faces(plain(view), plain(regions), moments, again, np.full(strips, ajar), chosen)
     return bool(chosen[0])
 
 

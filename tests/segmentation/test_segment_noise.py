@@ -20,12 +20,12 @@ from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.common.quantiles import quantile
+from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.model.pixel_noise import sensor_variance, sensor_variances, waviness
 from rgbd_planes.kernels.segmentation.model.records import Rules
 from rgbd_planes.kernels.segmentation.noise.estimate import estimate_noise as estimate_frame_noise
 from rgbd_planes.kernels.segmentation.noise.estimate import is_of_depth, varied_squares
 from rgbd_planes.kernels.segmentation.noise.frame_noise import tolerance
-from rgbd_planes.kernels.segmentation.pipeline import read_frame
 from rgbd_planes.noise import NoiseModel, function, kinect_v1
 from rgbd_planes.segmentation.frame_noise import noise_of, reach_table
 from rgbd_planes.segmentation.segment import _given, segment_frame

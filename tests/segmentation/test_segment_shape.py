@@ -29,12 +29,13 @@ from rgbd_planes.kernels.segmentation.model.records import (
     MIXED,
     UNSEEN,
     Noise,
-    Owned,
     Owners,
     Planes,
     Pyramid,
+    Regions,
     Rules,
     Shares,
+    View,
 )
 from rgbd_planes.segmentation.workspace import rays_of
 from rgbd_planes.sequences import images
@@ -70,7 +71,7 @@ def owned_of(labels, measured, rng):
         count[row, column] = len(shares) - first[row, column]
     its, pixels = np.array(shares, np.int32).reshape(-1, 2).T.copy()
     owners = Owners(block, first, count, np.zeros_like(first))
-    return Owned(region, number, owners, Shares(its, pixels, np.zeros((len(its), 10))))
+    return Regions(region, np.zeros((3, 10)), number, owners, Shares(its, pixels, np.zeros((len(its), 10))))
 
 
 @pytest.mark.parametrize("holes", [0.0, 0.1, 0.5])
@@ -81,9 +82,9 @@ def test_pixels_inside_a_region_are_those_of_numpy(grain, holes, rng):
     measured = rng.random(CAMERA.shape) >= holes
     q = np.where(measured, rng.uniform(0.3, 2.0, CAMERA.shape), 0.0).astype(np.float32)
     owned = owned_of(labels, measured, rng)
-    of_block = np.kron(owned.region, np.ones((BLOCK, BLOCK), int))[: CAMERA.height, : CAMERA.width]
+    of_block = np.kron(owned.block, np.ones((BLOCK, BLOCK), int))[: CAMERA.height, : CAMERA.width]
     box = np.empty((3, 4), np.int64)
-    boxes(owned.region, box)
+    boxes(owned.block, box)
     u, v = np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y)
     for a in range(3):
         own = (labels == a) & (of_block == a) & measured
@@ -112,9 +113,9 @@ def is_curled(q, shape, sigma=SIGMA, together=1.0, has_blocks=True):
     depth[here] = q
     owned = owned_of(labels, depth > 0.0, np.random.default_rng(0))
     if not has_blocks:
-        owned.region[:] = -1
+        owned.block[:] = -1
     box = np.empty((1, 4), np.int64)
-    boxes(owned.region, box)
+    boxes(owned.block, box)
     u, v = (a[here].ravel() for a in np.broadcast_arrays(CAMERA.tan_x, CAMERA.tan_y))
     terms = np.stack([np.ones_like(u), u, v, q.ravel()])
     products = terms @ terms.T
@@ -123,7 +124,9 @@ def is_curled(q, shape, sigma=SIGMA, together=1.0, has_blocks=True):
     planes = Planes(np.empty((1, 3)), np.empty(1), np.empty(1), np.empty(1), np.ones(1))
     fit_regions(moments, noise, planes)
     curved = np.zeros(1, np.bool_)
-    find_curled(owned, box, depth.astype(np.float32), rays_of(CAMERA), moments, planes, noise, Rules(), curved)
+    pyramid = Pyramid(np.empty((10, 0)), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty((0, 2), np.int64))
+    view = View(depth.astype(np.float32), rays_of(CAMERA), pyramid, noise, Rules(), np.empty(0))
+    find_curled(view, owned._replace(moments=moments), box, planes, curved)
     return curved[0]
 
 

@@ -11,6 +11,7 @@ from rgbd_planes import Camera, fit_labels, segment
 from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels
+from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.noise.correlation import (
     OF_ONE,
     SIZES,
@@ -19,7 +20,6 @@ from rgbd_planes.kernels.segmentation.noise.correlation import (
     may_be_chance,
     mixture,
 )
-from rgbd_planes.kernels.segmentation.pipeline import read_frame
 from rgbd_planes.kernels.segmentation.refit.weights import weigh_rays
 from rgbd_planes.kernels.statistics.tiles.block import EXPECTED
 from rgbd_planes.noise import NoiseModel

@@ -9,7 +9,7 @@ from ...common.arrays import copy
 from ...common.bit_marks import in_words, list_both
 from ..model.moments import misfit
 from ..model.pixel_noise import grown_variance
-from ..model.records import BLOCK, MIXED, Shares, place
+from ..model.records import BLOCK, MIXED, Contended, Planes, Shares, as_regions, as_view, place
 from .contested_blocks import (
     AREA,
     LANES,
@@ -40,53 +40,39 @@ from .whole_blocks import (
 )
 
 
-@kernel(inline=True)
-def own_pixels(
-    inverse_depth, rays, pyramid, sensor, region, planes, sigma, rules, is_first, before, number, last_alpha,
-    owners, shares, contended, region_moments,
-):  # fmt: skip
+@kernel()
+def assign_pixels(view, regions, planes, before, last_alpha, contended):
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
     Parameters
     ----------
-    inverse_depth : (H, W) float32
-        0 where there is no measurement.
-    rays : Rays
-    pyramid : Pyramid
-    sensor : (R·C,) float64
-        For each block: see `pixel_noise.sensor_variance`.
-    region : (R, C) int32
-        Region of each block, or -1; a block becomes, on return, the region that owns most of its pixels.
-    planes : Planes
-        Of the regions: see `planes.fit_regions`.
-    sigma : see `pixel_noise.sensor_variance`
-    rules : Rules
+    view : View
         A region contends for a pixel within ``reach`` standard deviations of its plane. Two planes meet where both
         fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it
         within ``settled``.
-    is_first : bool
-        Whether this is the first round.
+    regions : Regions
+        ``block`` becomes the region that owns most of its pixels, ``owners`` those of this round. ``moments`` are those
+        of what regions had after the last round: what changes hands is taken out and put in. In the first round they
+        are summed up anew.
+    planes : Planes
+        Of the regions: see `planes.fit_regions`.
     before : (R, C) int32
-        ``region`` before the last round; on return, before this one.
-    number : (M,) int64
-        Number of the region that each region of the last round has become, or -1.
+        ``regions.block`` before the last round; on return, before this one.
     last_alpha : (M, 3) float64
-        ``planes.alpha`` in the last round.
-    owners : Owners
-        From the last round; before the first, EMPTY or UNSEEN.
-    shares : Shares
-        From the last round.
+        ``planes.alpha`` in the last round; (0, 3) in the first.
     contended : Contended
         Room for as many blocks as there are, and NEIGHBOURS regions for each.
-    region_moments : (N, 10) float64, changed
-        Of what regions had after the last round, as they are numbered now. In the first round they are summed up anew,
-        in later ones what changes hands is taken out and put in.
 
     Returns
     -------
     Shares
         Of this round.
     """
+    view, regions = as_view(view), as_regions(regions)
+    planes, contended = Planes(*planes), Contended(*contended)
+    inverse_depth, rays, pyramid, noise, rules, sensor = view
+    region, region_moments, number, owners, shares = regions
+    sigma, is_first = noise.sigma, len(last_alpha) == 0
     rows, columns = region.shape
     tasks = np.zeros(in_words(rows * columns), np.int8)  # DONE beyond the last block
     task = tasks[: rows * columns].reshape(rows, columns)
@@ -163,7 +149,7 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     blocks : (K,) int32
         Those that are OPEN, row · C + column.
     rays, before, pyramid, sensor, planes, rules, region, owners
-        As in `own_pixels`.
+        As in `assign_pixels`.
     contended : Contended, written
     sparse : (K,) int32, written
         The first are those that went whole to a region with few measured pixels: see `share_sparse`.
@@ -252,7 +238,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
 def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put):
     """Give each pixel of the first ``count`` contended blocks to one of the contenders, or to none.
 
-    The shares are added after the first ``put``; returns how many there are then. Other arguments as in `own_pixels`.
+    The shares are added after the first ``put``; returns how many there are then. The rest is as in `assign_pixels`.
     """
     columns = region.shape[1]
     # Names for fields of tuples: see `kernels`.

@@ -367,7 +367,7 @@ def share_out(contending, space, steps, plane, penalty, line, limit, close, squa
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
         α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
     limit, close : float32
-        Squares of what `assign_pixels.own_pixels` calls ``reach`` and ``close``.
+        Squares of what `assign_pixels.assign_pixels` calls ``reach`` and ``close``.
     square, sums, winner
         Room: see `misfits`, `sums_of_nine` and `contend`.
     owned, pixels : (10·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written

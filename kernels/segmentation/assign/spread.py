@@ -6,20 +6,23 @@ from ..._jit.kernel import kernel
 from ...common.bit_marks import list_marked, room_for_marks
 from ..model.moments import misfit
 from ..model.pixel_noise import in_square
-from ..model.records import EMPTY
+from ..model.records import EMPTY, Planes, as_regions, as_view
 
 # The four blocks beside one.
 BESIDE_DOWN, BESIDE_RIGHT = (1, -1, 0, 0), (0, 0, 1, -1)
 
 
 @kernel()
-def spread_out(region, owner, pyramid, sensor, planes, settled):
+def spread_out(view, regions, planes):
     """Give the blocks without a region, which are too rough, to a neighbouring region that they fit.
 
     One after the other from the regions' edges on: rounds advance by one block each, this goes all the way. A block
     fits within ``settled`` standard deviations, root mean square. The arguments are those of
-    `assign_pixels.own_pixels`, and ``owner`` that of the blocks; ``region`` is changed.
+    `assign_pixels.assign_pixels`; ``regions.block`` is changed.
     """
+    view, regions, planes = as_view(view), as_regions(regions), Planes(*planes)
+    pyramid, sensor, settled = view.pyramid, view.sensor, view.rules.settled
+    region, owner = regions.block, regions.owners.block
     moments, alpha = pyramid.moments, planes.alpha
     rows, columns = region.shape
     # Blocks to look at: at first all, and then the neighbours of those that have joined a region.
@@ -69,13 +72,13 @@ def spread_out(region, owner, pyramid, sensor, planes, settled):
 
 
 @kernel()
-def move_on(region, before, pyramid, planes):
+def move_on(view, region, before, alpha):
     """Let borders that moved in this round go on, from block to block, as far as the blocks fit the region better.
 
     Rounds advance by a block each, and a square that grew over an edge may have many. ``region`` is changed; ``before``
     is as it was before the round.
     """
-    moments, alpha = pyramid.moments, planes.alpha
+    moments = as_view(view).pyramid.moments
     rows, columns = region.shape
     moved, left = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
     marks, words, marked = room_for_marks(columns)

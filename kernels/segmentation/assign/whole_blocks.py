@@ -66,7 +66,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
     Their ``task`` becomes DONE, or SAME if they are MIXED. Of the others those that are ALONE become OPEN if their
     region did not have them whole in the last round, since only what is OPEN changes hands: a block that a region had
     whole was in it before the last round, or in none, and then it is OTHER or its neighbours have changed. The rest is
-    as in `assign_pixels.own_pixels`.
+    as in `assign_pixels.assign_pixels`.
     """
     alpha, centre_u, centre_v = planes.alpha, rays.centre_u, rays.centre_v
     rows, columns = region.shape
@@ -121,7 +121,7 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
 def give_whole(pyramid, sensor, region, planes, settled, task, owners):
     """Give the blocks that are ALONE to their region if they fit it within ``settled`` deviations; else they are OPEN.
 
-    Those that are DONE get their region's new number. Arguments as in `assign_pixels.own_pixels`.
+    Those that are DONE get their region's new number. Arguments as in `assign_pixels.assign_pixels`.
     """
     moments, stretch, alpha = pyramid.moments, planes.square_stretch, planes.alpha
     slope_variance, waviness_square = planes.slope_variance, planes.waviness_square
@@ -239,7 +239,7 @@ def take_back(blocks, number, owners, shares, region_moments, had):
     blocks : (K,) int32
         row · C + column.
     number, owners, shares
-        Of the last round, as in `assign_pixels.own_pixels`.
+        Of the last round, as in `assign_pixels.assign_pixels`.
     region_moments : (N, 10) float64, changed
     had : (K,) int32, written
         The region, by its new number, that had all of a block, or -1.

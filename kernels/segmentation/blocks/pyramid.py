@@ -142,7 +142,7 @@ def sum_by_fours(pyramid, rays):
 
 
 @kernel(reduction=True)
-def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
+def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
     """Read the frame once: the inverse depth of every pixel, and moments and plane of every block and square.
 
     Sums are first taken down the image columns, in loops along the rows, which vectorise. Where tanθx is the same down
@@ -163,7 +163,7 @@ def block_moments(raw, lowest, highest, scale, offset, is_disparity, rays, inver
     Returns
     -------
     float
-        The largest inverse depth.
+        The largest inverse depth of a pixel.
     """
     height, width = raw.shape
     tan_x, tan_y = rays.tan_x, rays.tan_y

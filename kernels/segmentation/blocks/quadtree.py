@@ -6,12 +6,35 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ..model.pixel_noise import sensor_variances
-from ..model.records import EMPTY, UNSEEN
+from ..model.records import EMPTY, UNSEEN, as_view
+
+
+@kernel()
+def join_blocks(view, region, owner, region_moments):
+    """Build the quadtree, and number the largest planar square over each planar block: see `leaves`.
+
+    Parameters
+    ----------
+    view : View
+        ``sensor`` is written.
+    region, owner, region_moments
+        Written: see `leaves`.
+
+    Returns
+    -------
+    int
+        Number of regions.
+    """
+    view = as_view(view)
+    pyramid = view.pyramid
+    state = np.empty(len(pyramid.rss), np.int8)
+    find_planar(pyramid, view.noise, view.rules, view.sensor, state)
+    return leaves(pyramid, state, region, owner, region_moments)
 
 
 @kernel(inline=True)
-def join_blocks(pyramid, noise, rules, sensor, state):
-    """Build the quadtree: which blocks are planar, and which four planar neighbours are one plane.
+def find_planar(pyramid, noise, rules, sensor, state):
+    """Find which blocks are planar, and which four planar neighbours are one plane.
 
     Parameters
     ----------

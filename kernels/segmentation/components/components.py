@@ -7,7 +7,7 @@ from ...common.arrays import copy
 from ...common.bit_marks import how_many, lowest_bit
 from ...common.union_find import root_of
 from ..model.moments import add, ray_of, residual
-from ..model.records import BLOCK, Parts
+from ..model.records import BLOCK, Found, Parts, Reasons, Runs, as_regions, as_view
 from .labels import label_runs
 from .runs import WHOLE, find_runs
 
@@ -180,32 +180,34 @@ def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, str
     return planes
 
 
-@kernel(inline=True)
-def find_parts(
-    inverse_depth, rays, pyramid, owners, shares, region_number, curved, deviation, rules, least, reasons,
-    region_moments, runs, loose, found,
-):  # fmt: skip
+@kernel()
+def find_parts(view, regions, curved, deviation, least, reasons, runs, found):
     """Split the regions into connected parts, and find those that are planes.
 
     Parameters
     ----------
-    inverse_depth, rays, pyramid
-        As in `rounds.find_regions`.
-    owners, shares, region_number, curved, deviation
-        From there.
-    rules, least, reasons
+    view : View
+    regions : Regions
+        ``moments`` are changed.
+    curved, deviation : (N,) bool and float64
+        Of each region: see `curved.find_curved`.
+    least, reasons
         See `judge_parts`.
-    region_moments : (N or more, 10) float64
-        Changed.
-    runs, loose
-        Written: see `runs.find_runs`. The runs get their labels.
+    runs : Runs, written
+        With their labels.
     found : Found, written
+        With room for as many parts and planes as there is for runs.
 
     Returns
     -------
     tuple of int
         Numbers of planes, of parts and of loose pixels.
     """
+    view, regions = as_view(view), as_regions(regions)
+    reasons, runs, found = Reasons(*reasons), Runs(*runs), Found(*found)
+    inverse_depth, rays, pyramid, _, rules, _ = view
+    _, region_moments, region_number, owners, shares = regions
+    loose = found.loose
     height, width = inverse_depth.shape
     run_count, loose_count = find_runs(owners, shares, region_number, height, width, runs, loose)
     parts = Parts(

@@ -5,7 +5,7 @@ import numpy as np
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
 from ...common.bit_marks import lowest_bit
-from ..model.records import BLOCK
+from ..model.records import BLOCK, Found, Reasons, Runs
 from .runs import WHOLE, in_squares
 
 # Pixels of one label among the 3x3 around one of them that may be there by chance.
@@ -22,7 +22,7 @@ def label_runs(runs, number):
 
 
 @kernel()
-def leave_out(planes, min_size, small, runs, number, why, moments, deviation):
+def leave_out(planes, min_size, small, runs, found):
     """Take the labels from planes that have too few pixels; returns the number of those that are left.
 
     Parameters
@@ -35,11 +35,10 @@ def leave_out(planes, min_size, small, runs, number, why, moments, deviation):
         Reason of the parts without.
     runs : Runs
         Their labels are changed.
-    number, why : (P,) int32 and uint8, changed
-        Label of each part, and reason.
-    moments, deviation : (N, 10) and (N,) float64, changed
-        Of the planes.
+    found : Found, changed
     """
+    runs, found = Runs(*runs), Found(*found)
+    number, why, moments, deviation = found.number, found.why, found.moments, found.deviation
     left = np.zeros(planes + 1, np.int32)
     count = 0
     for k in range(planes):
@@ -58,34 +57,35 @@ def leave_out(planes, min_size, small, runs, number, why, moments, deviation):
 
 
 @kernel()
-def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, label, reason):
+def write_labels(inverse_depth, runs, found, reasons, loose_count, labels):
     """Write the final labels and the reasons.
 
     Parameters
     ----------
+    inverse_depth : (H, W) float32
     runs : Runs
         With their final labels, 0 for none.
-    why : (P,) uint8
-        Reason of each part, 0 if it has a label.
-    stray : (P,) bool
-        Parts without a label whose pixels are loose.
+    found : Found
+        The pixels of stray parts without a label are added to ``loose``.
     reasons : Reasons
         Of the other pixels.
-    inverse_depth : (H, W) float32
-    loose, loose_count
-        From `runs.find_runs`; the pixels of those parts are added.
-    label, reason : (H, W) int32 and uint8, written
+    loose_count : int
+        From `find_parts`.
+    labels : Labels, written
 
     Returns
     -------
     int
         Number of loose pixels.
     """
+    runs, found, reasons = Runs(*runs), Found(*found), Reasons(*reasons)
+    label, reason = labels
+    why, stray, loose = found.why, found.stray, found.loose
     row_runs, run_start, run_stop, run_share = runs.first, runs.start, runs.stop, runs.share
     run_label, part, run_pixels = runs.label, runs.part, runs.pixels
     missing, unclaimed = reasons.missing, reasons.unclaimed
     height, width = label.shape
-    labels, why_none, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
+    line, why_none, q = label.reshape(-1), reason.reshape(-1), inverse_depth.reshape(-1)
     # Labels and reasons of whole blocks in a row of pixels: missing pixels aside, the blocks' other rows have the same.
     line_label = np.empty(-(-width // BLOCK) * BLOCK, np.int32)
     line_reason = np.empty(len(line_label), np.uint8)
@@ -105,7 +105,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
         for y in range(top, bottom):
             begin = y * width
             for x in range(width):
-                labels[begin + x] = line_label[x] if q[begin + x] > 0.0 else 0
+                line[begin + x] = line_label[x] if q[begin + x] > 0.0 else 0
             for x in range(width):
                 why_none[begin + x] = line_reason[x] if q[begin + x] > 0.0 else missing
         for i in range(first, stop):
@@ -117,7 +117,7 @@ def write_labels(runs, why, stray, reasons, inverse_depth, loose, loose_count, l
                     p = lowest_bit(pixels)
                     pixels &= pixels - np.int32(1)
                     here = corner + p // BLOCK * width + p % BLOCK
-                    labels[here] = a
+                    line[here] = a
                     why_none[here] = b
                     loose[loose_count] = here
                     loose_count += is_stray
@@ -162,24 +162,29 @@ def label_around(a, b, c, d, e, f, g, h):
 
 
 @kernel()
-def settle_strays(runs, inverse_depth, unclaimed, least, loose, loose_count, label, reason, sizes):
+def settle_strays(inverse_depth, runs, found, loose_count, unclaimed, least, label_reason):
     """Take the label from pixels that stand alone, and give loose ones that of FILLED pixels around them.
 
     Parameters
     ----------
+    inverse_depth : (H, W) float32
     runs : Runs
         With their final labels, 0 for none.
-    inverse_depth : (H, W) float32
+    found : Found
+        Pixels that lose their label are added to ``loose``, and ``size`` is written, by ``moments``.
+    loose_count : int
+        From `write_labels`.
     unclaimed : uint8
         Reason of pixels that lose their label.
     least : int
         Pixels that a label keeps at least.
-    loose, loose_count
-        From `write_labels`; pixels that lose their label are added.
-    label, reason : (H, W) int32 and uint8, changed
-    sizes : (N + 1,) int32, changed
-        Pixels of each label.
+    label_reason : Labels, changed
     """
+    runs, found = Runs(*runs), Found(*found)
+    label, reason = label_reason
+    loose, sizes = found.loose, found.size
+    for k in range(len(found.moments)):
+        sizes[k + 1] = found.moments[k, 0]
     # By one index: there are many pixels, and dividing for two indices would take most of the time.
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
     row_runs, run_start, run_share, run_label = runs.first, runs.start, runs.share, runs.label

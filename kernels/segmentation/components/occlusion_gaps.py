@@ -13,7 +13,7 @@ from ...common.union_find import root_of, unite
 from ..model.boxes import overlap
 from ..model.moments import difference, ray_of, rise
 from ..model.planes import fit_planes
-from ..model.records import BLOCK
+from ..model.records import BLOCK, Found, Runs, as_view
 from .labels import label_runs
 from .runs import TOP, WHOLE
 
@@ -295,21 +295,24 @@ def join_planes(parent, number, moments, deviation):
 
 
 @kernel()
-def join_across_gaps(inverse_depth, rays, floor, spread, number, runs, moments, deviation):
+def join_across_gaps(view, runs, found):
     """Make one of the planes that something thin in front separates; returns how many planes are left.
+
+    Joining two may raise the sum of squared residuals by floor² n + spread variances, n being the smaller one's
+    pixels, with half of ``region_floor``.
 
     Parameters
     ----------
-    inverse_depth : (H, W) float32
-    rays : Rays
-    floor, spread : float
-        See `find_coplanar`.
-    number : (P,) int32
-        Label of each part, changed; ``runs`` gets the new labels.
+    view : View
     runs : Runs
-    moments, deviation : (N, 10) and (N,) float64
-        Of the planes; on return, those of the planes that are left come first.
+        They get the new labels.
+    found : Found
+        Parts get the new labels; planes that are left come first.
     """
+    view, runs, found = as_view(view), Runs(*runs), Found(*found)
+    inverse_depth, rays, _, _, rules, _ = view
+    floor, spread = 0.5 * rules.region_floor, rules.region_spread
+    number, moments, deviation = found.number, found.moments, found.deviation
     planes = len(moments)
     alpha, rss = np.empty((planes, 3)), np.empty(planes)
     fit_planes(moments, alpha, rss)

@@ -11,7 +11,7 @@ from ...common.bit_marks import lowest_bit
 from ..model.moments import add, ray_of
 from ..model.pixel_noise import waviness
 from ..model.planes import fit_planes
-from ..model.records import BLOCK, place
+from ..model.records import BLOCK, Found, Runs, Shares, as_view, place
 from .runs import WHOLE
 
 # Pixels of such a group, and the largest share of its plane's: what is larger has been looked at before, as a region.
@@ -80,33 +80,37 @@ def gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, 
 
 
 @kernel()
-def let_go(
-    inverse_depth, rays, growth, off, least, unclaimed, shares, runs, moments, deviation, group, label, reason
-):  # fmt: skip
+def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label_reason):
     """Take the label from groups of pixels at the rims of planes that lie off them.
 
-    They touch what is not the plane's: so one of their pixels at least is in a share.
+    They touch what is not the plane's: so one of their pixels at least is in a share. A sensor's own errors may bend
+    the rim of a plane by its waviness.
 
     Parameters
     ----------
-    inverse_depth : (H, W) float32
-    rays : Rays
-    growth : (S,) float64
-        See `pixel_noise.waviness`: by that a sensor's own errors may bend the rim of a plane.
-    off : float
-        Deviations, times the plane's waviness.
+    view : View
+        Pixels are off by ``off`` deviations, times the plane's waviness.
+    shares : Shares
+    runs : Runs
+    found : Found
+        ``moments`` are changed; ``loose`` is written after the first ``loose_count``, and has room.
+    loose_count : int
     least : int
         Pixels that a plane keeps at least.
     unclaimed : uint8
         Reason of pixels that lose their label.
-    shares : Shares
-    runs : Runs
-    moments, deviation : (N, 10) and (N,) float64
-        Of the planes; ``moments`` is changed.
-    group : (K,) int32
-        Room for all pixels with a label.
-    label, reason : (H, W) int32 and uint8, changed
+    label_reason : Labels, changed
     """
+    view, shares, runs, found = as_view(view), Shares(*shares), Runs(*runs), Found(*found)
+    inverse_depth, rays, _, noise, rules, _ = view
+    moments, deviation, group, growth, off = (
+        found.moments,
+        found.deviation,
+        found.loose[loose_count:],
+        noise.growth,
+        rules.off,
+    )
+    label, reason = label_reason
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
     row_runs, run_start, run_share = runs.first, runs.start, runs.share
     run_label, run_pixels = runs.label, runs.pixels

@@ -14,6 +14,7 @@ from ...common.union_find import root_of, unite
 from ..model.boxes import boxes
 from ..model.moments import angle_between, jump_at
 from ..model.pixel_noise import about_plane, sensor_variance
+from ..model.planes import deviations
 from ..model.quadrics import (
     MARGIN,
     PLANE_TERMS,
@@ -30,6 +31,7 @@ from ..model.quadrics import (
     step_of,
     turn_of_groups,
 )
+from ..model.records import Planes, as_regions, as_view
 from .creases import main_bend, two_planes
 from .facets import find_faceted
 from .occluded import gap_between, may_cross
@@ -86,12 +88,14 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
 
 
 @kernel()
-def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved):
+def find_curled(view, regions, box, planes, curved):
     """Mark the small regions of which a quadric takes away more than half of the squared residuals, beyond chance.
 
     They have few blocks, and many pixels at their rim, which may be biased: the pixels inside tell. The arguments are
     those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`; ``curved`` says which are marked already.
     """
+    inverse_depth, rays, _, noise, rules, _ = view
+    region_moments = regions.moments
     alpha, slope_variance, waviness_square, stretch, _ = planes
     room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
     # Pixels as if they were blocks, one beside the other, of one region.
@@ -102,7 +106,7 @@ def find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, 
         if curved[a] or m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
-        row[0, 3] = inner_pixels(owned, a, box, inverse_depth, rays, pixels[:, 0])
+        row[0, 3] = inner_pixels(regions, a, box, inverse_depth, rays, pixels[:, 0])
         turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, room, products)
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
@@ -193,7 +197,7 @@ def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, ru
 
 
 @kernel()
-def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noise, rules, contacts, count, curved):
+def find_curved(view, regions, planes, contacts, count, curved, deviation):
     """Mark the regions that are part of a curved surface.
 
     Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread`` variances,
@@ -205,30 +209,30 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
 
     Parameters
     ----------
-    owned : Owned
-    inverse_depth : (H, W) float32
-    rays : Rays
-    pyramid : Pyramid
-    region_moments : (N, 10) float64
+    view : View
+    regions : Regions
     planes : Planes
-    noise : Noise
-    rules : Rules
     contacts, count
         From `contacts.neighbours`; overwritten.
     curved : (N,) bool, written
+    deviation : (N,) float64, written
+        Standard deviation of a pixel about the plane of each region.
     """
-    region, alpha, sigma = owned.region, planes.alpha, noise.sigma
+    view, regions, planes = as_view(view), as_regions(regions), Planes(*planes)
+    _, rays, pyramid, noise, rules, _ = view
+    region, region_moments, alpha, sigma = regions.block, regions.moments, planes.alpha, noise.sigma
+    deviations(region_moments, planes, sigma, deviation)
     pairs, where, _ = contacts
     significant, sharp = rules.region_spread, math.radians(rules.sharp)
-    regions = len(alpha)
-    box = np.empty((regions, 4), np.int64)
+    many = len(alpha)
+    box = np.empty((many, 4), np.int64)
     boxes(region, box)
-    means = owned_means(owned, pyramid)
-    turned, bending = np.empty(regions), np.empty(regions)
-    bent, goes_on = np.empty(regions, np.bool_), np.zeros(regions, np.bool_)
+    means = owned_means(regions, pyramid)
+    turned, bending = np.empty(many), np.empty(many)
+    bent, goes_on = np.empty(many, np.bool_), np.zeros(many, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
     find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
-    parent, room = np.arange(regions), room_for_blocks()
+    parent, room = np.arange(many), room_for_blocks()
     smooth = 0
     for i in range(count):
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
@@ -250,13 +254,13 @@ def find_curved(owned, inverse_depth, rays, pyramid, region_moments, planes, noi
             unite(parent, a, b)
             bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
     unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent)
-    turn_square, pixels, members = np.empty(regions), np.empty(regions), np.empty(regions, np.int64)
+    turn_square, pixels, members = np.empty(many), np.empty(many), np.empty(many, np.int64)
     turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
-    for a in range(regions):
+    for a in range(many):
         root = root_of(parent, a)
         curved[a] |= bent[root] and turn_square[root] > sharp * sharp
         curved[a] |= goes_on[a] and region_moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
-    find_curled(owned, box, inverse_depth, rays, region_moments, planes, noise, rules, curved)
+    find_curled(view, regions, box, planes, curved)
     changed = True
     while changed:
         changed = False

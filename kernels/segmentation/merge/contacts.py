@@ -6,6 +6,7 @@ from ..._jit.kernel import kernel
 from ...common.arrays import copy
 from ...common.bit_marks import in_words, list_bits
 from ...common.union_find import root_of
+from ..model.records import Rays
 
 FEW_SLOTS = 1 << 12
 
@@ -86,6 +87,7 @@ def neighbours(region, rays, contacts):
     int
         Number of pairs.
     """
+    rays = Rays(*rays)
     centre_u, centre_v = rays.centre_u, rays.centre_v
     pairs, where, table = contacts
     rows, columns = region.shape
@@ -176,14 +178,14 @@ def contract(contacts, count, parent, changed):
 
 
 @kernel()
-def keep_pairs_inside(contacts, parent, chosen):
-    """Keep the pairs of which both lie in the same chosen region; returns how many.
+def keep_pairs_inside(contacts, count, parent, chosen):
+    """Keep those of the first ``count`` pairs of which both lie in the same chosen region; returns how many.
 
     ``parent`` (N,) is the region that each lies in, ``chosen`` (N,) bool is that of these regions.
     """
     pairs, where, _ = contacts
     kept = 0
-    for i in range(len(pairs)):
+    for i in range(count):
         root = parent[pairs[i, 0]]
         if root == parent[pairs[i, 1]] and chosen[root]:
             for k in range(3):

@@ -13,6 +13,7 @@ from ..._jit.kernel import kernel
 from ...common.union_find import root_of
 from ..model.moments import difference, rise, solve
 from ..model.pixel_noise import sensor_variance, variance, waviness
+from ..model.records import Contacts, Noise, Rules
 from .contacts import contract, scrambled
 
 # A region this many times larger than its neighbour takes in several of them at a time.
@@ -150,6 +151,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
     int
         Number of pairs left in ``contacts``, of the regions that the others went into.
     """
+    contacts, noise, rules = Contacts(*contacts), Noise(*noise), Rules(*rules)
     regions = moments.shape[0]
     cost = np.empty(count)
     described = np.empty((regions, 3)), np.empty(regions), np.empty(regions), np.empty(regions)
@@ -197,6 +199,14 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
         count = contract(contacts, count, parent, changed)
     for a in range(regions):
         parent[a] = root_of(parent, a)
+    return count
+
+
+@kernel()
+def renumber_regions(region, parent, moments, least, number):
+    """Number the regions that are left, in the blocks, too; returns how many: see `number_regions` and `renumber`."""
+    count = number_regions(parent, moments, least, number)
+    renumber(region, number)
     return count
 
 

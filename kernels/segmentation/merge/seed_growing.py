@@ -10,6 +10,7 @@ from ..._jit.kernel import kernel
 from ...common.bit_marks import in_words, list_bits
 from ...common.union_find import root_of
 from ..model.moments import residual_of_two
+from ..model.records import Noise, Rules
 from .merge import describe
 
 
@@ -37,6 +38,7 @@ def grow_together(region, moments, noise, rules, parent):
     parent : (N,) int64, written
         The region that each one went into.
     """
+    noise, rules = Noise(*noise), Rules(*rules)
     regions = len(moments)
     rows, columns = region.shape
     rss, variances, waviness_square = np.empty(regions), np.empty(regions), np.empty(regions)

@@ -28,9 +28,7 @@ from ..model.quadrics import (
     step_of,
     turn_of_groups,
 )
-from ..model.records import Owned
-from .contacts import keep_pairs_inside
-from .merge import merge
+from ..model.records import Noise, Regions, Rules, as_regions, as_view
 
 # Share of the tolerances with which parts are joined anew.
 STRICT = 0.5
@@ -69,6 +67,7 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, 
     bool
         Whether there are any.
     """
+    noise, rules = Noise(*noise), Rules(*rules)
     alpha = np.empty(3)
     faces = np.zeros(len(parent), np.int64)
     for a in range(len(parent)):
@@ -121,15 +120,6 @@ def is_ajar(part, alpha, whole, noise, rules):
     return more > rules.rough**2 * allowed
 
 
-@kernel(inline="compiled")
-def any_of(chosen):
-    """Whether any is chosen: NumPy's own would bring in its linear algebra, see `_cache`."""
-    found = False
-    for a in range(len(chosen)):
-        found |= chosen[a]
-    return found
-
-
 @kernel()
 def label_blocks(region, numbers, parent, chosen, labels):
     """Write ``numbers`` of the blocks' regions to ``labels``, (R, C) int32; -1 outside what went into chosen ones."""
@@ -140,22 +130,25 @@ def label_blocks(region, numbers, parent, chosen, labels):
 
 
 @kernel()
-def keep_turned(labels, means, moments, noise, rules, ajar, chosen):
+def keep_turned(view, regions, ajar, chosen):
     """Of the chosen regions, keep those chosen whose normals turn: those of the quadric that fits them best.
 
     And those that are ajar; ``ajar`` (N,) bool says afterwards which are chosen for that alone.
 
     Parameters
     ----------
-    labels : (R, C) int32
-        The region of each block.
-    means : (4, R, C) float32
-        See `quadrics.owned_means`.
-    moments : (N, 10) float64
-    noise : Noise
-    rules : Rules
+    view : View
+    regions : Regions
+        Those before they were joined; ``number`` is the region that each one went into, and ``moments`` are those of
+        the joined regions.
     chosen : (N,) bool, changed
     """
+    view, regions = as_view(view), as_regions(regions)
+    pyramid, noise, rules = view.pyramid, view.noise, view.rules
+    moments, parent = regions.moments, regions.number
+    labels = np.empty_like(regions.block)
+    label_blocks(regions.block, parent, parent, chosen, labels)
+    means = owned_means(Regions(labels, moments, parent, regions.owners, regions.shares), pyramid)
     alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
     room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
     boxes(labels, box)
@@ -185,13 +178,27 @@ def planes_fit_better(products):
 
 
 @kernel()
-def keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar, chosen):
+def keep_faces(view, regions, first_moments, again, ajar, chosen):
     """Of the chosen regions, keep those chosen whose parts are faces: planes that meet in edges.
 
-    Every two of them, and all together, are fitted better by planes than by one quadric. Arguments as in `keep_turned`,
-    but ``labels`` are the parts, ``first_moments`` theirs; ``parent`` and ``again``, (N,) int64, say which region and
-    which part each of the first ones went into.
+    Every two of them, and all together, are fitted better by planes than by one quadric.
+
+    Parameters
+    ----------
+    view, regions, ajar
+        As in `keep_turned`.
+    first_moments : (N, 10) float64
+        Of the parts.
+    again : (N,) int64
+        The part that each of the regions before went into.
+    chosen : (N,) bool, changed
     """
+    view, regions = as_view(view), as_regions(regions)
+    pyramid, noise = view.pyramid, view.noise
+    moments, parent = regions.moments, regions.number
+    labels = np.empty_like(regions.block)
+    label_blocks(regions.block, again, parent, chosen, labels)
+    means = owned_means(Regions(labels, moments, again, regions.owners, regions.shares), pyramid)
     alpha, room = np.empty(3), room_for_blocks()
     box, window = np.empty((len(chosen), 4), np.int64), np.empty(4, np.int64)
     boxes(labels, box)
@@ -223,54 +230,20 @@ def keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar
 
 
 @kernel()
-def part_again(region, pyramid, owners, shares, moments, first_moments, first, noise, rules, parent):
-    """Part the regions that were joined and are several planes.
+def take_parts(parent, again, chosen, moments, first_moments):
+    """Let the chosen regions be their parts again.
 
     Parameters
     ----------
-    region : (R, C) int32
-        Region of each block before they were joined, or -1.
-    pyramid : Pyramid
-    owners : Owners
-    shares : Shares
-    moments : (N, 10) float64
-        Of the joined regions; changed.
-    first_moments : (N, 10) float64
-        Of the regions before.
-    first : Contacts
-        Of them; changed.
-    noise : Noise
-    rules : Rules
-    parent : (N,) int64, changed
-        The region that each one went into.
-
-    Returns
-    -------
-    bool
-        Whether there were any.
+    parent, again : (N,) int64
+        The region, changed, and the part that each of the regions before went into.
+    chosen : (N,) bool
+    moments, first_moments : (N, 10) float64
+        Of the regions, changed, and of the parts.
     """
-    rough, several, ajar = np.empty((3, len(parent)), np.bool_)
-    if not find_doubtful(moments, first_moments, parent, noise, rules, rough, several, ajar):
-        return False
-    labels = np.empty_like(region)
-    if any_of(several):
-        label_blocks(region, parent, parent, several, labels)
-        means = owned_means(Owned(labels, parent, owners, shares), pyramid)
-        keep_turned(labels, means, moments, noise, rules, ajar, several)
-    chosen = rough | several
-    if not any_of(chosen):
-        return False
-    again = np.empty(len(parent), np.int64)
-    merge(first_moments, first, keep_pairs_inside(first, parent, chosen), noise, rules, STRICT, again)
-    if any_of(several):
-        label_blocks(region, again, parent, several, labels)
-        means = owned_means(Owned(labels, again, owners, shares), pyramid)
-        keep_faces(labels, means, moments, first_moments, parent, again, noise, ajar, several)
-    chosen = rough | several
     for a in range(len(parent)):
         if chosen[parent[a]]:
             copy(first_moments[a], moments[a])
         else:
             again[a] = parent[a]
     copy(again, parent)
-    return any_of(chosen)

@@ -8,6 +8,7 @@ from ...statistics.rounding import between_codes, in_common, is_left
 from ...statistics.sandwich_covariance import sandwich
 from .moments import fit
 from .pixel_noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
+from .records import Found, Modelled, Noise
 
 
 @kernel()
@@ -16,6 +17,7 @@ def fit_regions(moments, noise, planes):
 
     A region without a plane gets an α of infinities, which no pixel fits.
     """
+    noise = Noise(*noise)
     alpha, of_slope, waviness_square, stretch, _ = planes
     for i in range(len(moments)):
         if fit(moments[i], alpha[i]) < 0.0:
@@ -89,6 +91,7 @@ def describe_planes(
     sizes : (N,) int32, written
         Pixels of each label.
     """
+    found, noise, modelled = Found(*found), Noise(*noise), Modelled(*modelled)
     moments, rss, weighted, deviation = found.inside, found.rss, found.weighted, found.deviation
     for i in range(len(planes)):
         sizes[i] = found.size[i + 1]

@@ -30,12 +30,12 @@ def is_whole(owner):
 
 
 @kernel()
-def owned_means(owned, pyramid):
+def owned_means(regions, pyramid):
     """Number and mean (u, v, q) of the pixels of each block that its region owns.
 
     Parameters
     ----------
-    owned : Owned
+    regions : Regions
     pyramid : Pyramid
 
     Returns
@@ -43,7 +43,7 @@ def owned_means(owned, pyramid):
     (4, R, C) float32
         Of blocks that have a region; of the others it means nothing.
     """
-    region, number, owners, shares = owned
+    region, _, number, owners, shares = regions
     block, first_share, shares_of = owners.block, owners.first, owners.count
     share_region, share_moments = shares.region, shares.moments
     rows, columns = region.shape
@@ -81,9 +81,9 @@ def owned_means(owned, pyramid):
 
 
 @kernel(arrays=False)
-def bits_of(owned, a, row, column):
+def bits_of(regions, a, row, column):
     """Which pixels of a block region ``a`` owns, as in `Shares`; -1 for all that are measured."""
-    region, number, owners, shares = owned
+    region, _, number, owners, shares = regions
     bits = 0
     if region[row, column] != a:
         return bits
@@ -98,7 +98,7 @@ def bits_of(owned, a, row, column):
 
 
 @kernel()
-def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
+def inner_pixels(regions, a, box, inverse_depth, rays, pixels):
     """Write the pixels inside region ``a`` to ``pixels`` (4, K), as `owned_means` does blocks; returns how many.
 
     Those that are beside what is not the region's are left out, if they are less than half: a sensor's pixel may see
@@ -112,7 +112,7 @@ def inner_pixels(owned, a, box, inverse_depth, rays, pixels):
     count = 0
     for row in range(box[a, 0], box[a, 1]):
         for column in range(box[a, 2], box[a, 3]):
-            bits = bits_of(owned, a, row, column)
+            bits = bits_of(regions, a, row, column)
             if bits == 0:
                 continue
             for y in range(BLOCK * row, min(BLOCK * row + BLOCK, height)):

@@ -98,6 +98,17 @@ class Pyramid(NamedTuple):
     shapes: Array  # (L, 2) int64: its rows and columns, twice those of the next
 
 
+class View(NamedTuple):
+    """A depth frame, as all stages read it."""
+
+    inverse_depth: Array  # (H, W) float32, 0 where there is no measurement
+    rays: "Rays"
+    pyramid: "Pyramid"
+    noise: "Noise"
+    rules: "Rules"
+    sensor: Array  # (R·C,) float64: for each block, see `pixel_noise.sensor_variance`
+
+
 class Noise(NamedTuple):
     """Variance of a pixel about its plane: see `pixel_noise.variance`."""
 
@@ -147,12 +158,13 @@ class Shares(NamedTuple):
     moments: Array  # (S, 10) float64
 
 
-class Owned(NamedTuple):
-    """Which pixels regions have that may have become others since."""
+class Regions(NamedTuple):
+    """Regions, and the pixels that they own since the last round."""
 
-    region: Array  # (R, C) int32: of each block now, or below 0
-    number: Array  # (M,) int64: what the regions in the following became, below 0 for nothing
-    owners: Owners
+    block: Array  # (R, C) int32: region of each block, or below 0
+    moments: Array  # (N, 10) float64: of each region's pixels
+    number: Array  # (M,) int64: region that each region of the last round has become, or below 0
+    owners: Owners  # of the last round: its regions are those that ``number`` translates
     shares: Shares
 
 
@@ -204,7 +216,7 @@ class Parts(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What `pipeline.find_planes` finds: of the P parts, and of those that are planes, each in the first rows."""
+    """What is found: P connected parts, and N of them that are planes."""
 
     number: Array  # (P,) int32: label, 1, 2, ... for planes in the order of their first pixels, 0 for other parts
     why: Array  # (P,) uint8: reason
@@ -216,9 +228,47 @@ class Found(NamedTuple):
     rss: Array  # (N,) float64: sum of squared residuals of these pixels
     weighted: Array  # (N, 5) float64: see `weights.weigh_rays`
     size: Array  # (N + 1,) int32: pixels of each label
+    loose: Array  # (L,) int32: measured pixels that may get the label of those around them, row · W + column
+
+    def first(self, planes: int, parts: int) -> "Found":
+        """The first planes and parts, where there is room for more."""
+        return Found(
+            self.number[:parts], self.why[:parts], self.stray[:parts], self.moments[:planes], self.deviation[:planes],
+            self.inside[:planes], self.alpha[:planes], self.rss[:planes], self.weighted[:planes],
+            self.size[: planes + 1], self.loose,
+        )  # fmt: skip
+
+
+class Labels(NamedTuple):
+    """The label of each pixel, and why it has none."""
+
+    label: Array  # (H, W) int32, 0 for none
+    reason: Array  # (H, W) uint8
 
 
 @kernel(inline=True)
 def place(block, columns):
     """Row and column of a block, by unsigned numbers of half the size, which are divided in half the time."""
     return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))
+
+
+def plain(record: Any) -> Any:
+    """A record as a tuple of plain tuples, as kernels take it from Python.
+
+    Numba looks at the fields of plain tuples in C, and of others in Python, which takes five times as long.
+    """
+    return tuple(plain(field) if isinstance(field, tuple) else field for field in record)
+
+
+@kernel(inline=True)
+def as_view(view):
+    """The `View` that Python hands over: see `plain`."""
+    inverse_depth, rays, pyramid, noise, rules, sensor = view
+    return View(inverse_depth, Rays(*rays), Pyramid(*pyramid), Noise(*noise), Rules(*rules), sensor)
+
+
+@kernel(inline=True)
+def as_regions(regions):
+    """The `Regions` that Python hands over: see `plain`."""
+    block, moments, number, owners, shares = regions
+    return Regions(block, moments, number, Owners(*owners), Shares(*shares))

@@ -193,14 +193,12 @@ def go_together(pyramid, sigma, typical, growth, reach):
 
 
 @kernel()
-def as_planes_show(together, is_sensors, pyramid, label, inverse_depth):
-    """How many pixels go together: ``together``, or 1 if the noise is a sensor's and squares in planes may show chance.
+def as_planes_show(together, pyramid, label, inverse_depth):
+    """How many pixels of a sensor's frame go together: ``together``, or 1 if squares in planes may show chance.
 
     Where there are many edges, a little of another surface is in many flat squares, and looks like shared errors. With
     ``label`` (H, W) int32, 0 for none, these are left out, and no residual is too large.
     """
-    if not is_sensors or together <= 1.0:
-        return together
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
     for size in range(SIZES - 1, -1, -1):
         step = 2 if size == 0 and counts[1] > 0 else 1  # as in `go_together`

@@ -13,6 +13,7 @@ from ...common.bit_marks import list_marked, room_for_marks
 from ...statistics.pixel_runs import add_row
 from ..model.moments import add, ray_of, residual
 from ..model.planes import fit_planes
+from ..model.records import Found, Labels, as_view
 from .weights import weigh_rays
 
 # In place of the label of a pixel that is not measured.
@@ -116,19 +117,19 @@ def runs_inside(label, reason, missing, moments, inside, found):
 
 
 @kernel()
-def fit_inside(label, reason, missing, inverse_depth, rays, pyramid, moments, inside, alpha, rss, weighted):
+def fit_inside(view, labels, missing, found):
     """Fit the planes to the pixels that are surely theirs.
 
     Parameters
     ----------
-    label, reason, missing, inverse_depth, rays, moments
+    view : View
+    labels : Labels
+    missing : uint8
         See `inside_moments`.
-    pyramid : Pyramid
-    inside, alpha, rss : (N, 10), (N, 3) and (N,) float64, written
-        Moments of these pixels, and the planes.
-    weighted : (N, 5) float64, written
-        See `weights.weigh_rays`.
+    found : Found
+        ``inside``, ``alpha``, ``rss`` and ``weighted`` are written.
     """
-    inside_moments(label, reason, missing, inverse_depth, rays, moments, inside)
-    fit_planes(inside, alpha, rss)
-    weigh_rays(label, pyramid, inside, alpha, rss, weighted)
+    view, found, labels = as_view(view), Found(*found), Labels(*labels)
+    inside_moments(labels.label, labels.reason, missing, view.inverse_depth, view.rays, found.moments, found.inside)
+    fit_planes(found.inside, found.alpha, found.rss)
+    weigh_rays(labels.label, view.pyramid, found.inside, found.alpha, found.rss, found.weighted)
