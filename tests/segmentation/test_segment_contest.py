@@ -150,15 +150,16 @@ def test_moments_of_regions_are_those_of_what_they_have_after_each_round(monkeyp
 
     def checked(view, regions, *others):
         shares = assign(view, regions, *others)
-        owners, expected = regions.owners, np.zeros_like(regions.moments)
+        moments, owners, block_moments = regions[1], Owners(*regions[3]), view[2][0]
+        shares, expected = Shares(*shares), np.zeros_like(moments)
         for row, column in np.ndindex(owners.block.shape):
             a, first = owners.block[row, column], owners.first[row, column]
             if a >= 0:
-                expected[a] += view.pyramid.moments[:, row * owners.block.shape[1] + column]
+                expected[a] += block_moments[:, row * owners.block.shape[1] + column]
             elif a == MIXED:
                 for s in range(first, first + owners.count[row, column]):
                     expected[shares.region[s]] += shares.moments[s]
-        np.testing.assert_allclose(regions.moments, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(moments, expected, rtol=1e-9, atol=1e-9)
         counts.append(len(expected))
         return shares
 
