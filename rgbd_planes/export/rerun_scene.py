@@ -70,9 +70,10 @@ class PlaneColours:
 
     def log(self, rr: Any, stream: Any) -> None:
         """Log the names and colours of all classes so far."""
-        colours = self.of_classes(np.arange(self.most + 1, dtype=np.int32))
-        classes = [(i, str(i), colours[i].tolist()) for i in range(1, self.most + 1)]
-        stream.log("/", rr.AnnotationContext(classes), static=True)
+        colours = self.of_classes(np.arange(self.most + 1, dtype=np.int32)).tolist()
+        classes = [(i, str(i) if i else "none", colour) for i, colour in enumerate(colours)]
+        for entity in ("/", "camera/planes"):  # a view that shows the image alone looks no higher
+            stream.log(entity, rr.AnnotationContext(classes), static=True)
 
 
 def log_planes(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int32], colours: PlaneColours) -> None:

@@ -417,13 +417,13 @@ def test_rerun_recording_holds_every_frame(tmp_path, monkeypatch):
     for strip, ring in zip(strips, expected, strict=True):
         np.testing.assert_allclose(np.array(strip), [*ring, ring[0]], rtol=1e-5, atol=1e-6)
     (classes,) = columns["/", "AnnotationContext:context"]
-    assert len(classes[0]) == max(one.ids.max() for one in tracked)
+    assert len(classes[0]) == 1 + max(one.ids.max() for one in tracked)  # 0 is none
     recording.record_segments(FrameSequence(entries, frames.__getitem__), tmp_path / "large.rrd", min_size=600)
     large = [float(len(one.ids)) for one in segment_sequence(frames, CAMERA, min_size=600)]
     assert large != [float(len(one.ids)) for one in tracked]
     assert columns_of(tmp_path / "large.rrd")["/found", "Scalars:scalars"] == [[count] for count in large]
     # What is left of many ids in the 16 bits of a class: none of them is none.
-    monkeypatch.setattr(recording, "_MOST_CLASSES", 3)
+    monkeypatch.setattr("rgbd_planes.export.rerun_scene._MOST_CLASSES", 3)
     recording.record_segments(FrameSequence(entries, frames.__getitem__), tmp_path / "few.rrd")
     columns = columns_of(tmp_path / "few.rrd")
     for read, one in zip(columns["/camera/planes", "SegmentationImage:buffer"], tracked, strict=True):
