@@ -29,6 +29,14 @@ def pytest_xdist_make_scheduler(config, log):
     return LoadFileScheduling(config, log) if config.getoption("dist") == "load" else None
 
 
+def pytest_configure(config):
+    """One of several processes compiles a kernel, and the others load it."""
+    if hasattr(config, "workerinput"):
+        import compiled_once
+
+        compiled_once.share(config.workerinput["testrunuid"])
+
+
 @pytest.fixture
 def rng():
     """A generator that starts the same in every test."""

@@ -14,7 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.checks import number, real_array
 from rgbd_planes.camera.camera import Camera, check_camera
-from rgbd_planes.export.rerun_scene import PlaneColours, log_camera, log_depth, log_planes, log_points, rerun, set_time
+from rgbd_planes.export.rerun_scene import (
+    PlaneColours,
+    coloured,
+    log_camera,
+    log_depth,
+    log_outlines,
+    log_points,
+    rerun,
+    set_time,
+)
 from rgbd_planes.plotting.colours import in_image
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.tracking import TrackedSegmentation
@@ -46,8 +55,8 @@ class LiveView:
 
     Notes
     -----
-    Entities: ``camera``, ``camera/depth``, ``camera/planes`` (the plane's id at each pixel), ``camera/curvature``,
-    ``points`` (in the colours of their planes), ``planes/outlines``, ``path`` and ``found`` (how many planes).
+    Entities: ``camera``, ``camera/depth``, ``camera/planes`` (in the colours of their ids), ``camera/curvature``,
+    ``points`` (likewise), ``planes/outlines``, ``path`` and ``found`` (how many planes).
     Timelines: ``frame``, and ``time`` for frames that have one.
 
     The data and the page have a port each, 9876 and 9090, or others if these are taken. On a remote machine, forward
@@ -129,13 +138,13 @@ class LiveView:
             self._log_pose(pose, camera)
         log_camera(rr, stream, camera)
         log_depth(rr, stream, points[..., 2])
-        before = self._colours.most
-        log_points(rr, stream, points, segmentation, ids, self._colours)
-        log_planes(rr, stream, segmentation, ids, self._colours)
-        if self._colours.most > before:
-            self._colours.log(rr, stream)
+        labels = np.append(np.int32(0), ids)[segmentation.labels]
+        colours = coloured(labels, ~np.isfinite(points[..., 2]), self._colours)
+        stream.log("camera/planes", rr.Image(colours).compress(jpeg_quality=95))
+        log_points(rr, stream, points, colours, camera)
+        log_outlines(rr, stream, segmentation, ids, self._colours)
         if curvature is not None:
-            stream.log("camera/curvature", rr.Image(_curvature_colours(curvature)))
+            stream.log("camera/curvature", rr.Image(_curvature_colours(curvature)).compress(jpeg_quality=90))
         self._frame += 1
 
     def close(self) -> None:

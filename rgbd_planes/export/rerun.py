@@ -12,7 +12,15 @@ from rgbd_planes._core.files import write_beside
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.frame import Frame
-from rgbd_planes.export.rerun_scene import PlaneColours, log_camera, log_depth, log_planes, rerun, set_time
+from rgbd_planes.export.rerun_scene import (
+    PlaneColours,
+    log_camera,
+    log_depth,
+    log_labels,
+    log_outlines,
+    rerun,
+    set_time,
+)
 from rgbd_planes.export.tiles import polygons_of
 from rgbd_planes.fitting.tiles import TileFitter
 from rgbd_planes.plotting.colours import in_image, normal_colours
@@ -128,7 +136,8 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
         for index, frame, found in _each(sequence, lambda frame: segment(frame.depth, frame.camera, min_size=min_size)):
             tracked = tracker.follow(found)
             _log_frame(rr, stream, index, frame)
-            log_planes(rr, stream, found, tracked.ids, colours)
+            log_labels(rr, stream, tracked.labels, colours)
+            log_outlines(rr, stream, found, tracked.ids, colours)
         colours.log(rr, stream)
 
 

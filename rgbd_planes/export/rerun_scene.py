@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes._core.optional_imports import needs
 from rgbd_planes.camera.camera import Camera
-from rgbd_planes.plotting.colours import NO_PLANE, in_image, label_colours
+from rgbd_planes.plotting.colours import MISSING, NO_PLANE, in_image, label_colours
 from rgbd_planes.segmentation.polygons import plane_polygons
 from rgbd_planes.segmentation.result import Segmentation
 
@@ -57,7 +57,7 @@ class PlaneColours:
         self._colours = np.zeros((0, 3))
 
     def classes(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(N,) int32: the class of each id, 1 to 65535."""
+        """(...) int32: the class of each id, 1 to 65535."""
         classes = (ids - 1) % _MOST_CLASSES + 1
         self.most = max(self.most, int(classes.max(initial=0)))
         if self.most > len(self._colours):
@@ -65,22 +65,26 @@ class PlaneColours:
         return np.asarray(classes)
 
     def of_classes(self, classes: NDArray[np.int32]) -> NDArray[np.float64]:
-        """(N, 3) float64: RGB of classes; dark grey for 0."""
+        """(..., 3) float64: RGB of classes; dark grey for 0."""
         return np.vstack([NO_PLANE, self._colours])[classes]
 
     def log(self, rr: Any, stream: Any) -> None:
         """Log the names and colours of all classes so far."""
         colours = self.of_classes(np.arange(self.most + 1, dtype=np.int32)).tolist()
         classes = [(i, str(i) if i else "none", colour) for i, colour in enumerate(colours)]
-        for entity in ("/", "camera/planes"):  # a view that shows the image alone looks no higher
-            stream.log(entity, rr.AnnotationContext(classes), static=True)
+        stream.log("/", rr.AnnotationContext(classes), static=True)
 
 
-def log_planes(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int32], colours: PlaneColours) -> None:
-    """Log ``camera/planes`` (the id of each pixel's plane), ``planes/outlines`` and ``found`` (how many)."""
+def log_labels(rr: Any, stream: Any, labels: NDArray[np.int32], colours: PlaneColours) -> None:
+    """Log ``camera/planes``: the class of each pixel's plane, from its id."""
+    stream.log(
+        "camera/planes", rr.SegmentationImage(np.where(labels > 0, colours.classes(labels), 0).astype(np.uint16))
+    )
+
+
+def log_outlines(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int32], colours: PlaneColours) -> None:
+    """Log ``planes/outlines``, in the colours of the ids, and ``found`` (how many planes)."""
     classes = colours.classes(ids)
-    labels = np.append(0, classes)[found.labels]
-    stream.log("camera/planes", rr.SegmentationImage(labels.astype(np.uint16)))
     outlines, own = [], []
     for plane in plane_polygons(found):
         rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
@@ -91,18 +95,16 @@ def log_planes(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int32]
     stream.log("found", rr.Scalars(float(len(ids))))
 
 
-def log_points(
-    rr: Any,
-    stream: Any,
-    points: NDArray[np.float64],
-    found: Segmentation,
-    ids: NDArray[np.int32],
-    colours: PlaneColours,
-) -> None:
-    """Log ``points``: up to 80,000 of those measured, in the colours of their planes, dark grey where there is none."""
-    step = max(1, math.ceil(math.sqrt(found.labels.size / _MOST_POINTS)))
+def coloured(labels: NDArray[np.int32], missing: NDArray[np.bool_], colours: PlaneColours) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: pixels in the colours of their ids; dark where there is none, light where depth is missing."""
+    rgb = colours.of_classes(np.where(labels > 0, colours.classes(labels), 0))
+    rgb[missing & (labels == 0)] = MISSING
+    return np.asarray(np.rint(255.0 * rgb), np.uint8)
+
+
+def log_points(rr: Any, stream: Any, points: NDArray[np.float64], rgb: NDArray[np.uint8], camera: Camera) -> None:
+    """Log ``points``: some of those measured, in the colours of an image."""
+    step = max(1, math.ceil(math.sqrt(points.shape[0] * points.shape[1] / _MOST_POINTS)))
     some = points[::step, ::step]
     measured = np.isfinite(some[..., 2])
-    classes = np.append(np.int32(0), colours.classes(ids))[found.labels[::step, ::step][measured]]
-    rgb = np.rint(255.0 * colours.of_classes(classes)).astype(np.uint8)
-    stream.log("points", rr.Points3D(in_image(some[measured], found.camera), colors=rgb))
+    stream.log("points", rr.Points3D(in_image(some[measured], camera), colors=rgb[::step, ::step][measured]))

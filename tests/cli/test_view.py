@@ -50,7 +50,7 @@ def test_view_writes_what_the_viewer_shows(folder, capsys):
         points = np.array(columns["/points", "Points3D:positions"][number])
         measured = CAMERA.points(depth)[depth > 0]
         np.testing.assert_allclose(points, measured, rtol=1e-6)
-    assert len(columns["/camera/curvature", "Image:buffer"]) == 2
+    assert len(columns["/camera/curvature", "EncodedImage:blob"]) == 2
     assert not any(entity == "/path" for entity, _ in columns)
 
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,27 @@ def files(of_a_process) -> list[Path]:
 def loaded(kernel: Any) -> tuple[int, int]:
     """How often a kernel was found on disk, and how often not."""
     return sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values())
+
+
+def test_processes_of_one_test_run_compile_a_kernel_once(tmp_path):
+    """Both begin at the same moment."""
+    (tmp_path / "doubling.py").write_text(SOURCE)
+    code = """
+import pathlib, sys, time
+folder, number = pathlib.Path(sys.argv[1]), int(sys.argv[2])
+sys.path[:0] = [str(folder), sys.argv[3]]
+import compiled_once, doubling
+compiled_once.share(folder.name)
+(folder / f"ready{number}").touch()
+while not (folder / f"ready{1 - number}").exists():
+    time.sleep(0.001)
+doubling.twice(3)
+print(sum(doubling.twice.stats.cache_misses.values()))
+"""
+    tests = str(Path(__file__).resolve().parents[1])
+    with ThreadPoolExecutor(2) as threads:
+        missed = list(threads.map(lambda number: printed_by(code, str(tmp_path), str(number), tests), range(2)))
+    assert sorted(map(int, missed)) == [0, 1]
 
 
 def test_what_one_process_compiles_another_loads(of_a_process, files):
