@@ -32,7 +32,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
     def run(arguments: argparse.Namespace) -> None:
         import numpy as np
 
-        from rgbd_planes import Camera, TileFitter, fit_tiles, noise
+        from rgbd_planes import Camera, TileFitter, noise
         from rgbd_planes._core.files import check_folder_name, check_writable
         from rgbd_planes.evaluation import scenes
         from rgbd_planes.sequences.images import write_png
@@ -62,7 +62,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         print(describe_tiles(tiles))
         print("ROUGH are those with a residual that the noise explains less than once in a hundred times: edges.")
         print(f"One fit takes {milliseconds:.2f} ms (one thread, median of 20).")
-        print(_accuracy(tiles, fit_tiles(depth, camera, arguments.tile, "standard_pca"), rendering))
+        print(_accuracy(tiles, rendering))
 
         write_png(frame_file, depth)
         camera.save(camera_file)
@@ -76,7 +76,7 @@ def demo(parser: argparse.ArgumentParser) -> Run:
     return run
 
 
-def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") -> str:
+def _accuracy(tiles: "TilePlanes", rendering: "Rendering") -> str:
     """A table of the errors of the tiles that see one plane, for the largest planes and for all."""
     import numpy as np
 
@@ -86,15 +86,15 @@ def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") 
     rows, columns = (np.cumsum(sides) - (sides + 1) // 2 for sides in (tiles.tile_heights, tiles.tile_widths))
     x, y = (table[np.ix_(rows, columns)] for table in (rendering.camera.tan_x, rendering.camera.tan_y))
 
-    def line(name: str, fits: "TilePlanes", chosen: Any) -> str:
-        truth, found = rendering.planes[labels[chosen] - 1], fits.planes[chosen]
+    def line(name: str, chosen: Any) -> str:
+        truth, found = rendering.planes[labels[chosen] - 1], tiles.planes[chosen]
         rays = np.stack([x[chosen], y[chosen], np.ones(len(truth))], axis=1)
         surface = rays * (-truth[:, 3] / np.sum(truth[:, :3] * rays, axis=1))[:, None]
         off = np.abs(np.sum(found[:, :3] * surface, axis=1) + found[:, 3])
         angle = np.median(plane_errors(found, truth).angle_deg)
         return f"  {name:<22}{len(truth):>6}{angle:>13.2f}°{1e3 * np.median(off):>14.2f} mm"
 
-    labels = np.where(tiles.fitted & usual.fitted, rendering.tile_labels(tiles.tile), 0)
+    labels = np.where(tiles.fitted, rendering.tile_labels(tiles.tile), 0)
     sizes = np.bincount(labels.ravel(), minlength=len(rendering.planes) + 1)[1:]
     largest = [i for i in np.argsort(-sizes, kind="stable")[:6] if sizes[i] > 0]
     if not largest:
@@ -103,9 +103,8 @@ def _accuracy(tiles: "TilePlanes", usual: "TilePlanes", rendering: "Rendering") 
         [
             "Against the truth, medians over the tiles that see one plane; the surface in the middle of the tile:",
             f"  {'plane':<22}{'tiles':>6}{'normal off':>14}{'surface off':>17}",
-            *(line(rendering.names[i], tiles, labels == i + 1) for i in largest),
-            line("all", tiles, labels > 0),
-            line(f"all, by {usual.method}", usual, labels > 0),
+            *(line(rendering.names[i], labels == i + 1) for i in largest),
+            line("all", labels > 0),
             "  (the noise is independent between pixels, the ideal case for a fit of 1/Z)",
         ]
     )
