@@ -7,20 +7,23 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.checks import check_bool, check_whole, number, numbers, real_array
+from rgbd_planes._core.checks import check_bool, check_choice, check_whole, number, numbers, real_array
 from rgbd_planes._core.files import naming, write_beside
 from rgbd_planes._core.lazy_property import kept
+from rgbd_planes._core.text import counted, percent
 from rgbd_planes._core.user_warnings import collected_warnings, warn_caller
-from rgbd_planes.camera import calibrations
+from rgbd_planes.camera.calibrations import files, formats, systems
 from rgbd_planes.camera.depth_frame import as_depth_frame
+from rgbd_planes.camera.intrinsics_warnings import warn_of_intrinsics
 from rgbd_planes.camera.lenses import distortion
+from rgbd_planes.camera.lenses.ray_table import RayTable, filled, tables_of
 from rgbd_planes.noise.model import NoiseModel, check_not_a_maker
 
 Tables = tuple[Floats, Floats, NDArray[np.bool_] | None]
@@ -37,8 +40,10 @@ class OfDepth(TypedDict, total=False):
 
 
 _PIXELS = "whole number of pixels"
+_SQUEEZED = 0.02  # share by which the two scales of a resized image may differ, besides rounding
+_SELDOM = "noise", "rays", "is_part"  # keys of a camera's file that most lack
+FLIPS = ("horizontal", "vertical")
 _LARGEST = 1e8  # pixels: far beyond any camera; with tangents of larger numbers sums lose all digits
-_FARTHEST_BUT_FISHEYE = 75.0  # degrees from the optical axis; only fisheye lenses see farther
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class Camera:
         What the coefficients do: OpenCV's model maps the ray to the image, RealSense's inverse (five coefficients) maps
         the image to the ray. The fisheye is that of `cv2.fisheye`, ROS's equidistant and Kannala-Brandt: it bends rays
         even if all coefficients are zero. Pixels that see 85 degrees from the optical axis or more, as in the corners
-        of a circular image, are missing in every frame.
+        of a circular image, are missing in every frame. So are pixels beyond a fold of any other lens.
     depth_scale : float, optional
         Raw units per metre of integer frames (1000: millimetres).
     disparity : (scale, offset), optional
@@ -74,6 +79,11 @@ class Camera:
         Raw values that mean "no measurement", besides 0, negative, NaN and infinite depths.
     noise : NoiseModel, optional
         The sensor's noise, from `rgbd_planes.noise` or `rgbd_planes.estimate_noise`.
+    rays : RayTable, optional
+        The ray of each pixel, instead of a lens: `Camera.from_rays` makes such cameras. The focal lengths and the
+        principal point are then those of a pinhole that is like it near the axis.
+    is_part : bool
+        Whether the images are parts of larger ones, as `cropped` says: their principal point may lie anywhere.
 
     Raises
     ------
@@ -83,8 +93,11 @@ class Camera:
     Warns
     -----
     UserWarning
-        The image reaches farther than 75 degrees from the optical axis, and not through a fisheye, or the principal
-        point lies outside the image: most likely intrinsics in other units, or of another image size.
+        The image reaches farther than 75 degrees from the optical axis, and not through a fisheye; the principal point
+        is farther from the middle than 12 % of the image's side; or fx is 1.5 times fy, or the other way round. Most
+        likely these are intrinsics in other units or order, or of another image size.
+    UserWarning
+        When rays are first asked for: the lens model folds in the corners, whose pixels are missing in every frame.
 
     Notes
     -----
@@ -105,6 +118,8 @@ class Camera:
     depth_range: tuple[float, float] | None = None
     invalid_values: Sequence[float] = ()  # kept as a tuple
     noise: NoiseModel | None = None
+    rays: RayTable | None = None
+    is_part: bool = field(default=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -119,6 +134,8 @@ class Camera:
                 raise ValueError(f"expected {name} in pixels, {least:g} to {_LARGEST:g} or minus that, got {value!r}")
         coefficients = numbers("distortion", self.distortion)
         self._set("distortion", distortion.checked(coefficients, self.distortion_model))
+        self._set("is_part", check_bool("is_part", self.is_part))
+        self._check_rays()
         invalid = numbers("invalid_values", self.invalid_values, finite=False)
         # The others are never measurements; NaN would make a camera differ from its own copy.
         self._set("invalid_values", tuple(value for value in invalid if math.isfinite(value)))
@@ -126,31 +143,23 @@ class Camera:
         if self.noise is not None and not isinstance(self.noise, NoiseModel):
             raise TypeError(f"expected noise as a NoiseModel or None, got {type(self.noise).__name__}")
         self._check_depth()
-        self._warn_of_intrinsics()
+        if self.rays is None and not self.is_part:
+            warn_of_intrinsics(self)
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
-    def _warn_of_intrinsics(self) -> None:
-        """Warn of what is possible, but most likely in other units than pixels, or of another image size."""
-        # A fisheye does see that far; if it sees hardly anything of the image, that is an error.
-        farthest = 180.0 if self.distortion_model == "fisheye" else _FARTHEST_BUT_FISHEYE
-        for size, focal, centre, names in (
-            (self.width, self.fx, self.cx, ("fx", "cx", "width")),
-            (self.height, self.fy, self.cy, ("fy", "cy", "height")),
-        ):
-            angle = math.degrees(math.atan(max(abs(centre), abs(size - 1 - centre)) / abs(focal)))
-            if angle > farthest:
-                warn_caller(
-                    f"with {names[0]} = {focal:g} and {names[1]} = {centre:g}, an image of {names[2]} {size} reaches "
-                    f"{angle:.0f} degrees from the optical axis: are they in pixels, and of this image size?"
-                )
-            elif not -1.0 < centre < size:
-                warn_caller(
-                    f"{names[1]} = {centre:g} lies outside an image of {names[2]} {size}: are these the intrinsics of "
-                    "another image size? Camera.resized makes the camera of resized images, and Camera.cropped that of "
-                    "a part of them, without this warning"
-                )
+    def _check_rays(self) -> None:
+        if self.rays is None:
+            return
+        if not isinstance(self.rays, RayTable):
+            raise TypeError(
+                f"expected rays as a RayTable, which Camera.from_rays makes, got {type(self.rays).__name__}"
+            )
+        if self.distortion or self.distortion_model != "brown_conrady":
+            raise ValueError("expected rays or a lens distortion, got both")
+        if self.rays.shape != self.shape:
+            raise ValueError(f"expected rays of shape (height, width) = {self.shape}, got {self.rays.shape}")
 
     def _check_depth(self) -> None:
         if self.depth_scale is not None:
@@ -166,7 +175,8 @@ class Camera:
             if self.depth_scale is not None:
                 raise ValueError(
                     f"expected depth_scale or disparity, got both: depth_scale={self.depth_scale!r}, "
-                    f"disparity={self.disparity!r}"
+                    f"disparity={self.disparity!r}; dataclasses.replace keeps what is not given: "
+                    "replace(camera, depth_scale=None, disparity=...)"
                 )
             pair = numbers("disparity", self.disparity)
             if len(pair) != 2 or pair[0] == 0:
@@ -188,7 +198,10 @@ class Camera:
     def _with(self, **changes: Any) -> Self:
         """A copy with changes; of doubtful intrinsics whoever stated them has been warned."""
         with collected_warnings([]):
-            return replace(self, **changes)
+            made = replace(self, **changes)
+        if self.__dict__.get("_has_told_of_folds"):
+            made.__dict__["_has_told_of_folds"] = True
+        return made
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -198,7 +211,7 @@ class Camera:
     @property
     def is_distorted(self) -> bool:
         """Whether the lens bends anything; if not, tan_x depends on the column only, and tan_y on the row only."""
-        return bool(self.distortion)
+        return bool(self.distortion) or self.rays is not None
 
     @property
     def tan_x_columns(self) -> Floats:
@@ -221,12 +234,12 @@ class Camera:
     def tan_x(self) -> Floats:
         """(H, W) float64, C-contiguous, read-only: tanθx of each pixel's ray (tan_x, tan_y, 1).
 
-        Where a fisheye has no ray within 85 degrees of the optical axis, one at the border of what it sees.
+        Where a pixel has no ray, that of the nearest pixel with one; of a fisheye, one at the border of what it sees.
 
         Raises
         ------
         ValueError
-            The distortion cannot be inverted everywhere inside the image; for a fisheye, hardly anywhere.
+            The distortion cannot be inverted in half of the image or more; for a fisheye, in nearly all of it.
         """
         return self._tables[0]
 
@@ -237,23 +250,44 @@ class Camera:
 
     @property
     def _without_ray(self) -> NDArray[np.bool_] | None:
-        """(H, W) bool: the pixels of a fisheye that have no ray within 85 degrees of the axis; None where all have."""
+        """(H, W) bool: the pixels that have no ray; None where all have."""
         # Asked of every frame: an ordinary camera may never need its tables.
-        return self._tables[2] if self.distortion_model == "fisheye" else None
+        return self._tables[2] if self.is_distorted else None
 
     @property
     @kept
     def _lens(self) -> Self:
         """The camera without its depth: what depends on the lens alone is kept for all cameras that have it."""
-        return self._with(depth_scale=None, disparity=None, depth_range=None, invalid_values=(), noise=None)
+        lens = self._with(
+            depth_scale=None, disparity=None, depth_range=None, invalid_values=(), noise=None, is_part=False
+        )
+        lens.__dict__["_has_told_of_folds"] = True  # the camera itself does
+        return lens
 
     @property
     @kept
     def _tables(self) -> Tables:
+        if self.rays is not None:
+            return tables_of(self.rays)
         if self.is_distorted:
-            return _through_lens(self._lens)
+            tables = _through_lens(self._lens)
+            if tables[2] is not None and self.distortion_model != "fisheye":
+                self._warn_of_folds(int(np.count_nonzero(tables[2])))
+            return tables
         image_x, image_y = self._flat_tables
         return _read_only(image_x), _read_only(image_y), None
+
+    def _warn_of_folds(self, count: int) -> None:
+        if self.__dict__.setdefault("_has_told_of_folds", False):
+            return
+        self.__dict__["_has_told_of_folds"] = True
+        share = percent(count / (self.width * self.height))
+        warn_caller(
+            f"{counted(count, 'pixel')} of {self.width} x {self.height} ({share}) have no single ray, most likely in "
+            f"the corners, and are missing in every frame: the lens model folds there; distortion="
+            f"{list(self.distortion)} ({self.distortion_model}). Is their order k1 k2 p1 p2 k3, and are fx and fy "
+            "those of images of this size?"
+        )
 
     @property
     def _flat_tables(self) -> tuple[Floats, Floats]:
@@ -294,7 +328,7 @@ class Camera:
         -------
         (..., 2) ndarray of float64
             Column x and row y in pixels; NaN behind the camera, where the distortion has no image of the ray, and
-            for points that are not finite or whose image is not.
+            for points that are not finite or whose image is not. NaN outside the image of a camera with given rays.
 
         Raises
         ------
@@ -308,19 +342,24 @@ class Camera:
         z = np.where(of_points[2] > 0, of_points[2], np.nan)
         with np.errstate(over="ignore", invalid="ignore"):  # very near the camera's plane, and at infinity
             x, y = of_points[0] / z, of_points[1] / z
-            if self.is_distorted:
-                x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
-            x, y = x * self.fx + self.cx, y * self.fy + self.cy
+            if self.rays is not None:
+                x, y = self.rays.image_of(x, y)
+            else:
+                if self.is_distorted:
+                    x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
+                x, y = x * self.fx + self.cx, y * self.fy + self.cy
         finite = np.logical_and.reduce([np.isfinite(each) for each in (*of_points, x, y)])
         return np.stack([np.where(finite, x, np.nan), np.where(finite, y, np.nan)], axis=-1)
 
-    def resized(self, width: int, height: int) -> Self:
+    def resized(self, width: int, height: int, *, stretched: bool = False) -> Self:
         """The camera of resized images, whose pixels look through the middle of those that they stand for.
 
         Parameters
         ----------
         width, height : int
             Size of a resized frame in pixels.
+        stretched : bool
+            Whether frames were squeezed or stretched to another shape on purpose: then there is no warning of it.
 
         Returns
         -------
@@ -333,6 +372,11 @@ class Camera:
         TypeError, ValueError
             The size is no size of a camera.
 
+        Warns
+        -----
+        UserWarning
+            The size has another shape than the image: most likely frames were cropped to it first.
+
         Notes
         -----
         ``frame[::n, ::n]``, and other ways that take one pixel of many, keep the centres of these pixels: the principal
@@ -340,8 +384,92 @@ class Camera:
         """
         x = check_whole("width", width, 1, _PIXELS) / self.width
         y = check_whole("height", height, 1, _PIXELS) / self.height
+        if not check_bool("stretched", stretched) and abs(x / y - 1.0) > max(_SQUEEZED, 1.0 / min(width, height)):
+            warn_caller(self._cropped_before(width, height))
         cx, cy = x * (self.cx + 0.5) - 0.5, y * (self.cy + 0.5) - 0.5
-        return self._with(width=width, height=height, fx=x * self.fx, fy=y * self.fy, cx=cx, cy=cy, noise=None)
+        rays = None if self.rays is None else self.rays.resized(height, width)
+        changes = {"width": width, "height": height, "fx": x * self.fx, "fy": y * self.fy, "cx": cx, "cy": cy}
+        return self._with(**changes, rays=rays, noise=None)
+
+    def _cropped_before(self, width: int, height: int) -> str:
+        scale = max(width / self.width, height / self.height)
+        part = min(round(width / scale), self.width), min(round(height / scale), self.height)
+        left, top = (self.width - part[0]) // 2, (self.height - part[1]) // 2
+        return (
+            f"resized({width}, {height}) of {self.width} x {self.height} changes the shape: fx and fy become "
+            f"{width / self.width:.3g} and {height / self.height:.3g} times as large. If frames were cropped to it, as "
+            f"by half of what is too much on each side, camera.cropped({left}, {top}, {part[0]}, {part[1]})"
+            f".resized({width}, {height}) is right; if they were squeezed, resized({width}, {height}, stretched=True)"
+        )
+
+    def rotated(self, degrees: int) -> Self:
+        """The camera of images turned counter-clockwise, as ``numpy.rot90(frame, degrees // 90)`` turns them.
+
+        Axes turn with the image: x is to the right and y down in the turned one. For a sensor that is mounted upside
+        down, turn its frames by 180 degrees: then y points down again.
+
+        Parameters
+        ----------
+        degrees : {0, 90, 180, 270}
+            270 counter-clockwise are 90 clockwise.
+
+        Returns
+        -------
+        Camera
+            Exact, whatever the lens. A point (X, Y, Z) becomes (Y, -X, Z) by 90 degrees, (-X, -Y, Z) by 180 and
+            (-Y, X, Z) by 270.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The angle is none of these.
+        """
+        quarters = quarter_turns(degrees)
+        if quarters == 0:
+            return self
+        right, bottom = self.width - 1 - self.cx, self.height - 1 - self.cy
+        cx, cy = ((self.cy, right), (right, bottom), (bottom, self.cx))[quarters - 1]
+        changes: dict[str, Any] = {"cx": cx, "cy": cy}
+        if quarters != 2:
+            changes |= {"width": self.height, "height": self.width, "fx": self.fy, "fy": self.fx}
+        if self.rays is not None:
+            changes["rays"] = self.rays.turned(quarters)
+        elif self.distortion and self.distortion_model != "fisheye":
+            # The tangential part is 2 (p·x) x + r² p for p = (p2, p1), which turns as any vector does.
+            k1, k2, p1, p2, *others = self.distortion
+            tangential = ((-p2, p1), (-p1, -p2), (p2, -p1))[quarters - 1]
+            changes["distortion"] = (k1, k2, *tangential, *others)
+        return self._with(**changes)
+
+    def flipped(self, direction: str) -> Self:
+        """The camera of mirrored images, as ``numpy.fliplr(frame)``, or ``numpy.flipud(frame)``, makes them.
+
+        Each pixel keeps its ray: points, planes and normals stay those of the real scene, not of its mirror image. So
+        fx, or fy, becomes negative.
+
+        Parameters
+        ----------
+        direction : {"horizontal", "vertical"}
+            Whether left and right, or top and bottom, have changed places.
+
+        Returns
+        -------
+        Camera
+            Exact, whatever the lens.
+
+        Raises
+        ------
+        ValueError
+            The direction is neither.
+        """
+        check_choice("direction", direction, FLIPS)
+        if direction == "horizontal":
+            changes: dict[str, Any] = {"fx": -self.fx, "cx": self.width - 1 - self.cx}
+        else:
+            changes = {"fy": -self.fy, "cy": self.height - 1 - self.cy}
+        if self.rays is not None:
+            changes["rays"] = self.rays.mirrored(1 if direction == "horizontal" else 0)
+        return self._with(**changes)
 
     def with_noise(self, noise: NoiseModel | None) -> Self:
         """The same camera with a noise model, such as `rgbd_planes.estimate_noise` returns, or without one.
@@ -384,17 +512,24 @@ class Camera:
                 raise ValueError(
                     f"expected a part of the image, of {names[1]} {whole}, got {names[0]} {first} and {names[1]} {size}"
                 )
-        return self._with(width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+        inside = slice(top, top + height), slice(left, left + width)
+        rays = None if self.rays is None else self.rays.part(*inside)
+        changes = {"width": width, "height": height, "cx": self.cx - left, "cy": self.cy - top}
+        return self._with(**changes, rays=rays, is_part=self.is_part or (width, height) != (self.width, self.height))
 
     def to_dict(self) -> dict[str, Any]:
-        """The camera as a dict that JSON can hold, with "noise" if there is a model.
+        """The camera as a dict that JSON can hold, with "noise" if there is a model, and "rays" if they are given.
 
         Raises
         ------
         ValueError
             The noise model is a function.
         """
-        made: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "noise"}
+        made: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _SELDOM}
+        if self.is_part:
+            made["is_part"] = True
+        if self.rays is not None:
+            made["rays"] = self.rays.to_dict()
         if self.noise is not None:
             made["noise"] = self.noise.to_dict()
         made["distortion"] = list(self.distortion)
@@ -417,7 +552,7 @@ class Camera:
         Warns
         -----
         UserWarning
-            As `Camera`, of which that of a part of an image may lack the principal point.
+            As `Camera`.
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
@@ -425,8 +560,7 @@ class Camera:
         unknown = sorted(str(k) for k in values if k not in known)
         if unknown:
             raise ValueError(
-                f"expected the camera keys {', '.join(known)}, got also {', '.join(unknown)}"
-                f"{calibrations.whose(unknown)}"
+                f"expected the camera keys {', '.join(known)}, got also {', '.join(unknown)}{formats.hint(values)}"
             )
         missing = [name for name in known[:6] if name not in values]
         if missing:
@@ -434,6 +568,8 @@ class Camera:
         made = dict(values)
         if isinstance(made.get("noise"), Mapping):
             made["noise"] = NoiseModel.from_dict(made["noise"])
+        if isinstance(made.get("rays"), Mapping):
+            made["rays"] = RayTable.from_dict(made["rays"])
         disparity = made.get("disparity")
         if isinstance(disparity, Mapping):
             if set(disparity) != {"scale", "offset"}:
@@ -447,8 +583,20 @@ class Camera:
         return cls(**made)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a camera from a JSON file with the keys of `to_dict`.
+    def load(cls, path: str | os.PathLike[str], name: str | None = None, **depth: Unpack[OfDepth]) -> Self:
+        """Read a camera from a file of `save`, or from a calibration of another tool, recognised by its contents.
+
+        Parameters
+        ----------
+        path : path
+            JSON with the keys of `to_dict`; YAML, XML or JSON of ``cv2.FileStorage``; ROS, Kalibr, ORB-SLAM or VINS
+            YAML; Open3D, RealSense, nerfstudio (transforms.json), Record3D or Polycam JSON; COLMAP's cameras.txt; the
+            info.txt of BundleFusion and ScanNet; ARKitScenes' .pincam.
+        name : str, optional
+            Which camera, if the file has several: "cam1" of Kalibr, "2" of COLMAP.
+        **depth
+            `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera, which most of these
+            files leave out, instead of what the file says.
 
         Raises
         ------
@@ -460,9 +608,9 @@ class Camera:
         UserWarning
             As `from_dict`.
         """
-        values = calibrations.read_json(path)
+        values = files.read_calibration(path, name)
         with naming(path):
-            return cls.from_dict(values)
+            return cls.from_dict({**values, **depth})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera to a JSON file; the file appears whole or not at all.
@@ -476,6 +624,50 @@ class Camera:
         """
         with write_beside(path, ".json") as beside:
             beside.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+    @classmethod
+    def from_rays(cls, tan_x: ArrayLike, tan_y: ArrayLike, **depth: Unpack[OfDepth]) -> Self:
+        """Make a camera whose pixels look where two tables say: of a scanner, a mosaic, or a lens of another model.
+
+        Parameters
+        ----------
+        tan_x, tan_y : (H, W) array_like of float
+            X / Z and Y / Z of each pixel's ray, at least 2 x 2; NaN for a pixel without a ray, which is missing in
+            every frame.
+        **depth
+            `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
+
+        Returns
+        -------
+        Camera
+            With the fx, fy, cx and cy of a pinhole that is like it near the axis. `save` keeps the tables to the bit.
+
+        Raises
+        ------
+        TypeError, ValueError
+            They are no tables of one shape, or hardly any ray is within 85 degrees of the axis.
+
+        Notes
+        -----
+        Depth is Z, along the axis; a scanner's distances are divided by ``numpy.sqrt(1 + tan_x**2 + tan_y**2)`` first.
+        Rays of 85 degrees from the axis or more, and behind, are missing: a scan all around takes several cameras, each
+        with a part of the columns and an axis of its own. Neighbouring pixels should look at neighbouring places, since
+        planes are found from pixels that touch. `project` interpolates between the rays, and `resized` takes its rays
+        from there.
+
+        Examples
+        --------
+        A quarter of a spherical scan, azimuth and elevation in radians, (W,) and (H,):
+
+        >>> ahead = np.abs(azimuth) < np.pi / 4
+        >>> tan_x = np.broadcast_to(np.tan(azimuth[ahead]), (len(elevation), ahead.sum()))
+        >>> tan_y = -np.tan(elevation)[:, None] / np.cos(azimuth[ahead])
+        >>> camera = rp.Camera.from_rays(tan_x, tan_y)
+        >>> depth = distances[:, ahead] / np.sqrt(1 + tan_x**2 + tan_y**2)
+        """
+        rays = RayTable(tan_x, tan_y)
+        height, width = rays.shape
+        return cls(width, height, *rays.pinhole, rays=rays, **depth)
 
     @classmethod
     def from_opencv(
@@ -510,11 +702,11 @@ class Camera:
             The matrix has a skew or is not a camera matrix, or there are coefficients of a thin prism or of a tilted
             sensor.
         """
-        made = calibrations.from_opencv(camera_matrix, distortion, size, distortion_model, pixel_center)
+        made = systems.from_opencv(camera_matrix, distortion, size, distortion_model, pixel_center)
         return cls(**made, **depth)
 
     @classmethod
-    def from_ros(cls, info: Any, *, rectified: bool = False, **depth: Unpack[OfDepth]) -> Self:
+    def from_ros(cls, info: Any, *, rectified: bool | None = None, **depth: Unpack[OfDepth]) -> Self:
         """Make a camera from a ROS 1 or 2 sensor_msgs/CameraInfo, or from the content of a ROS calibration file.
 
         Parameters
@@ -523,8 +715,9 @@ class Camera:
             With width, height, K, D, P (or k, d, p), distortion_model, binning_x, binning_y, roi. Or, as
             camera_calibration writes them to YAML, with image_width, image_height, camera_matrix,
             distortion_coefficients, projection_matrix, distortion_model.
-        rectified : bool
-            Whether the depth image is rectified (P, no distortion) or raw (K and D).
+        rectified : bool, optional
+            Whether the depth image is rectified (P, no distortion) or raw (K and D). If not given, it is raw, unless K
+            is 0, as some drivers of stereo cameras leave it.
         **depth
             `depth_scale`, `disparity`, `depth_range`, `invalid_values`, `noise` of the camera.
 
@@ -532,7 +725,8 @@ class Camera:
         ------
         TypeError, ValueError
             Something required is missing or invalid; or the distortion model is none of plumb_bob, rational_polynomial
-            and equidistant, with coefficients other than zero: if all are zero, the lens is taken for a pinhole.
+            and equidistant, with coefficients other than zero: if all are zero, the lens is taken for a pinhole, unless
+            it is equidistant, which bends rays even then.
 
         Notes
         -----
@@ -540,8 +734,11 @@ class Camera:
         The principal point follows ROS's own image_geometry: (cx - x_offset) / binning_x. For a camera that
         averages blocks of pixels the exact value would be (binning_x - 1) / (2 binning_x) less.
         """
-        whole, part = calibrations.from_ros(info, check_bool("rectified", rectified))
-        return cls(**whole, **depth)._with(**part)
+        is_rectified = None if rectified is None else check_bool("rectified", rectified)
+        whole, part = systems.from_ros(info, is_rectified)
+        made = cls(**whole, **depth)
+        is_part = (part["width"], part["height"]) != made.shape[::-1]
+        return made._with(**part, is_part=is_part)
 
     @classmethod
     def from_open3d(cls, source: Any, **depth: Unpack[OfDepth]) -> Self:
@@ -560,10 +757,10 @@ class Camera:
             The file cannot be read, or something required is missing or invalid.
         """
         if not isinstance(source, str | os.PathLike):
-            return cls(**calibrations.from_open3d(source), **depth)
-        values = calibrations.read_json(source)
+            return cls(**systems.from_open3d(source), **depth)
+        values = files.read_json(source)
         with naming(source):
-            return cls(**calibrations.from_open3d(values), **depth)
+            return cls(**systems.from_open3d(values), **depth)
 
     @classmethod
     def from_realsense(cls, intrinsics: Any, *, depth_units: float | None = None, **depth: Unpack[OfDepth]) -> Self:
@@ -588,11 +785,11 @@ class Camera:
         -----
         Inverse Brown-Conrady is taken as librealsense's header defines it: the polynomial undistorts. (The
         deprojection in newer releases of its rsutil.h inverts the polynomial instead, as for Brown-Conrady;
-        for that, change `distortion_model`.) Depth streams have all coefficients zero: whatever their model, that is
-        a pinhole. Kannala-Brandt is the fisheye of `Camera`. Modified Brown-Conrady and F-theta with coefficients
+        for that, change `distortion_model`.) Depth streams have all coefficients zero: that is a pinhole, unless the
+        model is Kannala-Brandt, which is the fisheye of `Camera`. Modified Brown-Conrady and F-theta with coefficients
         other than zero are an error.
         """
-        made = calibrations.from_realsense(intrinsics, depth_units)
+        made = systems.from_realsense(intrinsics, depth_units)
         depth_scale = depth.pop("depth_scale", None)
         if depth_scale is not None:
             if "depth_scale" in made:
@@ -611,9 +808,27 @@ def _through_lens(camera: Camera) -> Tables:
         return _read_only(x), _read_only(y), None
     # Finite ones, for sums over all pixels, from which missing ones are then subtracted, and for corners of
     # outlines.
-    ratio = np.hypot(x, y)[~without_ray].max() / np.hypot(image_x, image_y)[without_ray]
-    x[without_ray], y[without_ray] = image_x[without_ray] * ratio, image_y[without_ray] * ratio
+    if camera.distortion_model == "fisheye":
+        ratio = np.hypot(x, y)[~without_ray].max() / np.hypot(image_x, image_y)[without_ray]
+        x[without_ray], y[without_ray] = image_x[without_ray] * ratio, image_y[without_ray] * ratio
+    else:
+        x, y = filled(x, y, without_ray)
     return _read_only(x), _read_only(y), without_ray
+
+
+def quarter_turns(degrees: int) -> int:
+    """The number of quarter turns counter-clockwise, 0 to 3, of an angle of so many degrees.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The angle is none of 0, 90, 180, 270.
+    """
+    if isinstance(degrees, bool) or not isinstance(degrees, (int, float, np.integer, np.floating)):
+        raise TypeError(f"expected degrees as 0, 90, 180 or 270, got {degrees!r}")
+    if degrees not in (0, 90, 180, 270):
+        raise ValueError(f"expected degrees, counter-clockwise, as 0, 90, 180 or 270, got {degrees!r}")
+    return int(degrees) // 90
 
 
 def _read_only(array: Floats) -> Floats:

@@ -42,6 +42,8 @@ class Units(Protocol):
     @property
     def invalid_values(self) -> Sequence[float]: ...
     @property
+    def distortion_model(self) -> str: ...
+    @property
     def _without_ray(self) -> NDArray[np.bool_] | None: ...
 
 
@@ -125,10 +127,10 @@ def as_depth_frame(depth: ArrayLike, camera: Units) -> DepthFrame:
     Notes
     -----
     Depths are missing if they are 0, negative, NaN, infinite, one of `camera.invalid_values` or outside
-    `camera.depth_range`; so are pixels of a fisheye without a ray within 85 degrees of the axis, and depths below the
-    smallest normal number of float32, 1.2e-38 m, or not below its largest, 3.4e38 m. Raw values of a disparity image
-    are missing where 1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw 0 can
-    be a measurement there, unless `invalid_values` names it.
+    `camera.depth_range`; so are pixels without a ray, as of a fisheye beyond 85 degrees from the axis, and depths below
+    the smallest normal number of float32, 1.2e-38 m, or not below its largest, 3.4e38 m. Raw values of a disparity
+    image are missing where 1/Z = scale * raw + offset is not positive, by `invalid_values`, and by `depth_range`: a raw
+    0 can be a measurement there, unless `invalid_values` names it.
     """
     array = plain_array("depth", depth)
     check_shape(depth, array, camera)
@@ -188,7 +190,7 @@ def _read(array: NDArray[Any], camera: Units) -> DepthFrame:
     invalid = [raw == value for value in holes]
     if camera._without_ray is not None:
         invalid.append(camera._without_ray)
-        for sample in samples:
+        for sample in samples if camera.distortion_model == "fisheye" else ():
             _warn_of_lost_pixels((sample >= lowest) & (sample <= highest) & some_of(camera._without_ray)[0])
     if invalid:
         raw, lowest, highest = _without(raw, functools.reduce(np.logical_or, invalid), lowest, highest, missing)
@@ -233,6 +235,12 @@ def check_shape(depth: ArrayLike, array: NDArray[Any], camera: Units) -> None:
         reason = (
             ": is the calibration that of another resolution? "
             f"camera.resized({width}, {height}) is that of frames that were resized"
+        )
+    elif array.ndim == 2 and min(array.shape, default=0) > 1:
+        height, width = array.shape
+        reason = (
+            ": was it cropped, or cropped and resized? camera.cropped(left, top, width, height) is that of a part, and "
+            f".resized({width}, {height}) after it that of a part that was resized"
         )
     else:
         reason = ""

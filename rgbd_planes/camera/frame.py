@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.files import naming
-from rgbd_planes.camera.camera import Camera
+from rgbd_planes.camera.camera import Camera, quarter_turns
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 
 
@@ -36,6 +36,35 @@ class Frame:
     timestamp: float
     name: str
     pose: NDArray[np.float64] | None = None
+
+    def rotated(self, degrees: int) -> Frame:
+        """The frame turned counter-clockwise by 0, 90, 180 or 270 degrees, with its camera and its pose.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The angle is none of these.
+        """
+        quarters = quarter_turns(degrees)
+        pose = self.pose
+        if pose is not None:
+            turn = np.eye(4)
+            for _ in range(quarters):
+                turn[:2, :2] = [[0.0, 1.0], [-1.0, 0.0]] @ turn[:2, :2]
+            pose = pose @ turn.T
+        depth = np.rot90(self.depth, quarters)
+        return replace(self, depth=depth, camera=self.camera.rotated(degrees), pose=pose)
+
+    def flipped(self, direction: str) -> Frame:
+        """The frame mirrored, "horizontal" or "vertical", with its camera; each pixel keeps its ray.
+
+        Raises
+        ------
+        ValueError
+            The direction is neither.
+        """
+        camera = self.camera.flipped(direction)
+        return replace(self, depth=np.flip(self.depth, 1 if direction == "horizontal" else 0), camera=camera)
 
     def __repr__(self) -> str:
         time = "" if math.isnan(self.timestamp) else f", {self.timestamp:.6f} s"

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from rgbd_planes._core.checks import plain_array
+from rgbd_planes._core.checks import check_choice, plain_array
 from rgbd_planes._core.files import damage, existing_file, write_beside
+from rgbd_planes.camera.camera import FLIPS, quarter_turns
 
 Frame = NDArray[Any]
 
@@ -85,6 +86,57 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
     with write_beside(path) as beside:
         # Noise does not repeat: to look for more than runs takes up to nine times as long, and saves a seventh at most.
         Image.fromarray(np.ascontiguousarray(image, native)).save(beside, format="PNG", compress_type=zlib.Z_RLE)
+
+
+def rotated(frame: ArrayLike, degrees: int) -> Frame:
+    """A frame, labels or normals turned counter-clockwise, for `Camera.rotated` of as many degrees.
+
+    Parameters
+    ----------
+    frame : (H, W, ...) array_like
+    degrees : {0, 90, 180, 270}
+
+    Returns
+    -------
+    (H, W, ...) or (W, H, ...) array
+        A view of the same numbers: vectors, such as normals, are not turned.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The angle is none of these, or the frame is masked or no image.
+    """
+    quarters = quarter_turns(degrees)
+    return np.rot90(_image(frame), quarters)
+
+
+def flipped(frame: ArrayLike, direction: str) -> Frame:
+    """A frame or labels mirrored, for `Camera.flipped` in the same direction.
+
+    Parameters
+    ----------
+    frame : (H, W, ...) array_like
+    direction : {"horizontal", "vertical"}
+
+    Returns
+    -------
+    (H, W, ...) array
+        A view of the same numbers.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The direction is neither, or the frame is masked or no image.
+    """
+    check_choice("direction", direction, FLIPS)
+    return np.flip(_image(frame), 1 if direction == "horizontal" else 0)
+
+
+def _image(frame: ArrayLike) -> Frame:
+    image = plain_array("frame", frame)
+    if image.ndim < 2:
+        raise ValueError(f"expected a frame of shape (height, width), got {image.shape}")
+    return image
 
 
 def check_png_size(image: Any, size: int) -> None:

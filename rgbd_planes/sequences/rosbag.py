@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes._core.files import damage, existing_file, identity, naming, readable
 from rgbd_planes._core.optional_imports import needs
-from rgbd_planes.camera.calibrations import depth_scale_of
+from rgbd_planes.camera.calibrations.systems import depth_scale_of
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 from rgbd_planes.sequences.images import check_png_size

@@ -144,11 +144,22 @@ def test_zeros_at_the_end_of_a_distortion_make_no_other_camera():
 
 @pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
 def test_a_distortion_that_folds_inside_the_image(model):
-    # The radial part folds at radius 0.577; the image reaches to 0.6 sideways and less up and down.
-    camera = small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model)
-    message = r"inside the image, got pixels without a single ray, one of them at row 0, column 0: .* radius 0\.577"
+    """Pixels beyond the fold are missing, and counted in one warning, unless they are most of the image."""
+    camera = small(distortion=(-0.5 if model == "brown_conrady" else -0.75, 0, 0, 0, 0), distortion_model=model)
+    with pytest.warns(UserWarning, match=r"^\d+ pixels of 64 x 48 .* have no single ray") as warned:
+        missing = np.isnan(camera.points(np.ones(camera.shape))[..., 2])
+    assert str(warned[0].message).startswith(f"{np.count_nonzero(missing)} pixels of 64 x 48")
+    assert 0 < missing.mean() < 0.3
+    column, row = pixels(camera)
+    folds = 0.5443 if model == "brown_conrady" else 2.0 / 3.0  # where the radial part has its largest value
+    np.testing.assert_array_equal(missing, np.hypot((column - 31.0) / camera.fx, (row - 24.5) / camera.fy) > folds)
+    assert missing[[0, 0, -1, -1], [0, -1, 0, -1]].all()  # the corners
+    wide = small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=40.0, fy=40.0)
+    message = (
+        r"inside the image, got \d+% of the pixels without a single ray, one of them at row 0, column 0: .* 0\.577"
+    )
     with pytest.raises(ValueError, match=message):
-        _ = camera.tan_x
+        _ = wide.tan_x
     assert small(distortion=(-1.0, 0, 0, 0, 0), distortion_model=model, fx=160.0, fy=160.0).tan_x.shape == (48, 64)
 
 
@@ -184,8 +195,10 @@ def test_a_pixel_without_a_ray_between_those_that_are_looked_at_first(monkeypatc
         return found
 
     monkeypatch.setattr(lens_models, "_single_rays", but_one)
-    with pytest.raises(ValueError, match="at row 5, column 7: the radial part folds at radius inf"):
+    with pytest.warns(UserWarning, match="^1 pixel of "):
         _ = camera.tan_x
+    assert np.argwhere(camera._without_ray).tolist() == [[5, 7]]
+    assert camera.tan_x[5, 7] in (camera.tan_x[5, 6], camera.tan_x[5, 8], camera.tan_x[4, 7], camera.tan_x[6, 7])
 
 
 @pytest.mark.parametrize("distortion", [(), KINECT[:4]])
@@ -316,7 +329,7 @@ def test_a_part_of_an_image_has_its_rays_and_its_noise(lens):
 @pytest.mark.parametrize("size", [(32, 24), (21, 12), (128, 144)])
 def test_a_pixel_of_a_resized_image_looks_through_the_middle_of_its_pixels(lens, size):
     camera = small(**lens, depth_scale=1000.0)
-    resized = camera.resized(*size)
+    resized = camera.resized(*size, stretched=True)
     pinhole = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     assert replace(resized, **pinhole) == camera
     step = np.array([camera.width / size[0], camera.height / size[1]])
@@ -563,12 +576,14 @@ def test_from_ros_models():
     for unnamed in (camera_info(distortion_model=""), without(camera_info(), "distortion_model")):
         assert Camera.from_ros(unnamed).distortion == KINECT  # plumb_bob, as that of most drivers is
     assert Camera.from_ros(camera_info(distortion_model="", D=[])).distortion == ()
-    assert Camera.from_ros(camera_info(distortion_model="equidistant", D=[0.0] * 4)).distortion == ()
+    for zeros in ([0.0] * 4, []):  # a fisheye all the same: the model itself bends rays
+        equidistant = Camera.from_ros(camera_info(distortion_model="equidistant", D=zeros))
+        assert (equidistant.distortion, equidistant.distortion_model) == ((0.0,) * 4, "fisheye")
     fisheye = Camera.from_ros(camera_info(distortion_model="equidistant", D=FISHEYE))
     assert (fisheye.distortion, fisheye.distortion_model) == (FISHEYE, "fisheye")
     with pytest.raises(ValueError, match="4 coefficients in D for equidistant, got 5"):
         Camera.from_ros(camera_info(distortion_model="equidistant", D=KINECT))
-    with pytest.raises(ValueError, match="one of plumb_bob, rational_polynomial, equidistant, got 'thin_prism'"):
+    with pytest.raises(ValueError, match=r"one of plumb_bob, .*, equidistant, fisheye, got 'thin_prism'"):
         Camera.from_ros(camera_info(distortion_model="thin_prism", D=[0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match="4 or 5 coefficients in D for plumb_bob, got 8"):
         Camera.from_ros(camera_info(D=RATIONAL))
@@ -694,7 +709,7 @@ def test_from_realsense_models(model, expected):
 def test_from_realsense_of_a_fisheye():
     camera = Camera.from_realsense(realsense(model="kannala_brandt4", coeffs=(*FISHEYE, 0.0)))
     assert (camera.distortion_model, camera.distortion) == ("fisheye", FISHEYE)
-    assert not Camera.from_realsense(realsense(model="kannala_brandt4")).is_distorted
+    assert Camera.from_realsense(realsense(model="kannala_brandt4")).distortion_model == "fisheye"
 
 
 def test_from_realsense_without_a_lens():
@@ -875,7 +890,8 @@ def test_intrinsics_that_no_camera_has_are_doubted(change, words):
         replace(Camera(**values), **change)
     assert [warning.filename for warning in warned] == [__file__]
     # Wide lenses, narrow ones, and crops beside the principal point are no reason.
-    for other in ({"fx": 90.0}, {"fx": 1e6}, {"cx": -0.5}, {"cy": 479.5}):
+    parts = {"cx": -0.5, "is_part": True}, {"cy": 479.5, "is_part": True}
+    for other in ({"fx": 90.0, "fy": 90.0}, {"fx": 1e6, "fy": 1e6}, *parts):
         Camera(**values | other)
     part = Camera(**values).cropped(600, 0, 20, 100)
     assert (part.cx, part.cy) == (-280.5, 239.5)

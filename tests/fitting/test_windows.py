@@ -148,7 +148,7 @@ def test_small_windows_of_large_frames_are_degenerate_as_documented(method, widt
 
 def test_small_windows_on_the_optical_axis_have_their_plane():
     """X and Y are as good as nothing there: it is their Z that sums over the frame keep."""
-    camera = replace(rp.presets.primesense(), cx=638.0, cy=478.0)
+    camera = replace(rp.presets.primesense(), cx=638.0, cy=478.0, is_part=True)
     depth = rp.scenes.plane((0.1, 0.0, -1.0), 2.0).render(camera).measure(quantise=False)
     windows = [(477, 637, 3, 3)]
     fits = rp.fit_windows(depth, camera, windows, "standard_pca", implementation="integral")

@@ -15,8 +15,9 @@ MODELS = tuple(_COUNTS)
 
 _LARGEST = 1e60  # products of a few coefficients are finite
 _EXPECTED = "expected a lens distortion that can be inverted inside the image"
-_STEP = 16  # rows and columns of an image that are looked at before the others
+_STEPS = 32  # rows and columns of an image, at least, that are looked at before the others; every 16th of large ones
 _LEAST_SEEN = 0.1  # share of a fisheye's pixels; with fewer the focal length is most likely in other units
+_LEAST_UNFOLDED = 0.5  # share of an ordinary lens's pixels; with fewer the coefficients are most likely others
 
 
 def checked(coefficients: tuple[float, ...], model: str) -> tuple[float, ...]:
@@ -60,12 +61,12 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
     Returns
     -------
     x, y : (H, W) float64
-        NaN where a fisheye has no ray that counts, as in the corners of a circular image.
+        NaN where there is no single ray: beyond a fold, or in the corners of a fisheye's circular image.
 
     Raises
     ------
     ValueError
-        Some pixels have no ray, or several, saying where; for a fisheye, nearly all.
+        Half of the pixels or more have no ray, or several, saying where; for a fisheye, nearly all.
     """
     if model == "fisheye":
         ray_x, ray_y, one_to_one = fisheye.undistort(x, y, coefficients)
@@ -78,19 +79,20 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
             f"column {column}, without a ray, which they have up to {widest:.4g} degrees from the optical axis; "
             f"distortion={coefficients} ({model})"
         )
-    for step in (_STEP, 1):  # looking for a ray where there is none takes long: some pixels show it, as at the border
-        rows, columns = (np.unique(np.append(np.arange(0, length, step), length - 1)) for length in x.shape)
-        some = np.ix_(rows, columns)
-        ray_x, ray_y, one_to_one = _single_rays(x[some], y[some], coefficients, model)
-        if not one_to_one.all():
-            row, column = np.argwhere(~one_to_one)[0]
-            raise ValueError(
-                f"{_EXPECTED}, got pixels without a single ray, one of them at row {rows[row]}, column "
-                f"{columns[column]}: the radial part folds at radius {brown_conrady.fold_radius(coefficients):.4g}; "
-                f"distortion={coefficients} ({model}); is their order k1 k2 p1 p2 k3, and are fx and fy those of "
-                "images of this size?"
-            )
-    return ray_x, ray_y
+    step = max(1, min(16, min(x.shape) // _STEPS))
+    some = tuple(np.unique(np.append(np.arange(0, length, step), length - 1)) for length in x.shape)
+    # Looking for a ray where there is none takes long: some pixels show how many have none.
+    _, _, one_to_one = _single_rays(x[np.ix_(*some)], y[np.ix_(*some)], coefficients, model)
+    if one_to_one.mean() <= _LEAST_UNFOLDED:
+        row, column = (places[i] for places, i in zip(some, np.argwhere(~one_to_one)[0], strict=True))
+        raise ValueError(
+            f"{_EXPECTED}, got {1.0 - one_to_one.mean():.0%} of the pixels without a single ray, one of them at row "
+            f"{row}, column {column}: the radial part folds at radius {brown_conrady.fold_radius(coefficients):.4g}; "
+            f"distortion={coefficients} ({model}); is their order k1 k2 p1 p2 k3, and are fx and fy those of images of "
+            "this size?"
+        )
+    ray_x, ray_y, one_to_one = _single_rays(x, y, coefficients, model)
+    return np.where(one_to_one, ray_x, np.nan), np.where(one_to_one, ray_y, np.nan)
 
 
 def _single_rays(
@@ -107,6 +109,9 @@ def _single_rays(
     # The lines from the border to the optical axis sweep the whole image.
     for border in ((0, slice(None)), (-1, slice(None)), (slice(None), 0), (slice(None), -1)):
         one_to_one[border] &= brown_conrady.unfolded(flat_x[border], flat_y[border], coefficients)
+    if not one_to_one.all():  # of which pixels, inside the image, is to be found out
+        found = np.nonzero(one_to_one)
+        one_to_one[found] &= brown_conrady.unfolded(flat_x[found], flat_y[found], coefficients)
     return ray_x, ray_y, one_to_one
 
 

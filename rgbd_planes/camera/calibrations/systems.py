@@ -1,8 +1,7 @@
-"""Other systems' descriptions of a camera, turned into the arguments of `Camera`."""
+"""The objects and mappings of OpenCV, ROS, Open3D and RealSense, turned into the arguments of `Camera`."""
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.checks import check_choice, check_whole, number, plain_array, real_array
-from rgbd_planes._core.files import no_folder
 
 _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
     "none",
@@ -22,15 +20,8 @@ _REALSENSE_MODELS = (  # in the order of librealsense's enum rs2_distortion
     "brown_conrady",
     "kannala_brandt4",
 )
-_OTHERS = (  # a key of other files, and the method that takes their camera
-    ("intrinsic_matrix", "open3d"),
-    ("K", "ros"),
-    ("k", "ros"),
-    ("ppx", "realsense"),
-    ("camera_matrix", "opencv"),
-    ("mtx", "opencv"),
-)
-_ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+_ROS_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,), "fisheye": (4,)}
+_ROS_FISHEYES = ("equidistant", "fisheye")
 _REALSENSE_COEFFICIENTS = {  # `Camera`'s name for the model, and how many of the five numbers it uses
     "brown_conrady": ("brown_conrady", 5),
     "inverse_brown_conrady": ("inverse_brown_conrady", 5),
@@ -41,25 +32,6 @@ _ROS_FILE = {  # a ROS calibration file's names for the matrices of the message
     "distortion_coefficients": "D",
     "projection_matrix": "P",
 }
-
-
-def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """The object in a JSON file; ValueError where there is none."""
-    if os.fspath(path).lower().endswith((".yaml", ".yml")):
-        raise ValueError(
-            f"expected a JSON file, got {os.fspath(path)}: Camera.from_ros takes what yaml.safe_load reads from "
-            "ROS's YAML, and Camera.save writes JSON"
-        )
-    with no_folder(path).open(encoding="utf-8-sig") as file:  # some editors write a byte order mark
-        try:
-            values = json.load(file)
-        except UnicodeDecodeError:
-            raise ValueError(f"expected a JSON file, got {os.fspath(path)}, which is no text") from None
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"expected a JSON file, got {os.fspath(path)}: {error}") from None
-    if not isinstance(values, dict):
-        raise ValueError(f"expected a JSON object in {os.fspath(path)}, got {type(values).__name__}")
-    return values
 
 
 def from_opencv(
@@ -83,27 +55,23 @@ def from_opencv(
     }
 
 
-def whose(keys: list[str]) -> str:
-    """The end of a message that says which other format has such keys; empty if none is known."""
-    for key, other in _OTHERS:
-        if key in keys:
-            return f": Camera.from_{other} takes that, Camera.save writes it as here"
-    return ""
-
-
-def from_ros(info: Any, rectified: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+def from_ros(info: Any, rectified: bool | None) -> tuple[dict[str, Any], dict[str, Any]]:
     """Arguments of `Camera` for the whole image, and those of the part that is sent; see `Camera.from_ros`."""
     if info is None:  # as before the first message
         raise TypeError("expected a CameraInfo, got None")
     if isinstance(info, Mapping) and "image_width" in info:
         info = _camera_info(info)
     width, height = _whole(info, "width"), _whole(info, "height")
+    if rectified is None:  # the matrix that is there: some drivers fill only one
+        rectified = not _is_filled(info, "K") and _is_filled(info, "P")
     name, columns = ("P", 4) if rectified else ("K", 3)
     matrix = _real_array_of_yaml(name, _get(info, name, name.lower()))
     if matrix.size != 3 * columns:
         raise ValueError(f"expected {3 * columns} numbers in {name}, got {matrix.size}")
     if not matrix.any():
-        raise ValueError(f"expected a camera that is calibrated: ROS writes {name} = 0 for one that is not")
+        other = "K" if rectified else "P"
+        hint = f"; its {other} is there: rectified={not rectified} takes that" if _is_filled(info, other) else ""
+        raise ValueError(f"expected a camera that is calibrated: ROS writes {name} = 0 for one that is not{hint}")
     pinhole = _pinhole(_matrix(name, matrix.reshape(3, columns)[:, :3]))
 
     whole = {"width": width, "height": height, **pinhole, **({} if rectified else _ros_distortion(info))}
@@ -123,6 +91,12 @@ def from_ros(info: Any, rectified: bool) -> tuple[dict[str, Any], dict[str, Any]
         "cy": (pinhole["cy"] - y_offset) / binning_y,
     }
     return whole, part
+
+
+def _is_filled(info: Any, name: str) -> bool:
+    """Whether a message has a matrix, and not zeros for a camera that is not calibrated."""
+    values = _get(info, name, name.lower(), default=())
+    return bool(_real_array_of_yaml(name, values).any())
 
 
 def _region(roi: Any, first: str, size: str, whole: int) -> tuple[int, int]:
@@ -147,16 +121,19 @@ def _camera_info(file: Mapping[str, Any]) -> dict[str, Any]:
 
 def _ros_distortion(info: Any) -> dict[str, Any]:
     coefficients = _real_array_of_yaml("D, empty without distortion,", _get(info, "D", "d")).ravel().tolist()
-    if not any(coefficients):
-        return {}
     model = str(_get(info, "distortion_model", default="")) or "plumb_bob"
+    # A fisheye bends rays even where all its coefficients are zero.
+    if model in _ROS_FISHEYES and len(coefficients) == 0:
+        coefficients = [0.0] * 4
+    if not any(coefficients) and model not in _ROS_FISHEYES:
+        return {}
     check_choice("distortion_model", model, tuple(_ROS_COEFFICIENTS))
     if len(coefficients) not in _ROS_COEFFICIENTS[model]:
         raise ValueError(
             f"expected {' or '.join(map(str, _ROS_COEFFICIENTS[model]))} coefficients in D for {model}, "
             f"got {len(coefficients)}"
         )
-    if model == "equidistant":
+    if model in _ROS_FISHEYES:
         return {"distortion": coefficients, "distortion_model": "fisheye"}
     return {"distortion": _without_thin_prism(coefficients)}
 
@@ -186,7 +163,7 @@ def from_realsense(intrinsics: Any, depth_units: float | None) -> dict[str, Any]
         "cy": _get(intrinsics, "ppy"),
     }
     model = _realsense_model(_get(intrinsics, "model"))
-    if any(coefficients) and model != "none":
+    if model == "kannala_brandt4" or (any(coefficients) and model != "none"):
         if model not in _REALSENSE_COEFFICIENTS:
             raise ValueError(
                 f"expected a RealSense model of none, {', '.join(_REALSENSE_COEFFICIENTS)}, got {model} "
@@ -237,7 +214,10 @@ def _get(source: Any, *names: str, **default: Any) -> Any:
     if "default" in default:
         return default["default"]
     if isinstance(source, str | os.PathLike):
-        raise TypeError(f"expected a mapping, or an object, got the path {os.fspath(source)!r}: read it first")
+        raise TypeError(
+            f"expected a mapping, or an object, got the path {os.fspath(source)!r}: read it first, or Camera.load "
+            "reads files"
+        )
     raise ValueError(f"expected {' or '.join(names)} in the {type(source).__name__}, got none")
 
 
