@@ -27,15 +27,18 @@ _NAMES = {
     "PlaneTracker": "segmentation.tracking",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
+    "SurfaceFitter": "fitting.surfaces.tiles",
     "TileFitter": "fitting.tiles",
     "TilePlanes": "fitting.tile_planes",
     "TileStatus": "fitting.results",
+    "TileSurfaces": "fitting.surfaces.tile_surfaces",
     "TrackedSegmentation": "segmentation.tracking",
     "WindowPlanes": "fitting.windows",
     "curvature": "fitting.normals",
     "estimate_noise": "noise_estimation.estimation",
     "fit_labels": "fitting.labels",
     "fit_sequence": "batch.fit_sequence",
+    "fit_surfaces": "fitting.surfaces.tiles",
     "fit_tiles": "fitting.tiles",
     "fit_windows": "fitting.windows",
     "measurement_noise": "uncertainty.points",
@@ -87,6 +90,9 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting.merge import merge as merge
     from rgbd_planes.fitting.normals import curvature as curvature
     from rgbd_planes.fitting.normals import normals as normals
+    from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces as TileSurfaces
+    from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter as SurfaceFitter
+    from rgbd_planes.fitting.surfaces.tiles import fit_surfaces as fit_surfaces
     from rgbd_planes.fitting.tile_planes import TilePlanes as TilePlanes
     from rgbd_planes.fitting.tiles import TileFitter as TileFitter
     from rgbd_planes.fitting.tiles import fit_tiles as fit_tiles

@@ -28,7 +28,9 @@ Arrays = Mapping[str, Any]
 # What tells the classes of files that do not name them, as those of earlier versions.
 _ONLY_IN = {"tile": "TilePlanes", "sigma": "Segmentation"}
 # Public classes that read files.
-_KINDS = {"LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TrackedSegmentation", "WindowPlanes"}
+_KINDS = {
+    "LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "TrackedSegmentation", "WindowPlanes",
+}  # fmt: skip
 
 
 class Savable:

@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 import operator
 import threading
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes._core.arrays import Arrays
-from rgbd_planes._core.checks import (
-    FixedArguments,
-    check_choice,
-    check_max_error,
-    check_num_threads,
-    check_share,
-    each_of,
-)
-from rgbd_planes._core.compile_notice import announced
-from rgbd_planes._core.threads import Work, choose_num_threads, run_in_ranges, submit
+from rgbd_planes._core.checks import check_choice, check_max_error, check_num_threads, check_share
+from rgbd_planes._core.threads import Work
 from rgbd_planes.camera.camera import Camera, check_camera
-from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, as_depth_frames
-from rgbd_planes.camera.frame import as_numbered_frame
-from rgbd_planes.camera.frame_warnings import warn_of_noise
+from rgbd_planes.camera.depth_frame import DepthFrame
+from rgbd_planes.fitting.grid_fitter import GridFitter
 from rgbd_planes.fitting.methods import ARRAYS, METHODS, SOLVES, in_order, solve_planes, valid_needed
 from rgbd_planes.fitting.results import allocate
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_windows
@@ -36,14 +25,7 @@ from rgbd_planes.fitting.tile_planes import TilePlanes, assessment_of_tiles
 from rgbd_planes.fitting.window_moments import WindowMoments
 from rgbd_planes.kernels.fits import tiles as tile_kernels
 
-if TYPE_CHECKING:
-    from rgbd_planes.camera.frame import Frame
-
 IMPLEMENTATIONS = ("direct", "integral", "naive")
-
-_MANY = 8  # frames for each thread that are enough to share out whole ones fairly
-# Of frames in one array a thread fits so many in one call: only in between, in Python, do threads wait for one another.
-_PIXELS_AT_ONCE = 5_000_000
 
 _arrays_of = operator.attrgetter(*ARRAYS)
 
@@ -56,7 +38,7 @@ def _valid_needed(frame: tuple[int, int], tile: tuple[int, int], max_missing: fl
     return needed
 
 
-class TileFitter(FixedArguments):
+class TileFitter(GridFitter[TilePlanes]):
     """Fits the tiles of one camera's frames; what depends on the camera alone is computed once, here.
 
     Its attributes camera, tile, method and implementation cannot be changed: make a new one.
@@ -72,8 +54,6 @@ class TileFitter(FixedArguments):
         For an argument that cannot be used, saying what was expected and what came.
     """
 
-    camera: Camera
-    tile: tuple[int, int]
     method: str
     implementation: str
 
@@ -102,7 +82,8 @@ class TileFitter(FixedArguments):
         self._max_error = check_max_error(max_error)
         self._num_threads = check_num_threads(num_threads)
 
-        self._noise_is_asked = threading.Lock()  # kept from the first frame on that tells; no thread waits for it
+        self._noise_is_asked = threading.Lock()
+        self._takes_stacks = implementation == "direct"
         self._grid = grid_shape(camera, self.tile)
         # A copy: for a read-only array kernels would be compiled again.
         self._needed = _valid_needed(camera.shape, self.tile, max_missing).copy()
@@ -127,167 +108,6 @@ class TileFitter(FixedArguments):
         # Numba pickles a kernel as code to be compiled without its cache, and arrays come back writable, for which
         # kernels would be compiled again.
         return functools.partial(type(self), **self._options), (self.camera, self.tile, self.method)
-
-    def fit(self, depth: npt.ArrayLike, out: TilePlanes | None = None) -> TilePlanes:
-        """Fit the tiles of a frame.
-
-        Parameters
-        ----------
-        depth : (H, W) array_like
-            Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
-            ``disparity``, disparities.
-        out : TilePlanes, optional
-            An earlier result for a frame of this fitter: its arrays are written into, with those of its
-            uncertainty if it was asked for that, and it is returned.
-
-        Returns
-        -------
-        TilePlanes
-            Arrays of shape (R, C, ...).
-
-        Raises
-        ------
-        TypeError, ValueError
-            The frame is not an array of the camera's size, or is one of integers without a unit; or ``out`` is not a
-            result of this fitter for one frame.
-
-        Warns
-        -----
-        UserWarning
-            As `fit_tiles`.
-        """
-        return self._fit(as_depth_frame(depth, self.camera), out)
-
-    def _fit(self, frame: DepthFrame, out: TilePlanes | None = None) -> TilePlanes:
-        if out is None:
-            arrays = self._arrays((), None)
-            fit, out = self._into(arrays), self._result(arrays)
-        else:
-            fit = self._into_result(out)
-        threads = choose_num_threads(self._num_threads, frame.raw.size)
-        with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
-            run_in_ranges(fit(frame), self._grid[0], threads)
-        return out
-
-    def fit_batch(
-        self, frames: Sequence[npt.ArrayLike | Frame] | npt.NDArray[Any], out: TilePlanes | None = None
-    ) -> TilePlanes:
-        """Fit the tiles of many frames, which threads share.
-
-        Parameters
-        ----------
-        frames : (F, H, W) array or sequence of (H, W), or of Frame by this camera, as of `open_sequence`
-            Each is asked for once, if there are eight or more for each thread; threads share fewer. With four threads
-            or more, an array takes less time than a sequence.
-        out : TilePlanes, optional
-            An earlier result for as many frames, as in `fit`.
-
-        Returns
-        -------
-        TilePlanes
-            Arrays of shape (F, R, C, ...).
-
-        Raises
-        ------
-        TypeError, ValueError
-            As `fit`, for each frame; or there is no frame, or no length to count them by.
-
-        Warns
-        -----
-        UserWarning
-            As `fit_tiles`, for each frame.
-        """
-        if isinstance(frames, Mapping) or not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
-            raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any")
-        if len(frames) == 0:
-            raise ValueError("expected at least one frame, got none")
-        arrays = self._arrays((len(frames),), out)
-        rows = self._grid[0]
-
-        stack = None
-        if isinstance(frames, np.ndarray) and frames.ndim == 3 and self.implementation == "direct":
-            stack = frames
-        at_once = 1 if stack is None else max(1, _PIXELS_AT_ONCE // math.prod(self.camera.shape))
-
-        def fit_some(start: int, stop: int) -> None:
-            """Fit tile rows ``start`` to ``stop``, counted through all frames."""
-            end = -(-stop // rows)
-            for first in range(start // rows, end, at_once):
-                last = min(first + at_once, end)
-                if stack is None:
-                    frame = as_numbered_frame(first, frames[first], self.camera)
-                else:
-                    frame = as_depth_frames(stack[first:last], self.camera)
-                fit = self._into({name: array[first:last] for name, array in arrays.items()})
-                with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
-                    fit(frame)(max(start - first * rows, 0), min(stop, last * rows) - first * rows)
-
-        threads = choose_num_threads(self._num_threads, len(frames) * self.camera.width * self.camera.height)
-        # A frame that two threads share is read twice; but of a few whole ones, some threads would get many more than
-        # others.
-        step = rows if len(frames) >= _MANY * threads else 1
-        run_in_ranges(lambda start, stop: fit_some(step * start, step * stop), len(frames) * rows // step, threads)
-        return self._result(arrays) if out is None else out
-
-    def fit_stream(self, frames: Iterable[npt.ArrayLike | Frame]) -> Iterator[TilePlanes]:
-        """Fit the tiles of frames one after the other, as they come, in constant memory.
-
-        Parameters
-        ----------
-        frames : iterable of (H, W) array_like, or of Frame by this camera
-            Of any length, even without end: a generator that reads a camera or files.
-
-        Yields
-        ------
-        TilePlanes
-            Of one frame, in order. With ``num_threads`` above 1, that many frames are fitted at a time, and read ahead:
-            a frame must then not be overwritten before its planes have come. Otherwise each frame is finished before
-            the next is asked for.
-
-        Raises
-        ------
-        TypeError, ValueError
-            As `fit`, in place of the frame's planes, after which no more come. Exceptions from ``frames`` itself come
-            after the planes of all earlier frames.
-
-        Warns
-        -----
-        UserWarning
-            As `fit_tiles`, for each frame.
-        """
-        return self._stream(each_of(frames))
-
-    def _stream(self, source: Iterator[npt.ArrayLike | Frame]) -> Iterator[TilePlanes]:
-        ahead = 1 if self._num_threads is None else self._num_threads
-        if ahead == 1:
-            for number, frame in enumerate(source):
-                yield self._fit(as_numbered_frame(number, frame, self.camera))
-            return
-        waiting: deque[Callable[[], TilePlanes]] = deque()
-        wrong: Exception | None = None
-        for number in itertools.count():
-            try:
-                frame = next(source)
-            except StopIteration:  # not kept: it refers to this call's variables, which would refer to it
-                break
-            except Exception as error:  # raised after the planes of earlier frames
-                wrong = error
-                break
-            waiting.append(submit(self._fit_alone, ahead, number, frame))
-            if len(waiting) == ahead:
-                yield waiting.popleft()()
-        while waiting:
-            yield waiting.popleft()()
-        if wrong is not None:
-            raise wrong
-
-    def _fit_alone(self, number: int, depth: npt.ArrayLike | Frame) -> TilePlanes:
-        """Fit a frame in this thread."""
-        arrays = self._arrays((), None)
-        frame = as_numbered_frame(number, depth, self.camera)
-        with announced((*self._compiled_for, frame.is_disparity, frame.raw.dtype)):
-            self._into(arrays)(frame)(0, self._grid[0])
-        return self._result(arrays)
 
     def _arrays(self, frames: tuple[int, ...], out: TilePlanes | None) -> Arrays:
         if out is None:
@@ -345,11 +165,6 @@ class TileFitter(FixedArguments):
             return work
 
         return fit_and_assess
-
-    def _warn_of_noise(self, frame: DepthFrame) -> None:
-        """Ask one frame of all, the first with measurements, whether the noise is in other units."""
-        if self._noise_is_asked.acquire(blocking=False) and not warn_of_noise(frame, self.camera.noise):
-            self._noise_is_asked.release()
 
     def _direct(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
         frames = arrays["status"].size // math.prod(self._grid)

@@ -19,7 +19,7 @@ import rgbd_planes as rp
 from rgbd_planes._core import threads
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.batch import fit_sequence as batch
-from rgbd_planes.fitting import tiles
+from rgbd_planes.fitting import grid_fitter
 
 ARRAYS = ("planes", "alpha", "rmse", "rmse_metric", "valid_count", "status")
 
@@ -420,7 +420,7 @@ STACKS = {
 @pytest.mark.parametrize("kind", STACKS)
 def test_frames_of_one_array_are_fitted_as_one_by_one(kind, num_threads, rng, monkeypatch):
     """Which is done in one call for several, here five: the last ones are fewer."""
-    monkeypatch.setattr(tiles, "_PIXELS_AT_ONCE", 5 * 48 * 64 + 100)
+    monkeypatch.setattr(grid_fitter, "_PIXELS_AT_ONCE", 5 * 48 * 64 + 100)
     options, convert = STACKS[kind]
     camera = make_camera(noise=rp.noise.time_of_flight(0.005), **options)
     raw = np.stack([as_dtype(make_holes(make_depth(camera, rng), "some", rng), "uint16") for _ in range(37)])
