@@ -93,9 +93,7 @@ def label_array(name: str, labels: Any) -> NDArray[Any]:
     """Return integers, or a mask, as an array, unless they are in a masked array."""
     if isinstance(labels, (str, os.PathLike)):
         kind = type(labels).__name__
-        raise TypeError(
-            f"expected {name} as an array, got {kind}: rgbd_planes.sequences.images.read_depth reads a file"
-        )
+        raise TypeError(f"expected {name} as an array, got {kind}: rgbd_planes.images.read_depth reads a file")
     if hasattr(labels, "labels"):
         raise TypeError(f"expected {name} as an array, got {type(labels).__name__}: its .labels are one")
     array = plain_array(name, labels)

@@ -209,7 +209,7 @@ def check_shape(depth: ArrayLike, array: NDArray[Any], camera: Units) -> None:
     if array.shape == expected:
         return
     if depth is None or isinstance(depth, (str, os.PathLike)):
-        reason = "has the file been read?" if depth is None else "rgbd_planes.sequences.images.read_depth reads a file"
+        reason = "has the file been read?" if depth is None else "rgbd_planes.images.read_depth reads a file"
         raise TypeError(f"expected a depth frame as an array, got {type(depth).__name__}: {reason}")
     if array.dtype == object and array.size and hasattr(array.flat[0], "depth"):
         reason = f"the array is the depth of a {type(array.flat[0]).__name__}"

@@ -1,4 +1,4 @@
-"""Segmented planes for other tools: JSON, label images, PLY, Open3D, ROS. `rgbd_planes.export.rerun` is for rerun.
+"""Segmented planes for other tools: JSON, label images, PLY, Open3D, ROS. `rp.recording` is for rerun.
 
 Segmentations are those of `segment`, or the planes of your own labels, of `fit_labels`. All in the camera's frame (x
 right, y down, z forward) and in metres. What is neither, or no `PlanePolygon`, raises a TypeError, and a path that

@@ -1,6 +1,6 @@
 """Planes of tiles, and points, for other tools: Open3D, PLY, ROS, JSON.
 
-`rgbd_planes.export.segments` is for segments, `rgbd_planes.export.rerun` for rerun.
+`rp.segmentation_export` is for segments, `rp.recording` for rerun.
 
 All in the camera's frame (x right, y down, z forward) and in metres, which is also ROS's optical frame and
 Open3D's. What is no `TilePlanes` raises a TypeError, the tiles of a batch a ValueError, and a path that cannot be

@@ -79,8 +79,8 @@ def test_what_would_make_a_camera_is_named(camera, message):
     ("depth", "error", "message"),
     [
         (None, TypeError, "as an array, got NoneType: has the file been read?"),
-        ("depth.png", TypeError, "as an array, got str: rgbd_planes.sequences.images.read_depth reads a file"),
-        (Path("depth.png"), TypeError, "Path: rgbd_planes.sequences.images.read_depth reads a file"),
+        ("depth.png", TypeError, "as an array, got str: rgbd_planes.images.read_depth reads a file"),
+        (Path("depth.png"), TypeError, "Path: rgbd_planes.images.read_depth reads a file"),
         (FRAMES[0], TypeError, "as an array, got Frame: the array is the depth of a Frame"),
         (FRAMES, TypeError, "as an array, got FrameSequence: the array is the depth of a Frame"),
         (DEPTH.tobytes(), TypeError, "expected a depth frame as an array, got bytes$"),

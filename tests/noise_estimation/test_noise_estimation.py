@@ -684,7 +684,7 @@ def test_integers_that_were_made_metres_are_as_rounded(rng):
 
 def test_real_kinect_frames():
     """Estimated from every second frame, tested on the others: a few tiles in a thousand to a few in a hundred."""
-    import real_data
+    from bench import real_data
 
     folder = real_data.FOLDER / "kinect1_7scenes_seq"
     if not folder.exists():

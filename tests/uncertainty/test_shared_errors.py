@@ -14,6 +14,7 @@ from bench import monte_carlo
 from bench.monte_carlo import CORRELATED
 from rgbd_planes.camera.depth_frame import DepthFrame
 from rgbd_planes.fitting.methods import METHODS
+from rgbd_planes.fitting.tile_grid import tile_windows
 from rgbd_planes.kernels.segmentation.refit.interior import runs_inside
 from rgbd_planes.kernels.statistics.tiles.block import EXPECTED, FREEDOM
 from rgbd_planes.uncertainty.pixel_runs import joined, runs_found, runs_of_labels, runs_of_windows
@@ -219,7 +220,7 @@ def test_unions_are_as_uncertain_as_their_pixels(noise, rng):
     union[3:6, 3:] = union[0, 7] = 2
     pixels = np.kron(union, np.ones((12, 16), int))
     wanted = rp.fit_labels(depth, camera, pixels)
-    windows = rp.fit_windows(depth, camera, rp.tile_grid.tile_windows(camera.shape, (12, 16)))
+    windows = rp.fit_windows(depth, camera, tile_windows(camera.shape, (12, 16)))
     parts = rp.fit_labels(
         depth, camera, np.kron(np.arange(1, union.size + 1).reshape(union.shape), np.ones((12, 16))).astype(int)
     )
