@@ -65,14 +65,14 @@ class Fit:
     def __post_init__(self) -> None:
         frame, camera = sensor(self.disparity)
         self._range = self.method.startswith("range")
-        self._frame = *frame.values, *ray_tables(camera)
+        self._frame = frame.values, ray_tables(camera), None if self._range else True
         shape = camera.height + 1, camera.width + 1
         self._full = np.empty((6, len(self.windows)))
         nothing_missing = np.empty((0, 0), np.int32), np.empty((0, 5))
         self._missing = nothing_missing if self._range else (np.empty((0, 0, 1)),)
         if self._range:
-            self._of_camera = np.empty((*shape, 6))
-            summed_area.camera_tables(*ray_tables(camera), self._of_camera)
+            self._camera_tables = np.empty((*shape, 6))
+            summed_area.camera_tables(*ray_tables(camera), self._camera_tables)
             self._look_up_camera()
         self._tables = np.zeros((*shape, TABLES[self.method]))
         self.arrays = allocate((), (len(self.windows),))
@@ -80,11 +80,10 @@ class Fit:
 
     def build(self) -> None:
         """Build the frame's summed-area tables."""
-        kernel: Any = summed_area.range_tables if self._range else summed_area.standard_tables
-        kernel(*self._frame, self._tables)
+        summed_area.frame_tables(*self._frame, self._tables)
 
     def _look_up_camera(self) -> None:
-        summed_area.camera_window_moments(self._of_camera, self.windows, 0, len(self.windows), self._full)
+        summed_area.camera_window_moments(self._camera_tables, self.windows, 0, len(self.windows), self._full)
 
     def planes_of_new_windows(self) -> None:
         """Fit all windows as if no frame before had them: the camera's terms are looked up, too."""
@@ -100,8 +99,7 @@ class Fit:
             kernel = summed_area.range_window_moments if self._range else summed_area.standard_window_moments
             source = (self._tables, *self._missing)
         else:
-            kernel = window_pixels.range_window_moments if self._range else window_pixels.standard_window_moments
-            source = self._frame
+            kernel, source = window_pixels.window_moments, self._frame
         count = len(self.windows)
         kernel(*source, self.windows, self._full, 0, count, self.arrays["_moments"])
         solve_planes(self.method, self.arrays, self._needed, np.inf, 0, count)

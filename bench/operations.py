@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rgbd_planes.kernels.common.depth import RawFrame
 from rgbd_planes.kernels.moments import summed_area
 from rgbd_planes.kernels.moments import windows as window_pixels
 
@@ -141,47 +142,48 @@ def numbers(values: np.ndarray[Any, Any], tally: Counter[str]) -> np.ndarray[Any
 HEIGHT, WIDTH = 6, 8
 
 
-def _run(kernel: Any, tables: int, rays_count: bool, window: bool) -> Counter[str]:
+def _run(kernel: Any, standard: bool | None, tables: int, rays_count: bool, window: bool) -> Counter[str]:
     """Tally one run of a kernel on a frame without missing pixels."""
     tally: Counter[str] = Counter()
     rng = np.random.default_rng(0)
     depth = rng.uniform(1000.0, 3000.0, (HEIGHT, WIDTH))
     x, y = (rng.uniform(-0.5, 0.5, (HEIGHT, WIDTH)) for _ in range(2))
-    rays = [numbers(table, tally) if rays_count else table for table in (x, y)]
-    arguments = [numbers(depth, tally), 0.0, np.inf, Unit(1000.0), 0.0, False, *rays]
+    rays = tuple(numbers(table, tally) if rays_count else table for table in (x, y))
+    frame = RawFrame(numbers(depth, tally), 0.0, np.inf, Unit(1000.0), 0.0, False)
     if window:
         moments = np.empty((10, 1), object)
-        plain(kernel)(*arguments, np.array([[0, 0, HEIGHT, WIDTH]]), np.empty((6, 1)), 0, 1, moments)
+        plain(kernel)(frame, rays, standard, np.array([[0, 0, HEIGHT, WIDTH]]), np.empty((6, 1)), 0, 1, moments)
         results = moments
     else:
         results = np.empty((HEIGHT + 1, WIDTH + 1, tables), object)
-        plain(kernel)(*arguments, results)
+        plain(kernel)(frame, rays, standard, results)
         compiled = np.empty(results.shape)
-        kernel(depth, 0.0, np.inf, 1000.0, 0.0, False, x, y, compiled)
+        kernel(RawFrame(depth, 0.0, np.inf, 1000.0, 0.0, False), (x, y), standard, compiled)
         # What is counted is what is computed.
         np.testing.assert_allclose(results.astype(float), compiled, rtol=1e-12, atol=1e-12)
     return tally
 
 
-def count(kernel: Any, tables: int, *, window: bool = False) -> Count:
-    """Count the operations of a kernel that builds tables, or sums over a window, per pixel."""
+def count(kernel: Any, standard: bool | None, tables: int, *, window: bool = False) -> Count:
+    """Count the operations of a kernel that builds tables, or sums over a window, per pixel.
+
+    ``standard`` is None for sums in range space, True for sums of (X, Y, Z).
+    """
     pixels = HEIGHT * WIDTH
-    everything = _run(kernel, tables, True, window)
-    of_depth = _run(kernel, tables, False, window)
+    everything = _run(kernel, standard, tables, True, window)
+    by_depth = _run(kernel, standard, tables, False, window)
     return Count(
         tables=tables,
-        arguments=(of_depth["multiplications"] + of_depth["divisions"]) / pixels,
+        arguments=(by_depth["multiplications"] + by_depth["divisions"]) / pixels,
         **{name: everything[name] / pixels for name in ("additions", "multiplications", "divisions", "conversions")},
     )
 
 
 def count_all() -> dict[str, dict[str, Count]]:
     """Counts of the standard and the range-space form: implicit, explicit (both from tables) and naive."""
+    tables, naive = summed_area.frame_tables, window_pixels.window_moments
     return {
-        "implicit": {"standard": count(summed_area.standard_tables, 9), "range": count(summed_area.range_tables, 4)},
-        "explicit": {"standard": count(summed_area.standard_tables, 8), "range": count(summed_area.range_tables, 3)},
-        "naive": {
-            "standard": count(window_pixels.standard_window_moments, 10, window=True),
-            "range": count(window_pixels.range_window_moments, 10, window=True),
-        },
+        "implicit": {"standard": count(tables, True, 9), "range": count(tables, None, 4)},
+        "explicit": {"standard": count(tables, True, 8), "range": count(tables, None, 3)},
+        "naive": {"standard": count(naive, True, 10, window=True), "range": count(naive, None, 10, window=True)},
     }

@@ -28,15 +28,15 @@ Habits of these kernels, each because it was measured:
 
 Equations of Papadakis and Willis 2017, cited as eq. 1 to 16: their labels, and where to find them.
 
-- points: 1 RGBD_reconstruction, 11 RGBD_reconstruction-1-1: `common.depth`, `moments.standard_tiles`
+- points: 1 RGBD_reconstruction, 11 RGBD_reconstruction-1-1: `common.depth`, `moments.pixel_pairs`
 - noise: 2 noise_models: not here, but in `rgbd_planes.noise`
 - implicit fit: 3 implicit_plane_fitting_error, 4 quadratic_error_w_lagrange_multiplier: `solvers.methods`; 5 derivative
-  of error: `solvers.eigen4`; its sums: 6 XYZ_scattermatrix: `moments.standard_tiles`, `summed_area`, `windows`
+  of error: `solvers.eigen4`; its sums: 6 XYZ_scattermatrix: `moments.tiles`, `summed_area`, `windows`
 - explicit fit: 7 explicit_fit_std, 8 derivative of error-1: `solvers.methods`; its sums: 9 XYZ_scattermatrix-1:
   `moments.summed_area`
 - rays: 10 RGBD_reconstruction-1: not here, but in `rgbd_planes.camera.camera`
 - plane in range space: 12 RGBD_space_plane_eq: `solvers.methods`; 13 prior_work_plane_equation: not used
-- implicit fit there: 14 tan_theta_scattermatrix: `moments.range_tiles`, `summed_area`, `windows`, `solvers.secular`
+- implicit fit there: 14 tan_theta_scattermatrix: `moments.tiles`, `summed_area`, `windows`, `solvers.secular`
 - explicit fit there: 15 RGBD_explicit_fit: `solvers.methods`, `fits.normals_row`; its sums: 16
   tan_theta_scattermatrix-1: `moments.camera_terms`, `summed_area`
 
@@ -55,6 +55,13 @@ u, v, w
     The coordinates that are summed: (tanθx, tanθy, q) in range space, (X, Y, Z) in the standard form.
 moments, reference
     The sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over valid pixels, and the point they are taken about.
-work, room
+frame
+    A `common.depth.RawFrame`: raw, lowest, highest, scale, offset and is_disparity. In `moments.strips` and above it
+    the first four, since there an ``offset`` of None means depth.
+rays
+    (tan_x, tan_y).
+standard
+    None for sums and planes in range space, anything else for the standard form, (X, Y, Z).
+work, scratch
     Memory that the caller lends; its contents mean nothing before a call nor, unless stated otherwise, after it.
 """

@@ -18,7 +18,7 @@ def copy(values, where):
 def copy_columns(values, first, last, where):
     """Copy columns ``first`` to ``last`` of all rows to the first columns of ``where``."""
     for row in range(len(values)):
-        # One-dimensional: see `kernels`.
+        # One-dimensional, so that the compiler knows their strides.
         source, target = values[row][first:last], where[row]
         for i in range(last - first):
             target[i] = source[i]

@@ -3,7 +3,22 @@
 For raw values that are not measurements the result means nothing.
 """
 
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
 from .._jit.kernel import kernel
+
+
+class RawFrame(NamedTuple):
+    """A frame as most kernels take it: raw values, which of them are valid, and what they mean."""
+
+    raw: NDArray[Any]  # (H, W) uint16, float32 or float64
+    lowest: Any  # of the dtype of raw: a pixel is valid if lowest <= raw <= highest
+    highest: Any
+    scale: float  # inverse depth q = scale / raw, or scale * raw + offset if is_disparity
+    offset: float
+    is_disparity: bool
 
 
 @kernel(inline=True)

@@ -17,56 +17,57 @@ def calmer(other, place, smallest, best):
 
 
 @kernel()
-def choose_windows(
-    raw, lowest, highest, rounding, typical, is_disparity, tan_x, tan_y, reach, ratio, normals, variance, variation,
-    row_start, row_stop, chosen_normals, chosen_variation,
-):  # fmt: skip
+def choose_windows(frame, rays, rounding, reach, tests, windows, rows, chosen):
     """Give each valid pixel its window, or one of the eight that are moved by ``reach`` but still hold it.
 
-    Of the moved windows the one with the smallest residual variance is taken if the variance of the pixel's own window
-    is more than ``ratio`` times as large: an edge runs through it. The idea is that of Kuwahara's filter of means
+    Of the moved windows the one with the smallest residual variance is taken if the variance of the window around the
+    pixel is more than ``ratio`` times as large: an edge runs through it. The idea is that of Kuwahara's filter of means
     (1976). Not so where rounding to raw values explains as much, or where as much is usual in the frame: the moved
     windows may lie on terraces, which have none, and a sensor rounds, too. At the border windows are moved less. A
     plane that the pixel's ray does not meet does not count. Missing pixels get NaN.
 
     Parameters
     ----------
+    frame : RawFrame
+    rays : tan_x, tan_y, (H, W) float64 each
     rounding : float64
         Variance of inverse depth by rounding to raw values, times their 4th power where they are depths.
-    typical : float64
-        Residual variance of most windows of the frame.
-    tan_x, tan_y : (H, W) float64
     reach : int
-        At least 1.
-    ratio : float64
-    normals, variance, variation : (H W 3,), (H, W) and (H W,) float32
+        In pixels, at least 1.
+    tests : (typical, ratio)
+        Residual variance of most windows of the frame, and how much more makes an edge.
+    windows : normals, variance, variation; (H W 3,), (H, W) and (H W,) float32
         From `normals.separable` or `normals.distorted`.
-    row_start, row_stop
+    rows : (start, stop)
         The rows to write.
-    chosen_normals, chosen_variation : (H, W, 3) and (H, W) float32, written
+    chosen : normals and variation, (H, W, 3) and (H, W) float32, written
     """
-    smallest, best = np.empty(raw.shape[1], np.float32), np.empty(raw.shape[1], np.int64)
+    width = frame.raw.shape[1]
+    smallest, best = np.empty(width, np.float32), np.empty(width, np.int64)
+    row_start, row_stop = rows
     for row in range(row_start, row_stop):
-        choose_in_row(
-            raw, lowest, highest, rounding, typical, is_disparity, tan_x, tan_y, reach, ratio, normals, variance,
-            variation, row, smallest, best, chosen_normals, chosen_variation,
-        )  # fmt: skip
+        find_calmest(frame, rounding, reach, tests, windows[1], row, (smallest, best))
+        write_chosen(frame, rays, windows, row, best, chosen)
 
 
 @kernel(arrays=False)
-def choose_in_row(
-    raw, lowest, highest, rounding, typical, is_disparity, tan_x, tan_y, reach, ratio, normals, variance, variation,
-    row, smallest, best, chosen_normals, chosen_variation,
-):  # fmt: skip
-    """`choose_windows` of a row; ``smallest`` and ``best``, (W,) float32 and int64, are for work."""
+def find_calmest(frame, rounding, reach, tests, variance, row, calmest):
+    """Find which window each pixel of a row takes: its place in the frame, row by row.
+
+    ``calmest`` are the variances of the windows that are taken, 0 for a pixel that keeps the one around it, and their
+    places, (W,) float32 and int64, written.
+    """
+    raw, is_disparity = frame.raw, frame.is_disparity
+    typical, ratio = tests
+    smallest, best = calmest
     height, width = raw.shape
     inner = max(width - 2 * reach, 0)
     for column in range(width):
-        own = variance[row, column]
+        around = variance[row, column]
         square = np.float64(raw[row, column]) ** 2
         usual = max(typical, rounding if is_disparity else rounding / (square * square))
-        # NaN, where the pixel's own window has no plane, counts as larger than everything.
-        smallest[column] = math.inf if own != own else own / ratio if own > ratio * usual else 0.0
+        # NaN, where the window around the pixel has no plane, counts as larger than everything.
+        smallest[column] = math.inf if around != around else around / ratio if around > ratio * usual else 0.0
         best[column] = row * width + column
     for y in range(-reach, reach + 1, reach):
         other_row = min(max(row + y, 0), height - 1)
@@ -87,7 +88,16 @@ def choose_in_row(
                         others[place : place + 1], other_row * width + place,
                         smallest[column : column + 1], best[column : column + 1],
                     )  # fmt: skip
-    for column in range(width):
+
+
+@kernel(arrays=False)
+def write_chosen(frame, rays, windows, row, best, chosen):
+    """Write normals and variation of a row from the windows at the places ``best``, NaN for missing pixels."""
+    raw, lowest, highest = frame.raw, frame.lowest, frame.highest
+    tan_x, tan_y = rays
+    normals, _, variation = windows
+    chosen_normals, chosen_variation = chosen
+    for column in range(len(best)):
         place = best[column]
         a, b, c = normals[3 * place], normals[3 * place + 1], normals[3 * place + 2]
         towards = a * tan_x[row, column] + b * tan_y[row, column] + c

@@ -13,25 +13,32 @@ from .normals_row import needed_pixels, normals_row, surface_row
 
 
 @kernel()
-def separable(
-    raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, needed_of,
-    surfaces, everywhere, band_start, band_stop, normals, variance, variation,
-):  # fmt: skip
+def separable(frame, focal, rays, window, needed_by_size, wanted, bands, results):
     """The planes around the pixels of some bands, for a camera without lens distortion.
 
     Parameters
     ----------
-    tan_x, tan_y : (W,) and (H,) float64
-    needed_of : (window² + 1,) float64
+    frame : RawFrame
+    focal : (fx, fy)
+    rays : tan_x and tan_y, (W,) and (H,) float64
+    window : int
+        Side of the windows in pixels.
+    needed_by_size : (window² + 1,) float64
         Number of valid pixels that a window needs, by the number of its pixels.
-    surfaces : bool
-        Write the variance and the variation too.
-    everywhere : bool
-        With ``surfaces``: also the planes around missing pixels, which otherwise get NaN.
-    normals, variance, variation : (H W 3,), (H W,) and (H W,) float32, written
-        The last two are left alone without ``surfaces``.
+    wanted : (surfaces, everywhere)
+        Whether to write the variance and the variation, too; and if so, whether also around missing pixels, which
+        otherwise get NaN.
+    bands : (start, stop)
+        Bands of `sliding_window.BAND` rows to write.
+    results : normals, variance, variation; (H W 3,), (H W,) and (H W,) float32, written
+        The last two are left alone unless they are wanted.
     """
-    height, width = raw.shape
+    fx, fy = focal
+    tan_x, tan_y = rays
+    surfaces, everywhere = wanted
+    band_start, band_stop = bands
+    normals, variance, variation = results
+    height, width = frame.raw.shape
     half = (window - 1) // 2
     strip = sliding_window.strip_width(width, window)
     slots = window + 1  # for the window's rows and the one that leaves
@@ -67,8 +74,7 @@ def separable(
             old = (row + half + 1) % slots
             was_missing = missing[slot]
             missing[slot], wild[slot] = sliding_window.read_row(
-                raw, row, left - half, lowest, highest, scale, offset, is_disparity,
-                q[:count], valid[slot, :count],
+                frame, row, left - half, q[:count], valid[slot, :count]
             )  # fmt: skip
             total_missing += missing[slot]
             sliding_window.depth_sums_along_row(between, q, count, work, rows[slot])
@@ -101,37 +107,42 @@ def separable(
                     sliding_window.move_sums(square_rows[old], square_rows[slot], columns, squares)
 
             if centre <= max(row_start, half) or centre >= height - half:  # in between, windows have all their rows
-                needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
+                needed_pixels(centre, left, half, (height, width), needed_by_size, needed[:columns])
             first = centre * width + left
             at_pixels = valid[row % slots, half:]
             if surfaces:
                 tan_y_row[:] = tan_y[centre]
                 surface_row(
-                    sums, squares, valid_sums, all_wanted if everywhere else at_pixels, needed[:columns],
-                    fx, fy, at_centre, at_centre, tan_x[left:], tan_y_row,
-                    normals[3 * first :], variance[first:], variation[first:],
+                    (sums, squares, valid_sums), all_wanted if everywhere else at_pixels, needed[:columns],
+                    (fx, fy), (at_centre, at_centre), (tan_x[left:], tan_y_row),
+                    (normals[3 * first :], variance[first:], variation[first:]),
                 )  # fmt: skip
             else:
                 normals_row(
-                    sums, valid_sums, at_pixels, needed[:columns], fx, fy,
-                    tan_x[left:], tan_y[centre], normals[3 * first :],
+                    (sums, valid_sums), at_pixels, needed[:columns], (fx, fy), (tan_x[left:], tan_y[centre]),
+                    normals[3 * first :],
                 )  # fmt: skip
 
 
 @kernel()
-def distorted(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, window, needed_of,
-    everywhere, band_start, band_stop, normals, variance, variation,
-):  # fmt: skip
-    """The planes around the pixels of some bands, as `separable` with ``surfaces`` but for any camera.
+def distorted(frame, rays, window, needed_by_size, everywhere, bands, results):
+    """The planes around the pixels of some bands, for any camera.
 
-    Every pixel has its own ray, taken relative to the strip's middle one: the sums over valid pixels are not integers.
+    Every pixel has a ray of its own, taken relative to the strip's middle one: the sums over valid pixels are not
+    integers.
 
     Parameters
     ----------
-    tan_x, tan_y : (H, W) float64
+    frame, window, needed_by_size, bands, results
+        The same as for `separable`; all three results are written.
+    rays : tan_x, tan_y, (H, W) float64 each
+    everywhere : bool
+        Whether to write planes around missing pixels, too, which otherwise get NaN.
     """
-    height, width = raw.shape
+    tan_x, tan_y = rays
+    band_start, band_stop = bands
+    normals, variance, variation = results
+    height, width = frame.raw.shape
     half = (window - 1) // 2
     strip = sliding_window.strip_width(width, window)
     slots = window + 1
@@ -164,10 +175,7 @@ def distorted(
         for row in range(row_start - half, row_stop + half):
             slot = (row + half) % slots
             old = (row + half + 1) % slots
-            _, wild[slot] = sliding_window.read_row(
-                raw, row, left - half, lowest, highest, scale, offset, is_disparity,
-                q[:count], valid[slot, :count],
-            )  # fmt: skip
+            _, wild[slot] = sliding_window.read_row(frame, row, left - half, q[:count], valid[slot, :count])
             nearest = min(max(row, 0), height - 1)  # beyond the frame nothing is valid, and any rays will do
             ray_channels(
                 q[margin:], valid[slot, margin:], tan_x[nearest, first_column:last_column],
@@ -185,16 +193,16 @@ def distorted(
                 sliding_window.move_sums(rows[old], rows[slot], used, sums)
 
             if centre <= max(row_start, half) or centre >= height - half:
-                needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
+                needed_pixels(centre, left, half, (height, width), needed_by_size, needed[:columns])
             for i in range(columns):
                 x_pixel[i] = tan_x[centre, left + i] - x_reference
                 y_pixel[i] = tan_y[centre, left + i] - y_reference
             first = centre * width + left
             surface_row(
-                sums, sums[9 * PITCH :], sums[3 * PITCH :],
-                all_wanted if everywhere else valid[row % slots, half:], needed[:columns], 1.0, 1.0,
-                x_pixel, y_pixel, tan_x[centre, left:], tan_y[centre, left:],
-                normals[3 * first :], variance[first:], variation[first:],
+                (sums, sums[9 * PITCH :], sums[3 * PITCH :]),
+                all_wanted if everywhere else valid[row % slots, half:], needed[:columns], (1.0, 1.0),
+                (x_pixel, y_pixel), (tan_x[centre, left:], tan_y[centre, left:]),
+                (normals[3 * first :], variance[first:], variation[first:]),
             )  # fmt: skip
 
 

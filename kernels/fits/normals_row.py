@@ -13,12 +13,26 @@ from ..solvers.methods import COLLINEAR
 
 
 @kernel(reduction=True, arrays=False)
-def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
+def normals_row(all_sums, valid, needed, focal, rays, normals):
     """Normals of a row of windows from their sums, for a camera without lens distortion.
 
     Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one division and
     one square root per pixel.
+
+    Parameters
+    ----------
+    all_sums
+        Σq, Σqx, Σqy; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy, up to a constant.
+    valid, needed : (N,) float32
+        Whether the middle pixel is valid, 1 or 0, and how many valid pixels a window needs.
+    focal : (fx, fy)
+    rays : (N,) float64 and float
+        tanθx of the middle pixels, and tanθy of the row.
+    normals : (3 N,) float32, written
     """
+    sums, valid_sums = all_sums
+    fx, fy = focal
+    tan_x, tan_y = rays
     for i in range(needed.shape[0]):
         n = np.float64(valid_sums[i])
         x = np.float64(valid_sums[PITCH + i])
@@ -46,10 +60,7 @@ def normals_row(sums, valid_sums, valid, needed, fx, fy, tan_x, tan_y, normals):
 
 
 @kernel(reduction=True, arrays=False)
-def surface_row(
-    sums, squares, valid_sums, wanted, needed, fx, fy, x_pixel, y_pixel, tan_x, tan_y,
-    normals, variance, variation,
-):  # fmt: skip
+def surface_row(all_sums, wanted, needed, focal, pixel, rays, results):
     """Normal, residual variance and surface variation of a row of windows.
 
     With C the covariance of the rays m in the window, m̄ and q̄ the means and s² the mean squared residual, the
@@ -58,19 +69,25 @@ def surface_row(
 
     Parameters
     ----------
-    sums, squares, valid_sums
+    all_sums
         Σq, Σqx, Σqy; Σq²; Σ1, Σx, Σxx, Σy, Σxy, Σyy. tanθx is x / fx and tanθy y / fy, up to a constant.
     wanted : (N,) float32
         1, or 0 to write NaN.
     needed : (N,) float32
         Fewer valid pixels give NaN.
-    x_pixel, y_pixel : (N,) float64
+    focal : (fx, fy)
+    pixel : x and y, (N,) float64 each
         The centre pixel in these coordinates.
-    tan_x, tan_y : (N,) float64
-        Its ray.
-    normals, variance, variation : (3 N,), (N,), (N,) float32, written
-        Variance of q about the plane in 1/m²: of the squared residuals of n pixels with n - 3 degrees of freedom.
+    rays : tan_x, tan_y, (N,) float64 each
+        Of the centre pixel.
+    results : normals, variance, variation; (3 N,), (N,), (N,) float32, written
+        Variance of q about the plane in 1/m²: the sum of the squared residuals of n pixels over n - 3.
     """
+    sums, squares, valid_sums = all_sums
+    fx, fy = focal
+    x_pixel, y_pixel = pixel
+    tan_x, tan_y = rays
+    normals, variance, variation = results
     inverse_fx = 1.0 / fx
     inverse_fy = 1.0 / fy
     for i in range(needed.shape[0]):
@@ -121,9 +138,10 @@ def surface_row(
 
 
 @kernel(arrays=False)
-def needed_pixels(row, left, half, height, width, needed_of, needed):
-    """Number of valid pixels that the windows of a row, clipped at the frame, need: see `normals.separable`."""
+def needed_pixels(row, left, half, shape, needed_by_size, needed):
+    """Write how many valid pixels the windows of a row, clipped at the frame, need: by the number of their pixels."""
+    height, width = shape
     rows = min(row + half, height - 1) - max(row - half, 0) + 1
     for i in range(needed.shape[0]):
         column = left + i
-        needed[i] = needed_of[rows * (min(column + half, width - 1) - max(column - half, 0) + 1)]
+        needed[i] = needed_by_size[rows * (min(column + half, width - 1) - max(column - half, 0) + 1)]

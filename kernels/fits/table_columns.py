@@ -5,24 +5,21 @@ from ..common.arrays import copy
 
 
 @kernel()
-def add_tiles(
-    planes, rmse, rmse_metric, valid_count, status, statistics, which, start,
-    floats, valid_counts, statuses,
-):  # fmt: skip
+def add_tiles(results, statistics, which, start, columns):
     """Write the results of a frame's T tiles into rows ``start`` to ``start + T``, floats in single precision.
 
     Parameters
     ----------
-    planes, rmse, rmse_metric, valid_count, status : (R, C, 4) and (R, C)...
+    results : planes, rmse, rmse_metric, valid_count, status; (R, C, 4) and (R, C)...
     statistics : (K, R, C) float64
-        See `statistics.assess`.
+        P-values, covariances and deviations, in the rows that `statistics.tiles.block` names.
     which : (U,) int64
         The rows of it that the table has.
-    floats : (6 + U, N) float32, written
-        nx, ny, nz, d, rmse, rmse_metric, and the statistics.
-    valid_counts : (N,) int32, written
-    statuses : (N,) int8, written
+    columns : floats, valid_counts, statuses; (6 + U, N) float32, (N,) int32 and (N,) int8, written
+        The floats are nx, ny, nz, d, rmse, rmse_metric, and the statistics.
     """
+    planes, rmse, rmse_metric, valid_count, status = results
+    floats, valid_counts, statuses = columns
     count = status.size
     stop = start + count
     flat = planes.ravel()

@@ -7,9 +7,9 @@ import numpy as np
 
 from .._jit.kernel import kernel
 from ..common.arrays import copy_columns, copy_columns_back
-from ..moments.range_tiles import range_strip, range_strip_separable
-from ..moments.standard_tiles import standard_from_sums, standard_strip, standard_strip_separable
-from ..moments.strips import TILES, strip_room, tiles_in_strip
+from ..moments.column_sums import standard_from_sums
+from ..moments.strips import TILES, Strip, strip_scratch, tiles_in_strip
+from ..moments.tiles import separable_strip, strip_of_rays
 from ..solvers import methods
 
 
@@ -33,23 +33,24 @@ def fit_tiles(
     centre : (2, T) float64
         The ray (tanθx, tanθy) that each tile's moments are relative to, tiles counted row by row.
     needed : (T,) float64
+        Number of valid pixels that a tile needs.
     implicit, standard
-        In range space, if ``standard`` is None, ``implicit`` as in `methods.range_planes`; otherwise in (X, Y, Z), by
-        the method of `methods.standard_planes` with this number.
+        In range space ``standard`` is None, and ``implicit`` True or, for the explicit solution, None. Otherwise
+        ``standard`` is the number of a method in (X, Y, Z): `methods.STANDARD_EXPLICIT` and so on.
     max_error : float
-        As in `methods.write_planes`.
+        Tiles with a larger ``rmse_metric`` get ROUGH.
     moments, reference : (F, 10 * T) and (F, 3 * T) float64, written
     planes, alpha, rmse, rmse_metric, valid_count, status : (F, 4 * T), (F, 3 * T), (F, T)..., written
     """
     height, width = raw.shape[1:]
     tile_rows, tile_columns = (height - 1) // tile_height + 1, (width - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
-    room = np.empty((25 + methods.WORK, TILES))
-    block_moments, block_reference, block_sums, work = room[:10], room[10:13], room[13:25], room[25:]
+    block = np.empty((25 + methods.WORK, TILES))
+    block_moments, block_reference, block_sums, work = block[:10], block[10:13], block[13:25], block[25:]
     block_moments[:] = 0.0
     if standard is not None:
         block_sums[:] = 0.0
-    sums_room = strip_room()
+    scratch = strip_scratch()
 
     first = filled = np.int64(0)
     for row in range(tile_row_start, tile_row_stop):
@@ -60,35 +61,23 @@ def fit_tiles(
         row_stop = min(row_start + tile_height, height)
         for tile_start in range(0, tile_columns, tiles_at_once):
             tile_stop = min(tile_start + tiles_at_once, tile_columns)
-            into = block_moments[:, filled:]
-            if standard is None:
-                if tan_x.ndim == 1:
-                    range_strip_separable(
-                        raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width, row_start, row_stop,
-                        tile_start, tile_stop, sums_room, block_reference[2, filled:], into,
-                    )  # fmt: skip
-                else:
-                    range_strip(
-                        raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                        centre[:, first + filled :], row_start, row_stop, tile_start, tile_stop, sums_room,
-                        block_reference[2, filled:], into,
-                    )  # fmt: skip
-            elif tan_x.ndim == 1:
-                standard_strip_separable(
-                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width, row_start, row_stop,
-                    tile_start, tile_stop, sums_room, block_reference[2, filled:], block_sums[:, filled:], into,
+            strip = Strip(row_start, row_stop, tile_start, tile_stop, tile_width)
+            image = raw[frame], lowest, highest, scale
+            if tan_x.ndim == 1:
+                separable_strip(
+                    image, offset, standard, (tan_x, tan_y), strip, scratch, block_reference[2, filled:],
+                    (block_moments[:, filled:], block_sums[:, filled:]),
                 )  # fmt: skip
             else:
-                standard_strip(
-                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width,
-                    centre[:, first + filled :], row_start, row_stop, tile_start, tile_stop, sums_room,
-                    block_reference[:, filled:], into,
+                strip_of_rays(
+                    image, offset, standard, (tan_x, tan_y), centre[:, first + filled :], strip, scratch,
+                    (block_moments[:, filled:], block_reference[:, filled:]),
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = (row + 1 == tile_row_stop or tile_row + 1 == tile_rows) and tile_stop == tile_columns
             if filled + tiles_at_once > TILES or is_last:
                 last = first + filled
-                if standard is None or tan_x.ndim == 1:
+                if tan_x.ndim == 1:
                     copy_columns(centre, first, last, block_reference)
                 if standard is not None and tan_x.ndim == 1:
                     standard_from_sums(block_sums, filled, block_reference, block_moments)
@@ -102,8 +91,11 @@ def fit_tiles(
                     methods.standard_planes(standard, block_moments, block_reference, None, filled, work)
                 methods.write_planes(
                     work, block_moments[0], needed[first:last], max_error, filled,
-                    planes[frame, 4 * first : 4 * last], alpha[frame, 3 * first : 3 * last], rmse[frame, first:last],
-                    rmse_metric[frame, first:last], valid_count[frame, first:last], status[frame, first:last],
+                    (
+                        planes[frame, 4 * first : 4 * last], alpha[frame, 3 * first : 3 * last],
+                        rmse[frame, first:last], rmse_metric[frame, first:last], valid_count[frame, first:last],
+                        status[frame, first:last],
+                    ),
                 )  # fmt: skip
                 first = last
                 filled = 0

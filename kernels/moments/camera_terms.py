@@ -23,18 +23,22 @@ NO_CODE = np.uint64(0)
 
 
 @kernel(inline=True)
-def add_valid(codes, u, step_u, v, tiles, span, counts, last_u, moments):
+def add_valid(codes, u, step_u, v, grid, scratch, moments):
     """Add the valid pixels of a band of rows to the sums of 1, u, v, uu, uv and vv of its tiles.
 
     Parameters
     ----------
     codes : (COLUMNS,) uint64
-        Each tile has ``span`` columns.
+        Sums of the `ROW_CODES` of the valid pixels of each column.
     u, step_u, v
         tanθx of the columns, its step, and tanθy of the rows, relative to their tile's centre.
-    counts, last_u : (3, TILES or more) uint64 and (TILES or more,) float64
-        Room.
+    grid : (tiles, span)
+        Number of tiles, and of the columns of each.
+    scratch : (3, TILES or more) uint64 and (TILES or more,) float64
+    moments : (10, TILES) float64, added to
     """
+    tiles, span = grid
+    counts, last_u = scratch
     v_0 = v[0]
     step_v = (v[-1] - v_0) / max(len(v) - 1, 1)
     for part in range(0, span, BAND_COLUMNS):

@@ -7,39 +7,50 @@ from ..common.depth import depth, inverse_depth
 
 
 @kernel(inline=True)
-def labelled_columns(line):
-    """The first column of a row that has a label, and the one after the last; 0 and 0 if there is none."""
-    most = np.int32(0)
+def labelled_runs(line, starts, stops):
+    """Find the runs of equal labels of an image row; returns their number.
+
+    Parameters
+    ----------
+    line : (W,) int32
+        The row's labels, 0 for none.
+    starts, stops : (W,) int64, written
+        First column of each run that has a label, and the column after its last.
+    """
+    largest = np.int32(0)
     for column in range(len(line)):  # by itself, since it vectorises: of a mask most rows have none
-        most = max(most, line[column])
-    first, stop = 0, len(line) if most > 0 else 0
-    while first < stop and line[first] == 0:
-        first += 1
-    while first < stop and line[stop - 1] == 0:
-        stop -= 1
-    return first, stop
+        largest = max(largest, line[column])
+    count, column = 0, 0 if largest > 0 else len(line)
+    while column < len(line):
+        start, label = column, line[column]
+        while column < len(line) and line[column] == label:
+            column += 1
+        if label > 0:
+            starts[count], stops[count] = start, column
+            count += 1
+    return count
 
 
 @kernel(inline=True)
-def scaled(rays, factor, begin, end, along):
+def scale_rays(rays, factor, begin, end, along):
     """Write a row's tanθx or tanθy, one for all columns or for each, times ``factor``, from ``begin`` to ``end``."""
     if len(rays) > 1:
         for column in range(begin, end):
             along[column] = rays[column] * factor[column]
     else:
-        of_row = rays[0]
+        ray = rays[0]
         for column in range(begin, end):
-            along[column] = of_row * factor[column]
+            along[column] = ray * factor[column]
 
 
 @kernel(inline=True)
-def points_of_row(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, first, stop, points
-):  # fmt: skip
+def write_points(frame, rays, standard, row, first, stop, points):
     """Write the points of a row's columns ``first`` to ``stop``, ``points`` (4, W): u, v, w, and 1, or 0 if missing.
 
-    (u, v, w) is (tanθx, tanθy, q), or (X, Y, Z) if ``is_standard``; all are 0 for a missing pixel.
+    (u, v, w) is (tanθx, tanθy, q), or (X, Y, Z) if ``standard``; all are 0 for a missing pixel.
     """
+    raw, lowest, highest, scale, offset, is_disparity = frame
+    tan_x, tan_y = rays
     values = raw[row]
     xs, ys = tan_x[row if tan_x.shape[0] > 1 else 0], tan_y[row]
     u, v, w, there = points[0], points[1], points[2], points[3]
@@ -47,18 +58,18 @@ def points_of_row(
     for column in range(first, stop):
         value = values[column]
         there[column] = 1.0 if (lowest <= value) & (value <= highest) else 0.0
-    if is_standard:
+    if standard:
         for column in range(first, stop):
             z = depth(values[column], scale, offset, is_disparity)
             w[column] = z if there[column] > 0.0 else 0.0
-        scaled(xs, w, first, stop, u)
-        scaled(ys, w, first, stop, v)
+        scale_rays(xs, w, first, stop, u)
+        scale_rays(ys, w, first, stop, v)
     else:
         for column in range(first, stop):
             q = inverse_depth(values[column], scale, offset, is_disparity)
             w[column] = q if there[column] > 0.0 else 0.0
-        scaled(xs, there, first, stop, u)
-        scaled(ys, there, first, stop, v)
+        scale_rays(xs, there, first, stop, u)
+        scale_rays(ys, there, first, stop, v)
 
 
 @kernel(inline=True)
@@ -77,7 +88,7 @@ def add_footprint(row, start, stop, footprint, i):
 def add_run(points, start, stop, reference, sums, i):
     """Add the ten sums of a run's points, relative to row ``i`` of ``reference``, to row ``i`` of ``sums``.
 
-    They are those of the paper's eq. 14, or of its eq. 6.
+    These sums make up the matrix of the paper's eq. 14, or of its eq. 6.
     """
     n = s_u = s_v = s_w = s_uu = s_uv = s_uw = s_vv = s_vw = s_ww = 0.0
     r_u, r_v, r_w = reference[i, 0], reference[i, 1], reference[i, 2]
@@ -110,16 +121,14 @@ def add_run(points, start, stop, reference, sums, i):
 
 
 @kernel()
-def label_moments(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, labels,
-    footprint, moments, reference,
-):  # fmt: skip
+def label_moments(frame, rays, standard, labels, footprint, moments, reference):
     """Moments of labels 1 to K.
 
     Parameters
     ----------
-    tan_x, tan_y : (H, W) float64, or (1, W) and (H, 1)
-    is_standard : bool
+    frame : RawFrame
+    rays : tan_x and tan_y, (H, W) float64, or (1, W) and (H, 1)
+    standard : bool
         Moments of (X, Y, Z) instead of (tanθx, tanθy, q).
     labels : (H, W) int32
         0 for none.
@@ -128,27 +137,22 @@ def label_moments(
     moments, reference : (K, 10) and (K, 3) float64, written
         The ten sums, and the point they are taken about: the label's first valid one, so that little cancels.
     """
-    height, width = raw.shape
+    height, width = labels.shape
     points = np.empty((4, width))
+    starts, stops = np.empty(width, np.int64), np.empty(width, np.int64)
     begun = np.zeros(len(moments), np.bool_)
     footprint[:] = 0
     moments[:] = 0.0
     reference[:] = 0.0
     for row in range(height):
         line = labels[row]
-        stop, end = labelled_columns(line)
-        if stop == end:
+        count = labelled_runs(line, starts, stops)
+        if count == 0:
             continue
-        points_of_row(
-            raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, is_standard, row, stop, end, points
-        )  # fmt: skip
-        while stop < end:
-            start, label = stop, line[stop]
-            while stop < end and line[stop] == label:
-                stop += 1
-            i = label - 1
-            if i < 0:
-                continue
+        write_points(frame, rays, standard, row, starts[0], stops[count - 1], points)
+        for run in range(count):
+            start, stop = starts[run], stops[run]
+            i = line[start] - 1
             add_footprint(row, start, stop, footprint, i)
             first = start
             while not begun[i] and first < stop:  # the first valid point is the reference

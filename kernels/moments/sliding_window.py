@@ -39,7 +39,7 @@ def strip_width(width, window):
 
 
 @kernel(reduction=True, arrays=False)
-def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, valid):
+def read_row(frame, row, column, q, valid):
     """Write the inverse depth and the validity (1 or 0) of a row's pixels from ``column`` on, 0 beyond the frame.
 
     Returns
@@ -49,6 +49,7 @@ def read_row(raw, row, column, lowest, highest, scale, offset, is_disparity, q, 
     wild : int
         Number of wild pixels.
     """
+    raw, lowest, highest, scale, offset, is_disparity = frame
     height, width = raw.shape
     first = max(column, 0)
     last = min(column + q.shape[0], width)
@@ -124,8 +125,8 @@ def depth_sums_along_row(between, q, count, work, sums):
 
     Parameters
     ----------
-    between
-        From `plan_steps`.
+    between : (STEPS,) int64
+        Columns that each step puts in the middle, from `plan_steps`.
     q : (2 * PITCH,) float64
         q of ``count`` columns, and zeros, which are Σq·x over one column.
     work : (3, 2 * PITCH) float64
@@ -164,7 +165,7 @@ def three_valid_columns(valid, count, sums):
 
 @kernel(reduction=True, arrays=False)
 def join_valid_columns(shift, left, valid, right, count, sums):
-    """Sums of 1, x, xx over the valid pixels of k + 1 + k columns, as `join_depth_columns`."""
+    """Sums of 1, x, xx over the valid pixels of k + 1 + k columns, from those over k, ``shift`` away."""
     square = shift * shift
     for i in range(count):
         apart = right[PITCH + i] - left[PITCH + i]
@@ -176,7 +177,7 @@ def join_valid_columns(shift, left, valid, right, count, sums):
 
 @kernel(reduction=True, arrays=False)
 def join_valid_columns_by_three(shift, left, three, right, count, sums):
-    """Sums of 1, x, xx over the valid pixels of k + 3 + k columns, as `join_depth_columns_by_three`."""
+    """Sums of 1, x, xx over the valid pixels of k + 3 + k columns, from those over k, ``shift`` away."""
     square = shift * shift
     for i in range(count):
         apart = right[PITCH + i] - left[PITCH + i]
@@ -192,8 +193,8 @@ def valid_sums_along_row(between, valid, count, work, sums):
 
     Parameters
     ----------
-    between
-        From `plan_steps`.
+    between : (STEPS,) int64
+        Columns that each step puts in the middle, from `plan_steps`.
     valid : (3 * PITCH,) float32
         1 or 0 for ``count`` columns, and zeros, which are Σx and Σxx over one column.
     work : (3, 3 * PITCH) float32
@@ -234,8 +235,8 @@ def sums_along_row(between, channels, length, work, sums):
 
     Parameters
     ----------
-    between
-        From `plan_steps`.
+    between : (STEPS,) int64
+        Columns that each step puts in the middle, from `plan_steps`.
     channels : (L,) float64
         One channel after the other; a channel's sums that would need columns behind its last are garbage.
     length : int
@@ -298,7 +299,7 @@ def move_depth_sums(half, old, new, count, sums):
 
 @kernel(reduction=True, arrays=False)
 def move_valid_sums(half, old, new, count, sums):
-    """Move the window's sums over valid pixels one row down, as `move_depth_sums`; exact."""
+    """Move the window's sums over valid pixels one row down, from ``old`` at y = -half to ``new`` at half; exact."""
     weight = np.float32(half)
     square = np.float32(half * half)
     for i in range(count):

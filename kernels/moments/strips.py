@@ -4,6 +4,8 @@ The rows of a strip are added to one accumulator per image column, and columns a
 row. So the inner loop runs along the image row and vectorises without tails at tile borders.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit.kernel import kernel
@@ -13,6 +15,16 @@ from .._jit.kernel import kernel
 COLUMNS = 648
 # Tiles of a block, which is solved at once: no fewer than a strip can have.
 TILES = 328
+
+
+class Strip(NamedTuple):
+    """Tiles ``tile_start`` to ``tile_stop`` of one tile row, and the image rows that they cover."""
+
+    row_start: int
+    row_stop: int
+    tile_start: int
+    tile_stop: int
+    tile_width: int  # pixels
 
 
 @kernel(inline=True)
@@ -38,11 +50,11 @@ def step_of_columns(u, start, last, tile_width):
 
 
 @kernel(inline=True)
-def strip_room():
-    """Room for sums of columns, references of columns, codes of columns and counts of valid pixels."""
-    room = np.empty((13, COLUMNS + 8))
+def strip_scratch():
+    """Scratch memory: sums of columns, references of columns, codes of columns and counts of valid pixels."""
+    scratch = np.empty((13, COLUMNS + 8))
     codes = np.empty((4, COLUMNS), np.uint64)
-    sums, columns = room[:10], room[10:]
+    sums, columns = scratch[:10], scratch[10:]
     columns[:] = 0.0
     return sums, columns, codes[0], codes[1:]
 
@@ -62,58 +74,33 @@ def reference_value(raw, row_start, row_stop, column_start, column_stop, lowest,
 
 
 @kernel(inline=True)
-def find_references(
-    raw, lowest, highest, scale, offset, in_range, row_start, row_stop, tile_start, tile_stop, tile_width,
-    references,
-):  # fmt: skip
+def find_references(frame, offset, standard, strip, references):
     """Take a valid pixel of each tile as its reference.
 
     Parameters
     ----------
-    in_range : bool
-        Whether inverse depths are wanted, not depths.
+    frame, offset
+        The frame (H, W), its lowest and highest valid raw values, and scale: q = scale / raw, or
+        scale * raw + offset unless ``offset`` is None.
+    standard
+        None if inverse depths are wanted, anything else for depths.
+    strip : Strip
     references : (TILES,) float64, written
         Their (inverse) depths.
     """
-    for tile in range(tile_start, tile_stop):
-        start = tile * tile_width
-        stop = min(start + tile_width, raw.shape[1])
-        references[tile - tile_start] = reference_value(raw, row_start, row_stop, start, stop, lowest, highest)
-    for i in range(tile_stop - tile_start):
+    raw, lowest, highest, scale = frame
+    for tile in range(strip.tile_start, strip.tile_stop):
+        start = tile * strip.tile_width
+        stop = min(start + strip.tile_width, raw.shape[1])
+        value = reference_value(raw, strip.row_start, strip.row_stop, start, stop, lowest, highest)
+        references[tile - strip.tile_start] = value
+    for i in range(strip.tile_stop - strip.tile_start):
         value = references[i]
         if offset is None:
-            references[i] = scale / value if in_range else value / scale
+            references[i] = scale / value if standard is None else value / scale
         else:
             inverse = scale * value + offset
-            references[i] = inverse if in_range else (1.0 / inverse if inverse > 0.0 else 0.0)
-
-
-@kernel(inline=True)
-def clip(value, lowest, highest):
-    """The nearest valid raw value, for NaN the lowest: a value is valid exactly if clipping leaves it unchanged."""
-    above = value if value > lowest else lowest
-    return above if above < highest else highest
-
-
-@kernel(inline=True)
-def sums_of_pair(valid_a, valid_b, xa, xb, ya, yb, za, zb):
-    """Σ1, Σx, Σy, Σz, Σxx, Σxy, Σxz, Σyy, Σyz, Σzz of the valid ones among two points."""
-    one_a, one_b = 1.0 if valid_a else 0.0, 1.0 if valid_b else 0.0
-    xa, xb = xa if valid_a else 0.0, xb if valid_b else 0.0
-    ya, yb = ya if valid_a else 0.0, yb if valid_b else 0.0
-    za, zb = za if valid_a else 0.0, zb if valid_b else 0.0
-    return (
-        one_a + one_b,
-        xa + xb,
-        ya + yb,
-        za + zb,
-        xa * xa + xb * xb,
-        xa * ya + xb * yb,
-        xa * za + xb * zb,
-        ya * ya + yb * yb,
-        ya * za + yb * zb,
-        za * za + zb * zb,
-    )
+            references[i] = inverse if standard is None else (1.0 / inverse if inverse > 0.0 else 0.0)
 
 
 @kernel(inline=True)

@@ -17,8 +17,9 @@ LOST = 2.0**-31
 
 
 @kernel()
-def count_missing(raw, lowest, highest):
+def count_missing(frame):
     """Return the number of missing pixels of a frame."""
+    raw, lowest, highest = frame.raw, frame.lowest, frame.highest
     missing = 0
     for row in range(raw.shape[0]):
         values = raw[row]
@@ -28,35 +29,49 @@ def count_missing(raw, lowest, highest):
 
 
 @kernel()
-def inverse_depth_row(values, lowest, highest, scale, offset, is_disparity, q):
-    """Inverse depths of an image row, 0 where missing: in a loop of its own, so that the divisions vectorise."""
-    for column in range(values.shape[0]):
-        value = values[column]
-        inverse = inverse_depth(value, scale, offset, is_disparity)
-        q[column] = inverse if (lowest <= value) & (value <= highest) else 0.0
+def value_row(frame, standard, row, values):
+    """(Inverse) depths of an image row, 0 where missing: in a loop of its own, so that the divisions vectorise."""
+    raw, lowest, highest, scale, offset, is_disparity = frame
+    line = raw[row]
+    for column in range(line.shape[0]):
+        value = line[column]
+        if standard is None:
+            read = inverse_depth(value, scale, offset, is_disparity)
+        else:
+            read = depth(value, scale, offset, is_disparity)
+        values[column] = read if (lowest <= value) & (value <= highest) else 0.0
+
+
+@kernel(inline=True)
+def add_up(above, middle, below, column, channel, upper, lower):
+    """Write a channel of two table rows at one column, from sums along the two image rows up to there."""
+    total = above[column, channel] + upper
+    middle[column, channel] = total
+    below[column, channel] = total + lower
 
 
 @kernel()
-def depth_row(values, lowest, highest, scale, offset, is_disparity, z):
-    """Depths of an image row, 0 where missing."""
-    for column in range(values.shape[0]):
-        value = values[column]
-        metres = depth(value, scale, offset, is_disparity)
-        z[column] = metres if (lowest <= value) & (value <= highest) else 0.0
-
-
-@kernel()
-def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
-    """The tables of range space that depend on the frame: q, q·tanθx, q·tanθy and, if asked for, q².
-
-    ``tables`` is (H + 1, W + 1, 4), for the implicit fit (eq. 14) and for residuals, or (H + 1, W + 1, 3): all that the
-    explicit solution needs (Mᵗb of the paper).
+def frame_tables(frame, rays, standard, tables):
+    """The tables that depend on the frame.
 
     Two image rows at a time: the table's row above them is read half as often, and their sums do not wait for
     each other. Where the height is odd, the first row is the lower one of a pair whose upper one is all missing.
+
+    Parameters
+    ----------
+    frame : RawFrame
+    rays : tan_x, tan_y, (H, W) float64 each
+    standard : True or None
+        Tables of (X, Y, Z), or with None of range space.
+    tables : (H + 1, W + 1, CHANNELS) float64, written
+        In range space, q·tanθx, q·tanθy, q and, with a fourth channel, q²: three are all that the explicit solution
+        needs (Mᵗb of the paper), the fourth is for the implicit fit (eq. 14) and for residuals. In the standard form,
+        X, Y, Z, XX, XY, XZ, YY, YZ and, with a ninth channel, ZZ: eight are for the explicit solution (eq. 9), nine for
+        the implicit fit (eq. 6) and for residuals.
     """
-    squares = tables.shape[2] == 4
-    height, width = raw.shape
+    tan_x, tan_y = rays
+    height, width = tan_x.shape
+    squares = tables.shape[2] == (4 if standard is None else 9)
     upper = np.empty(width)
     lower = np.empty(width)
     tables[0] = 0.0
@@ -64,127 +79,54 @@ def range_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y
         if row < 0:
             upper[:] = 0.0
         else:
-            inverse_depth_row(raw[row], lowest, highest, scale, offset, is_disparity, upper)
-        inverse_depth_row(raw[row + 1], lowest, highest, scale, offset, is_disparity, lower)
+            value_row(frame, standard, row, upper)
+        value_row(frame, standard, row + 1, lower)
         upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
         upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
-        above = tables[max(row, 0)]
-        middle = tables[row + 1]
-        below = tables[row + 2]
+        above, middle, below = tables[max(row, 0)], tables[row + 1], tables[row + 2]
         middle[0] = 0.0
         below[0] = 0.0
-        upper_q = upper_qx = upper_qy = upper_qq = 0.0
-        lower_q = lower_qx = lower_qy = lower_qq = 0.0
+        upper_x = upper_y = upper_w = upper_xx = upper_xy = upper_xw = upper_yy = upper_yw = upper_ww = 0.0
+        lower_x = lower_y = lower_w = lower_xx = lower_xy = lower_xw = lower_yy = lower_yw = lower_ww = 0.0
         for column in range(width):
-            q = upper[column]
-            upper_q += q
-            upper_qx += q * upper_tan_x[column]
-            upper_qy += q * upper_tan_y[column]
-            if squares:
-                upper_qq += q * q
-            q = lower[column]
-            lower_q += q
-            lower_qx += q * lower_tan_x[column]
-            lower_qy += q * lower_tan_y[column]
-            total = above[column + 1, 0] + upper_q
-            middle[column + 1, 0] = total
-            below[column + 1, 0] = total + lower_q
-            total = above[column + 1, 1] + upper_qx
-            middle[column + 1, 1] = total
-            below[column + 1, 1] = total + lower_qx
-            total = above[column + 1, 2] + upper_qy
-            middle[column + 1, 2] = total
-            below[column + 1, 2] = total + lower_qy
-            if squares:
-                lower_qq += q * q
-                total = above[column + 1, 3] + upper_qq
-                middle[column + 1, 3] = total
-                below[column + 1, 3] = total + lower_qq
-
-
-@kernel()
-def standard_tables(raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, tables):
-    """The tables of (X, Y, Z), all of which depend on the frame: X, Y, Z, XX, XY, XZ, YY, YZ and ZZ.
-
-    ``tables`` is (H + 1, W + 1, 9), for the implicit fit (eq. 6) and for residuals, or (H + 1, W + 1, 8) without ZZ:
-    all that the explicit solution needs (eq. 9).
-
-    Two image rows at a time, as in `range_tables`.
-    """
-    squares = tables.shape[2] == 9
-    height, width = raw.shape
-    upper = np.empty(width)
-    lower = np.empty(width)
-    tables[0] = 0.0
-    for row in range(-(height % 2), height, 2):
-        if row < 0:
-            upper[:] = 0.0
-        else:
-            depth_row(raw[row], lowest, highest, scale, offset, is_disparity, upper)
-        depth_row(raw[row + 1], lowest, highest, scale, offset, is_disparity, lower)
-        upper_tan_x, lower_tan_x = tan_x[max(row, 0)], tan_x[row + 1]
-        upper_tan_y, lower_tan_y = tan_y[max(row, 0)], tan_y[row + 1]
-        above = tables[max(row, 0)]
-        middle = tables[row + 1]
-        below = tables[row + 2]
-        middle[0] = 0.0
-        below[0] = 0.0
-        upper_x = upper_y = upper_z = upper_xx = upper_xy = upper_xz = upper_yy = upper_yz = upper_zz = 0.0
-        lower_x = lower_y = lower_z = lower_xx = lower_xy = lower_xz = lower_yy = lower_yz = lower_zz = 0.0
-        for column in range(width):
-            z = upper[column]
-            x = z * upper_tan_x[column]
-            y = z * upper_tan_y[column]
+            w = upper[column]
+            x = w * upper_tan_x[column]
+            y = w * upper_tan_y[column]
+            upper_w += w
             upper_x += x
             upper_y += y
-            upper_z += z
-            upper_xx += x * x
-            upper_xy += x * y
-            upper_xz += x * z
-            upper_yy += y * y
-            upper_yz += y * z
+            if standard is not None:
+                upper_xx += x * x
+                upper_xy += x * y
+                upper_xw += x * w
+                upper_yy += y * y
+                upper_yw += y * w
             if squares:
-                upper_zz += z * z
-            z = lower[column]
-            x = z * lower_tan_x[column]
-            y = z * lower_tan_y[column]
+                upper_ww += w * w
+            w = lower[column]
+            x = w * lower_tan_x[column]
+            y = w * lower_tan_y[column]
+            lower_w += w
             lower_x += x
             lower_y += y
-            lower_z += z
-            lower_xx += x * x
-            lower_xy += x * y
-            lower_xz += x * z
-            lower_yy += y * y
-            lower_yz += y * z
-            total = above[column + 1, 0] + upper_x
-            middle[column + 1, 0] = total
-            below[column + 1, 0] = total + lower_x
-            total = above[column + 1, 1] + upper_y
-            middle[column + 1, 1] = total
-            below[column + 1, 1] = total + lower_y
-            total = above[column + 1, 2] + upper_z
-            middle[column + 1, 2] = total
-            below[column + 1, 2] = total + lower_z
-            total = above[column + 1, 3] + upper_xx
-            middle[column + 1, 3] = total
-            below[column + 1, 3] = total + lower_xx
-            total = above[column + 1, 4] + upper_xy
-            middle[column + 1, 4] = total
-            below[column + 1, 4] = total + lower_xy
-            total = above[column + 1, 5] + upper_xz
-            middle[column + 1, 5] = total
-            below[column + 1, 5] = total + lower_xz
-            total = above[column + 1, 6] + upper_yy
-            middle[column + 1, 6] = total
-            below[column + 1, 6] = total + lower_yy
-            total = above[column + 1, 7] + upper_yz
-            middle[column + 1, 7] = total
-            below[column + 1, 7] = total + lower_yz
+            to = column + 1
+            add_up(above, middle, below, to, 0, upper_x, lower_x)
+            add_up(above, middle, below, to, 1, upper_y, lower_y)
+            add_up(above, middle, below, to, 2, upper_w, lower_w)
+            if standard is not None:
+                lower_xx += x * x
+                lower_xy += x * y
+                lower_xw += x * w
+                lower_yy += y * y
+                lower_yw += y * w
+                add_up(above, middle, below, to, 3, upper_xx, lower_xx)
+                add_up(above, middle, below, to, 4, upper_xy, lower_xy)
+                add_up(above, middle, below, to, 5, upper_xw, lower_xw)
+                add_up(above, middle, below, to, 6, upper_yy, lower_yy)
+                add_up(above, middle, below, to, 7, upper_yw, lower_yw)
             if squares:
-                lower_zz += z * z
-                total = above[column + 1, 8] + upper_zz
-                middle[column + 1, 8] = total
-                below[column + 1, 8] = total + lower_zz
+                lower_ww += w * w
+                add_up(above, middle, below, to, 3 if standard is None else 8, upper_ww, lower_ww)
 
 
 @kernel()
@@ -217,8 +159,9 @@ def camera_tables(tan_x, tan_y, tables):
 
 
 @kernel()
-def missing_table(raw, lowest, highest, table):
+def missing_table(frame, table):
     """The table of the number of missing pixels, (H + 1, W + 1, 1)."""
+    raw, lowest, highest = frame.raw, frame.lowest, frame.highest
     table[0] = 0.0
     for row in range(raw.shape[0]):
         table[row + 1, 0, 0] = 0.0
@@ -230,7 +173,7 @@ def missing_table(raw, lowest, highest, table):
 
 
 @kernel()
-def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
+def missing_rays(frame, rays, before, sums):
     """The camera terms of the missing pixels, to subtract from those of `camera_tables` where a frame has holes.
 
     They are few, so instead of five more tables there is a list of their running sums in the order of the pixels: a
@@ -238,11 +181,15 @@ def missing_rays(raw, lowest, highest, tan_x, tan_y, before, sums):
 
     Parameters
     ----------
+    frame : RawFrame
+    rays : tan_x, tan_y, (H, W) float64 each
     before : (H, W + 1) int32, written
         Number of missing pixels before a column of a row, those in all earlier rows included.
     sums : (missing + 1, 5) float64, written
         tanθx, tanθy, tanθx², tanθx·tanθy, tanθy² summed over the first 0, 1, 2, ... missing pixels.
     """
+    raw, lowest, highest = frame.raw, frame.lowest, frame.highest
+    tan_x, tan_y = rays
     sums[0] = 0.0
     missing = 0
     for row in range(raw.shape[0]):
@@ -290,10 +237,10 @@ def camera_window_moments(camera, windows, start, stop, full):
 def range_window_moments(tables, before, sums, windows, full, start, stop, moments):
     """Range-space moments, about the origin, of windows ``start`` to ``stop``.
 
-    ``full`` is what `camera_window_moments` gives, so only the 4 sums that depend on the frame are looked up.
-    ``before`` and ``sums`` are those of `missing_rays`, empty for a frame without holes; with them a window
-    costs two look-ups for each of its rows. Where ``tables`` have no q², Σqq is NaN. Where hardly a digit of it is
-    left, Σuu is NaN, which makes the window DEGENERATE.
+    ``full`` holds the camera terms, from `camera_window_moments`, so only the 4 sums that depend on the frame are
+    looked up. ``before`` and ``sums`` come from `missing_rays`, and are empty for a frame without holes; with them a
+    window costs two look-ups for each of its rows. Where ``tables`` have no q², Σqq is NaN. Where hardly a digit of it
+    is left, Σuu is NaN, which makes the window DEGENERATE.
     """
     squares = tables.shape[2] == 4
     for i in range(start, stop):
@@ -301,12 +248,12 @@ def range_window_moments(tables, before, sums, windows, full, start, stop, momen
         moments[0, i] = full[0, i]
         moments[1, i] = full[1, i]
         moments[2, i] = full[2, i]
-        moments[3, i] = window_sum(tables, window, 0)
+        moments[3, i] = window_sum(tables, window, 2)
         moments[4, i] = full[3, i]
         moments[5, i] = full[4, i]
-        moments[6, i] = window_sum(tables, window, 1)
+        moments[6, i] = window_sum(tables, window, 0)
         moments[7, i] = full[5, i]
-        moments[8, i] = window_sum(tables, window, 2)
+        moments[8, i] = window_sum(tables, window, 1)
         moments[9, i] = window_sum(tables, window, 3) if squares else math.nan
         if before.shape[0] > 0:
             left, right = window[1], window[1] + window[3]
@@ -326,10 +273,10 @@ def range_window_moments(tables, before, sums, windows, full, start, stop, momen
 
 @kernel()
 def standard_window_moments(tables, missing, windows, full, start, stop, moments):
-    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``; arguments as in `range_window_moments`.
+    """Moments of (X, Y, Z), about the origin, of windows ``start`` to ``stop``.
 
-    ``missing`` is that of `missing_table`, empty for a frame without holes. All but the number of pixels depends on the
-    frame: ``full``, which the other form needs, is not used. Where hardly a digit is left, ΣXX is NaN.
+    ``missing`` comes from `missing_table`, and is empty for a frame without holes. All but the number of pixels depends
+    on the frame: ``full``, which range space needs, is not used. Where hardly a digit is left, ΣXX is NaN.
     """
     moments[9, start:stop] = math.nan
     for i in range(start, stop):
@@ -341,6 +288,6 @@ def standard_window_moments(tables, missing, windows, full, start, stop, moments
             moments[channel + 1, i] = window_sum(tables, window, channel)
         corner = tables[window[0] + window[2], window[1] + window[3]]
         if moments[0, i] > 0.0 and tables.shape[2] == 9:
-            own = moments[4, i] + moments[7, i] + moments[9, i]
-            if own < LOST * (corner[3] + corner[6] + corner[8]):
+            squares = moments[4, i] + moments[7, i] + moments[9, i]
+            if squares < LOST * (corner[3] + corner[6] + corner[8]):
                 moments[4, i] = math.nan

@@ -9,8 +9,8 @@ tile, so that a tile's equations are those of its valid pixels, and the cost is 
 import numpy as np
 
 from .._jit.kernel import kernel
-from .range_tiles import BOTH, inverse_depths
-from .strips import COLUMNS, clip, columns_in_strip, find_references, spread_to_columns
+from .pixel_pairs import BOTH, clip, inverse_depths
+from .strips import COLUMNS, Strip, columns_in_strip, find_references, spread_to_columns
 
 # Rows of moments: the camera's sums, by their exponents of u and v, and the frame's, of q relative to a reference.
 N, U, V, UU, UV, VV, UUU, UUV, UVV, VVV, UUUU, UUUV, UUVV, UVVV, VVVV = range(15)
@@ -319,10 +319,8 @@ def surface_strip_separable(
     """
     sums, columns, marks, before = room
     tiles = tile_stop - tile_start
-    find_references(
-        raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references,
-    )  # fmt: skip
+    strip = Strip(row_start, row_stop, tile_start, tile_stop, tile_width)
+    find_references((raw, lowest, highest, scale), offset, None, strip, references)
     # More than one pass only where a tile is wider than a strip.
     last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):
@@ -459,10 +457,8 @@ def surface_strip(
     """
     sums, columns, marks = room[:3]
     tiles = tile_stop - tile_start
-    find_references(
-        raw, lowest, highest, scale, offset, True, row_start, row_stop, tile_start, tile_stop, tile_width,
-        references,
-    )  # fmt: skip
+    strip = Strip(row_start, row_stop, tile_start, tile_stop, tile_width)
+    find_references((raw, lowest, highest, scale), offset, None, strip, references)
     last = min(tile_stop * tile_width, raw.shape[1])
     for left in range(tile_start * tile_width, last, COLUMNS):
         span, count = columns_in_strip(left, last, tile_width, raw.shape[1])

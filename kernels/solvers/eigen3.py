@@ -71,7 +71,7 @@ def eigenpair_of_line(a, b, c, d, e, f):
         inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * inverse, y * inverse, z * inverse
     x1, y1, z1, x2, y2, z2 = orthogonal(x, y, z)
-    b11, b12, b22 = in_plane_of(a, b, c, d, e, f, x1, y1, z1, x2, y2, z2)
+    b11, b12, b22 = restricted((a, b, c, d, e, f), (x1, y1, z1), (x2, y2, z2))
     half = 0.5 * (b11 - b22)
     radius = math.sqrt(half * half + b12 * b12)
     first = -b12 if half >= 0.0 else radius - half
@@ -97,8 +97,11 @@ def orthogonal(x, y, z):
 
 
 @kernel(inline=True)
-def in_plane_of(a, b, c, d, e, f, x1, y1, z1, x2, y2, z2):
-    """Entries 11, 12 and 22 of a matrix in the plane of two orthogonal unit vectors."""
+def restricted(matrix, first, second):
+    """Entries 11, 12 and 22 of a symmetric matrix, given by its six entries, in the plane of two unit vectors."""
+    a, b, c, d, e, f = matrix
+    x1, y1, z1 = first
+    x2, y2, z2 = second
     x, y, z = a * x1 + b * y1 + c * z1, b * x1 + d * y1 + e * z1, c * x1 + e * y1 + f * z1
     m11, m12 = x1 * x + y1 * y + z1 * z, x2 * x + y2 * y + z2 * z
     x, y, z = a * x2 + b * y2 + c * z2, b * x2 + d * y2 + e * z2, c * x2 + e * y2 + f * z2
@@ -117,7 +120,7 @@ def smallest_eigenpairs(matrix, count, work, eigenvalue, vector):
     matrix : (6, N) float64
         Entries a to f of ``count`` positive semi-definite matrices.
     work : (WORK, N) float64
-        Room.
+        Scratch memory.
     eigenvalue, vector : (N,) and (3, N) float64, written
     """
     root, minors, determinant = work[0], work[1], work[2]

@@ -15,15 +15,20 @@ the answer is made of.
 
 from .._jit.kernel import kernel
 from . import eigen3
-from .eigen3 import in_plane_of, orthogonal
+from .eigen3 import orthogonal, restricted
 
-# Rows of room that `smallest_eigenvectors` needs.
+# Rows of scratch memory that `smallest_eigenvectors` needs.
 WORK = 9
 
 
 @kernel(inline=True)
-def secular_step(s, first, n, square, b22, b23, b33, m2, m3):
-    """The secular function at s, Newton's step from there, λ and (C - λI)⁻¹ μ in the second and third direction."""
+def secular_step(s, first, n, square, matrix, mean):
+    """The secular function at s, Newton's step from there, λ and (C - λI)⁻¹ μ in the second and third direction.
+
+    ``matrix`` and ``mean`` are entries 22, 23 and 33 of C, and 2 and 3 of μ; ``first`` is C's smallest eigenvalue.
+    """
+    b22, b23, b33 = matrix
+    m2, m3 = mean
     eigenvalue = first * s / (1.0 + s)
     inverse = 1.0 / ((b22 - eigenvalue) * (b33 - eigenvalue) - b23 * b23)
     g2 = ((b33 - eigenvalue) * m2 - b23 * m3) * inverse
@@ -45,7 +50,7 @@ def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
     matrix : (6, N) float64
         Entries uu, uv, uw, vv, vw, ww of the centred scatter matrices.
     work : (WORK, N) float64
-        Room.
+        Scratch memory.
     eigenvalue, vector : (N,) and (3, N) float64, written
         (x, y, z) is not finite where the plane of C passes through the origin.
     """
@@ -57,7 +62,7 @@ def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
         a, b, c, d, e, f = matrix[0, i], matrix[1, i], matrix[2, i], matrix[3, i], matrix[4, i], matrix[5, i]
         x1, y1, z1 = vector[0, i], vector[1, i], vector[2, i]
         x2, y2, z2, x3, y3, z3 = orthogonal(x1, y1, z1)
-        b22[i], b23[i], b33[i] = in_plane_of(a, b, c, d, e, f, x2, y2, z2, x3, y3, z3)
+        b22[i], b23[i], b33[i] = restricted((a, b, c, d, e, f), (x2, y2, z2), (x3, y3, z3))
         m1[i] = x1 * mean[0, i] + y1 * mean[1, i] + z1 * mean[2, i]
         m2[i] = x2 * mean[0, i] + y2 * mean[1, i] + z2 * mean[2, i]
         m3[i] = x3 * mean[0, i] + y3 * mean[1, i] + z3 * mean[2, i]
@@ -69,7 +74,7 @@ def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
         for i in range(count):
             here = s[i]
             value, step, _value, _g2, _g3 = secular_step(
-                here, eigenvalue[i], n[i], m1[i] * m1[i], b22[i], b23[i], b33[i], m2[i], m3[i]
+                here, eigenvalue[i], n[i], m1[i] * m1[i], (b22[i], b23[i], b33[i]), (m2[i], m3[i])
             )
             low[i] = here if value > 0.0 else low[i]
             high[i] = high[i] if value > 0.0 else here
@@ -83,7 +88,7 @@ def smallest_eigenvectors(n, mean, matrix, count, work, eigenvalue, vector):
             break
     for i in range(count):
         _value, _step, value, g2, g3 = secular_step(
-            s[i], eigenvalue[i], n[i], m1[i] * m1[i], b22[i], b23[i], b33[i], m2[i], m3[i]
+            s[i], eigenvalue[i], n[i], m1[i] * m1[i], (b22[i], b23[i], b33[i]), (m2[i], m3[i])
         )
         eigenvalue[i] = value
         p1, p2, p3 = m1[i] * s[i], value * g2, value * g3

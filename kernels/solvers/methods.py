@@ -1,8 +1,8 @@
 """From moments to planes: the five methods' solves, for a block of tiles at a time.
 
-A block is up to `strips.TILES` tiles: moments (10, TILES), reference points (3, TILES) and room (WORK, TILES), of
-which ``count`` columns are filled. The loops run over the tiles and vectorise. A status says why a tile has no
-plane; its numbers are then NaN.
+A block is up to `strips.TILES` tiles: moments (10, TILES), reference points (3, TILES) and scratch memory (WORK,
+TILES), of which ``count`` columns are filled. The loops run over the tiles and vectorise. A status says why a tile has
+no plane; its numbers are then NaN.
 """
 
 import math
@@ -22,16 +22,16 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
-# Second moments may be off by this share of what they were summed from: anything smaller is not scatter. Those about a
-# tile's own centre reach COLLINEAR long before: their kernels omit this test.
+# Second moments may be off by this share of what they were summed from: anything smaller is not scatter. Moments about
+# a tile's centre reach COLLINEAR long before: their kernels omit this test.
 MOMENT_ROUNDING = 128 * 2.0**-53
 
 # The methods in (X, Y, Z) by number.
 STANDARD_EXPLICIT, STANDARD_IMPLICIT, STANDARD_PCA = range(3)
 
-# Rows of room that a block's solve needs: its own, and those of the eigenvectors of 4x4 matrices, which need most.
-OWN = 17
-WORK = OWN + eigen4.WORK
+# Rows of scratch memory that a block's solve needs: for itself, and for eigenvectors of 4x4 matrices, which need most.
+SOLVE_WORK = 17
+WORK = SOLVE_WORK + eigen4.WORK
 
 
 @kernel(inline=True)
@@ -108,47 +108,49 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     ----------
     implicit : True or None
         Turn the explicit solutions into the implicit ones (eq. 14). With None Numba compiles none of this.
-    moments, reference, total
-        As in `explicit`; the first two are overwritten if there are an ``implicit`` and a ``total``.
+    moments, reference : (10, N) and (3, N) float64
+        Overwritten if there are an ``implicit`` and a ``total``.
+    total : float or None
+        Σuu + Σvv of the frame, for moments that are differences of sums over it, as `explicit` takes it.
     needed : (N,) float64
         Number of valid pixels that a tile needs.
     work : (WORK, TILES) float64
-        On return rows 0 to 2 are α, 3 the residual in the method's own units, 4 the one in metres along the normal, NaN
+        On return rows 0 to 2 are α, 3 the residual in the method's units, 4 the one in metres along the normal, NaN
         where there is no plane, and 5 the distance below which a plane passes through the camera centre.
     """
-    solution, own, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
+    solution, error, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
     explicit(moments, reference, total, count, solution, residual, nearest)
     if implicit is not None:
         for i in range(count):
-            own[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
+            error[i] = residual[i] if moments[0, i] >= needed[i] else math.nan
         if total is not None:
             centre(moments, reference, count)
-        secular.smallest_eigenvectors(moments, reference, count, solution, own)
+        secular.smallest_eigenvectors(moments, reference, count, solution, error)
         for i in range(count):
             a, b, c = solution[0, i], solution[1, i], solution[2, i]
-            residual[i] = own[i] * (1.0 + a * a + b * b + c * c)
-            own[i] = math.sqrt(own[i] / moments[0, i])
+            residual[i] = error[i] * (1.0 + a * a + b * b + c * c)
+            error[i] = math.sqrt(error[i] / moments[0, i])
     for i in range(count):
         per_pixel = 1.0 / moments[0, i]
         a, b, c = solution[0, i], solution[1, i], solution[2, i]
         mean_q = reference[2, i] + moments[3, i] * per_pixel
-        error = math.sqrt(residual[i] * per_pixel)
+        mean_square_root = math.sqrt(residual[i] * per_pixel)
         if implicit is None:
-            own[i] = error
+            error[i] = mean_square_root
         # n·X + d = d·Z·(q - α·m): to first order, with one depth for the tile.
-        metric[i] = error / (math.sqrt(a * a + b * b + c * c) * mean_q)
+        metric[i] = mean_square_root / (math.sqrt(a * a + b * b + c * c) * mean_q)
         nearest[i] = 0.0 if implicit is None else CENTRE / mean_q
 
 
 @kernel(inline=True)
 def standard_planes(method, moments, reference, total, count, work):
-    """Planes from the moments of (X, Y, Z); results as in `range_planes`.
+    """Planes from the moments of (X, Y, Z), in the rows of ``work`` that `range_planes` names.
 
     ``method`` is `STANDARD_EXPLICIT`, `STANDARD_IMPLICIT` (eq. 3: smallest eigenvector of eq. 6, all four coefficients
-    of norm 1, by eq. 4) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3 scatter matrix). ``total`` is as in
-    `explicit`, but ΣXX + ΣYY + ΣZZ of the frame.
+    of norm 1, by eq. 4) or `STANDARD_PCA` (smallest eigenvector of the centred 3x3 scatter matrix). ``total`` is
+    ΣXX + ΣYY + ΣZZ of the frame, for moments that are differences of sums over it.
     """
-    solution, own, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
+    solution, error, metric, nearest, value = work[:3], work[3], work[4], work[5], work[6]
     if method == STANDARD_EXPLICIT:
         explicit(moments, reference, total, count, solution, value, nearest)
         for i in range(count):
@@ -159,8 +161,8 @@ def standard_planes(method, moments, reference, total, count, work):
             solution[0, i] = -a * inverse
             solution[1, i] = -b * inverse
             solution[2, i] = inverse
-            own[i] = math.sqrt(value[i] * per_pixel)
-            metric[i] = own[i] / math.sqrt(1.0 + a * a + b * b)
+            error[i] = math.sqrt(value[i] * per_pixel)
+            metric[i] = error[i] / math.sqrt(1.0 + a * a + b * b)
             nearest[i] = (CENTRE + nearest[i]) * (reference[2, i] + moments[3, i] * per_pixel)
         return
     mean, matrix, determined = work[7:10], work[10:16], work[16]
@@ -188,41 +190,40 @@ def standard_planes(method, moments, reference, total, count, work):
         determined[i] = 0.0 if minors > COLLINEAR * trace * trace + rounding else math.nan
         nearest[i] = (CENTRE + (0.0 if total is None else rounding / minors)) * mean[2, i]
     if method == STANDARD_IMPLICIT:
-        eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[OWN:], value, solution)
+        eigen4.smallest_eigenvectors(moments[0], mean, matrix, count, work[SOLVE_WORK:], value, solution)
         for i in range(count):
             x, y, z = solution[0, i], solution[1, i], solution[2, i]
-            own[i] = math.sqrt(value[i] / moments[0, i])
-            metric[i] = own[i] * math.sqrt(1.0 + 1.0 / (x * x + y * y + z * z)) + determined[i]
+            error[i] = math.sqrt(value[i] / moments[0, i])
+            metric[i] = error[i] * math.sqrt(1.0 + 1.0 / (x * x + y * y + z * z)) + determined[i]
     else:
-        eigen3.smallest_eigenpairs(matrix, count, work[OWN:], value, solution)
+        eigen3.smallest_eigenpairs(matrix, count, work[SOLVE_WORK:], value, solution)
         for i in range(count):
             x, y, z = solution[0, i], solution[1, i], solution[2, i]
             inverse = 1.0 / (x * mean[0, i] + y * mean[1, i] + z * mean[2, i])
             solution[0, i] = x * inverse
             solution[1, i] = y * inverse
             solution[2, i] = z * inverse
-            own[i] = math.sqrt(value[i] / moments[0, i])
-            metric[i] = own[i] + determined[i]
+            error[i] = math.sqrt(value[i] / moments[0, i])
+            metric[i] = error[i] + determined[i]
 
 
 @kernel(inline=True)
-def write_planes(
-    work, valid, needed, max_error, count, planes, alpha, rmse, rmse_metric, valid_count, status
-):  # fmt: skip
+def write_planes(work, valid, needed, max_error, count, results):
     """From α and residuals to results: d = 1/‖α‖ and n = -α/‖α‖, facing the camera.
 
     Parameters
     ----------
-    work
-        As `range_planes` and `standard_planes` leave it.
+    work : (WORK, TILES) float64
+        Rows 0 to 2 α, 3 and 4 the residual in the method's units and in metres, 5 the distance below which a plane
+        passes through the camera centre, from `range_planes` or `standard_planes`. Overwritten.
     valid, needed : (N,) float64
         Numbers of valid pixels; fewer than ``needed`` give TOO_FEW.
     max_error : float
         Tiles with a larger ``rmse_metric`` get ROUGH.
-    planes, alpha, rmse, rmse_metric, valid_count, status : (4 * N,), (3 * N,), (N,)..., written
-        One-dimensional: see `kernels`.
+    results : planes, alpha, rmse, rmse_metric, valid_count, status; (4 * N,), (3 * N,), (N,)..., written
     """
-    solution, own, metric, nearest, distance, reason = work[:3], work[3], work[4], work[5], work[6], work[7]
+    planes, alpha, rmse, rmse_metric, valid_count, status = results
+    solution, error, metric, nearest, distance, reason = work[:3], work[3], work[4], work[5], work[6], work[7]
     for i in range(count):
         a, b, c = solution[0, i], solution[1, i], solution[2, i]
         d = 1.0 / math.sqrt(a * a + b * b + c * c)
@@ -233,7 +234,7 @@ def write_planes(
         solution[1, i] = b + nothing
         solution[2, i] = c + nothing
         distance[i] = d + nothing
-        own[i] += nothing
+        error[i] += nothing
         metric[i] += nothing
         rough = ROUGH if metric[i] > max_error else OK
         reason[i] = (rough if fitted else DEGENERATE) if enough else TOO_FEW
@@ -248,7 +249,7 @@ def write_planes(
         alpha[3 * i + 1] = solution[1, i]
         alpha[3 * i + 2] = solution[2, i]
     for i in range(count):
-        rmse[i] = own[i]
+        rmse[i] = error[i]
     for i in range(count):
         rmse_metric[i] = metric[i]
     for i in range(count):
@@ -258,23 +259,32 @@ def write_planes(
 
 
 @kernel()
-def fit_moments(
-    implicit, standard, moments, reference, total, needed, max_error, start, stop,
-    planes, alpha, rmse, rmse_metric, valid_count, status,
-):  # fmt: skip
-    """Planes from given moments: entries ``start`` to ``stop`` of (10, T). Results as in `write_planes`.
+def fit_moments(implicit, standard, sums, total, needed, max_error, part, results):
+    """Planes from given moments.
 
     Parameters
     ----------
     implicit : True or None
-        For moments in range space, see `range_planes`.
+        For moments in range space, whether the solution is implicit.
     standard : int or None
-        For moments in (X, Y, Z), see `standard_planes`; None for those in range space.
+        For moments in (X, Y, Z), the number of the method: `STANDARD_EXPLICIT` and so on. None for range space.
+    sums : moments and reference, (10, T) and (3, T) float64
     total : float
-        See `explicit`.
+        For moments that are differences of sums over the frame, Σuu + Σvv of the frame, in (X, Y, Z) with Σww; 0 for
+        other moments about a point that may be far away.
+    needed : (T,) float64
+        Number of valid pixels that a tile needs.
+    max_error : float
+        Tiles with a larger ``rmse_metric`` get ROUGH.
+    part : (start, stop)
+        The tiles to fit.
+    results : planes, alpha, rmse, rmse_metric, valid_count, status; (4 * T,), (3 * T,), (T,)..., written
     """
-    room = np.empty((13 + WORK, TILES))
-    block_moments, block_reference, work = room[:10], room[10:13], room[13:]
+    moments, reference = sums
+    start, stop = part
+    planes, alpha, rmse, rmse_metric, valid_count, status = results
+    block = np.empty((13 + WORK, TILES))
+    block_moments, block_reference, work = block[:10], block[10:13], block[13:]
     for first in range(start, stop, TILES):
         last = min(first + TILES, stop)
         count = last - first
@@ -286,7 +296,8 @@ def fit_moments(
             standard_planes(standard, block_moments, block_reference, total, count, work)
         write_planes(
             work, block_moments[0], needed[first:last], max_error, count,
-            planes[4 * first : 4 * last], alpha[3 * first : 3 * last],
-            rmse[first:last], rmse_metric[first:last],
-            valid_count[first:last], status[first:last],
+            (
+                planes[4 * first : 4 * last], alpha[3 * first : 3 * last], rmse[first:last], rmse_metric[first:last],
+                valid_count[first:last], status[first:last],
+            ),
         )  # fmt: skip

@@ -84,8 +84,8 @@ def step(i, state, n, s_u, s_v, s_q, s_uu, s_uv, s_uq, s_vv, s_vq, u0, v0, q0):
     state[ALPHA_U, i], state[ALPHA_V, i], state[ALPHA_1, i] = a, b, p
     c = p - u0[i] * a - v0[i] * b
     h = 1.0 + a * state[START_U, i] + b * state[START_V, i] + p * state[START_1, i]
-    made = eigenvalue * h
-    move = (rss - made) * made / (made * h + rss * (1.0 + a * a + b * b + c * c - h))
+    product = eigenvalue * h
+    move = (rss - product) * product / (product * h + rss * (1.0 + a * a + b * b + c * c - h))
     # Beyond A's smallest eigenvalue h begins again far below 0, and 1/h continues smoothly.
     below = (e_uu > 0.0) & (determinant > 0.0)
     beyond = (determinant < 0.0) & (h < 0.0)
@@ -118,19 +118,19 @@ def smallest_eigenvectors(moments, reference, count, solution, eigenvalue):
         The explicit solution's sum of squared residuals on entry, λ on return: NaN, and α meaningless, where
         the plane passes through the camera's centre or NaN came in.
     """
-    # Of a fixed size: see `kernels`.
+    # Of a fixed size, so that the compiler sees that rows are apart.
     state = np.empty((START_1 + 1, TOGETHER))
     for first in range(0, count, TOGETHER):
         last = min(first + TOGETHER, count)
-        # One-dimensional: see `kernels`.
+        # One-dimensional, so that the compiler knows their strides.
         u0, v0, q0 = reference[0][first:last], reference[1][first:last], reference[2][first:last]
         n, s_u, s_v = moments[0][first:last], moments[1][first:last], moments[2][first:last]
         s_q, s_uu, s_uv = moments[3][first:last], moments[4][first:last], moments[5][first:last]
         s_uq, s_vv, s_vq = moments[6][first:last], moments[7][first:last], moments[8][first:last]
-        of_u, of_v, of_1 = solution[0][first:last], solution[1][first:last], solution[2][first:last]
+        alpha_u, alpha_v, alpha_1 = solution[0][first:last], solution[1][first:last], solution[2][first:last]
         roots = eigenvalue[first:last]
         for i in range(last - first):
-            start(i, state, of_u, of_v, of_1, roots, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0)
+            start(i, state, alpha_u, alpha_v, alpha_1, roots, n, s_u, s_v, s_uu, s_uv, s_vv, u0, v0)
         for _ in range(STEPS):
             moving = 0
             for i in range(last - first):
@@ -145,4 +145,4 @@ def smallest_eigenvectors(moments, reference, count, solution, eigenvalue):
         for i in range(last - first):
             a, b = state[ALPHA_U, i], state[ALPHA_V, i]
             roots[i] = state[ROOT, i]
-            of_u[i], of_v[i], of_1[i] = a, b, state[ALPHA_1, i] - u0[i] * a - v0[i] * b
+            alpha_u[i], alpha_v[i], alpha_1[i] = a, b, state[ALPHA_1, i] - u0[i] * a - v0[i] * b

@@ -12,10 +12,10 @@ import numpy as np
 from .._jit.kernel import kernel
 from .correlation_cells import (
     add_runs,
-    product_of,
     shared_by_cells,
     smooth,
     spread_out,
+    sum_of_products,
     sums_before,
     weigh,
     weighted_product,
@@ -38,20 +38,21 @@ def times_along(shift, pixels, length):
 
 @kernel()
 def add_alone(cells, number, filled, factor, weights, sums):
-    """Add errors that each pixel has alone, their variance times ``factor``; ``weights`` (number,) are for work.
+    """Add errors that each pixel has alone, their variance times ``factor``.
 
-    ``filled`` is 0; or one over the pixels of a full cell, where such cells have none of them: see `apart_in_cell`.
+    ``filled`` is 0; or one over the pixels of a full cell, if full cells are to add nothing, as what `apart_in_cell`
+    gives does. ``weights`` (number,) are scratch memory.
     """
-    of = cells[3]
+    counts = cells[3]
     for k in range(number):
-        n = of[k]
+        n = counts[k]
         weights[k] = factor * max(1.0 - n * filled, 0.0) / n if n > 0.0 else 0.0
     for i in range(3):
         for j in range(i, 3):
-            made = weighted_product(cells[i], cells[j], weights, number)
-            sums[i, j] += made
+            total = weighted_product(cells[i], cells[j], weights, number)
+            sums[i, j] += total
             if j > i:
-                sums[j, i] += made
+                sums[j, i] += total
 
 
 @kernel(inline=True)
@@ -64,24 +65,27 @@ def apart_in_cell(shared, pixels):
 
 
 @kernel()
-def add_correlated(cells, rows, columns, shift, tall, wide, length, factor, room, sums):
+def add_correlated(cells, grid, extent, length, factor, scratch, sums):
     """Add what errors of one correlation length share, Σk·Sᵢ·Sⱼᵀ over all pairs of cells.
 
     Parameters
     ----------
     cells : (4, rows * columns) float64
-        See `correlation_cells.weigh`.
-    shift : int
-        Cells have sides of 2^shift pixels.
-    tall, wide : int
+        Sums over the pixels of each cell of σ·(u - ū), σ·(v - v̄) and σ, and their number.
+    grid : (rows, columns, shift)
+        Of the cells, which have sides of 2^shift pixels.
+    extent : (tall, wide)
         Pixels of the part from its first to its last row, and column.
-    length, factor : float
-        In pixels, and by which the result is multiplied.
-    room : (8 or more, 2 * MOST_CELLS) float64
-        For work.
-    sums : (3, 3) float64
+    length : float
+        Correlation length in pixels.
+    factor : float
+        By which the result is multiplied.
+    scratch : (8 or more, 2 * MOST_CELLS) float64
+    sums : (3, 3) float64, added to
     """
-    fewer, along_y, along_x, across, smoothed = room[:4], room[4], room[5], room[6], room[7]
+    rows, columns, shift = grid
+    tall, wide = extent
+    fewer, along_y, along_x, across, smoothed = scratch[:4], scratch[4], scratch[5], scratch[6], scratch[7]
     times_y, times_x = times_along(shift, tall, length), times_along(shift, wide, length)
     rows_now, columns_now = ((rows - 1) >> times_y) + 1, ((columns - 1) >> times_x) + 1
     side_y, side_x = 1 << (shift + times_y), 1 << (shift + times_x)
@@ -93,9 +97,9 @@ def add_correlated(cells, rows, columns, shift, tall, wide, length, factor, room
     for j in range(3):
         smooth(fewer[j], number, stride, along_y[:reach_y], along_x[:reach_x], False, across, smoothed)
         for i in range(3):
-            made = factor * product_of(fewer[i], smoothed, number)
-            sums[i, j] += made
-            sums[j, i] += made
+            total = factor * sum_of_products(fewer[i], smoothed, number)
+            sums[i, j] += total
+            sums[j, i] += total
     pixels = float(side_y * side_x)
     if pixels > 1.0:
         add_alone(fewer, number, 1.0 / pixels, factor * apart_in_cell(along_y[0] * along_x[0], pixels), across, sums)
@@ -124,24 +128,25 @@ def trace_of_product(a, b):
 @kernel()
 def product(a, b):
     """AB of two (3, 3) matrices."""
-    made = np.zeros((3, 3))
+    result = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
             for k in range(3):
-                made[i, j] += a[i, k] * b[k, j]
-    return made
+                result[i, j] += a[i, k] * b[k, j]
+    return result
 
 
 @kernel()
-def squares_of_pairs(weights, number, stride, side, components, factors, reaches, room):
+def squares_of_pairs(weights, number, stride, side, components, factors, reaches, scratch):
     """Σcᵢⱼ² over all pairs of pixels, by what cells share.
 
     A product of two correlations is one, too, of a shorter length. Where both reach over more than a cell, the product
     of their means over cells is taken, as for the errors that a plane explains: of those little may remain.
 
-    ``weights`` are the sums of σ² over cells; for the others see `freedom_of`.
+    ``weights`` are the sums of σ² over cells; ``factors`` what each of the ``components`` shares along y and x, up to
+    the number of cells in ``reaches``.
     """
-    along_y, along_x, across, smoothed = room[0], room[1], room[2], room[3]
+    along_y, along_x, across, smoothed = scratch[0], scratch[1], scratch[2], scratch[3]
     total = 0.0
     for a in range(len(components)):
         for b in range(a + 1):
@@ -158,12 +163,12 @@ def squares_of_pairs(weights, number, stride, side, components, factors, reaches
                 reach_x = shared_by_cells(both, side, reach_x, along_x)
             smooth(weights, number, stride, along_y[:reach_y], along_x[:reach_x], True, across, smoothed)
             share = components[a, 0] * components[b, 0] * (1.0 if a == b else 2.0)
-            total += share * product_of(weights, smoothed, number)
+            total += share * sum_of_products(weights, smoothed, number)
     return total
 
 
 @kernel()
-def freedom_of(cells, rows, columns, shift, components, factors, room):
+def degrees_of_freedom(cells, grid, components, factors, scratch):
     """Degrees of freedom of the sum of squared residuals: its squared mean over half its variance; NaN if unknown.
 
     With the projection P = I - MA⁻¹Mᵀ on residuals these are tr(PC)² and tr((PC)²) = tr(C²) - 2tr(A⁻¹MᵀC²M) +
@@ -171,15 +176,15 @@ def freedom_of(cells, rows, columns, shift, components, factors, room):
 
     Parameters
     ----------
-    cells, rows, columns, shift
-        See `add_correlated`.
+    cells, grid
+        The same as for `add_correlated`.
     components : (C, 2) float64
-        See `shared_covariances`.
+        Shares of the variance along the ray, and how far they are correlated, in pixels.
     factors : (C, 2, FEW_CELLS) float64
-        For work.
-    room : (14 or more, 2 * MOST_CELLS) float64
-        For work.
+        Scratch memory.
+    scratch : (14 or more, 2 * MOST_CELLS) float64
     """
+    rows, columns, shift = grid
     times = 0
     while (((rows - 1) >> times) + 1) * (((columns - 1) >> times) + 1) > FEW_CELLS:
         times += 1
@@ -198,7 +203,7 @@ def freedom_of(cells, rows, columns, shift, components, factors, room):
             alone += share
     stride = columns_now + widest - 1
     number = rows_now * stride
-    fewer, with_all, across, smoothed = room[:4], room[4:7], room[7], room[8]
+    fewer, with_all, across, smoothed = scratch[:4], scratch[4:7], scratch[7], scratch[8]
     spread_out(cells, rows, columns, times, times, stride, fewer)
     with_all[:, :number] = 0.0
     for a in range(len(components)):
@@ -208,7 +213,7 @@ def freedom_of(cells, rows, columns, shift, components, factors, room):
                 smooth(fewer[j], number, stride, along_y, along_x, True, across, smoothed)
                 for k in range(number):
                     with_all[j, k] += components[a, 0] * smoothed[k]
-    weights, deviations, counts = room[9], fewer[2], fewer[3]
+    weights, deviations, counts = scratch[9], fewer[2], fewer[3]
     explained, square, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))  # B and MᵀC²M
     total = half = n = uu = uv = vv = 0.0
     for k in range(number):
@@ -233,7 +238,7 @@ def freedom_of(cells, rows, columns, shift, components, factors, room):
                     square[i, j] += weights[k] * with_all[i, k] * with_all[j, k]
     if not write_inverse(n, uu, uv, vv, inverse):
         return math.nan
-    half += squares_of_pairs(weights, number, stride, side, components, factors, reaches, room[10:])
+    half += squares_of_pairs(weights, number, stride, side, components, factors, reaches, scratch[10:])
     explained = product(inverse, explained)
     expected = (alone + shared) * total - explained[0, 0] - explained[1, 1] - explained[2, 2]
     half += trace_of_product(explained, explained) - 2.0 * trace_of_product(inverse, square)
@@ -242,23 +247,23 @@ def freedom_of(cells, rows, columns, shift, components, factors, room):
 
 @kernel()
 def rescaled(moments, measured):
-    """(3, 3): TCTᵀ has the variances for ``measured`` that C has for ``moments``, both as of `write_covariance`.
+    """(3, 3) T: TCTᵀ has the variances for ``measured`` that C has for ``moments``; `write_covariance` has both.
 
     With A = LLᵀ of each of them, T = L'⁻ᵀLᵀ leaves LᵀCL = L⁻¹BL⁻ᵀ as it is: C over that of independent errors.
     """
-    made = np.eye(3)
+    scale = np.eye(3)
     n, uu, uv, vv = measured
-    first, of_first = math.sqrt(uu), math.sqrt(moments[3])
-    slant, of_slant = uv / first, moments[4] / of_first
-    second, of_second = math.sqrt(vv - slant * slant), math.sqrt(moments[5] - of_slant * of_slant)
-    if second > 0.0 and of_second > 0.0 and n > 0.0:
-        made[0, 0], made[1, 1], made[2, 2] = of_first / first, of_second / second, math.sqrt(moments[0] / n)
-        made[0, 1] = (of_slant - slant * made[1, 1]) / first
-    return made
+    first, cell_first = math.sqrt(uu), math.sqrt(moments[3])
+    slant, cell_slant = uv / first, moments[4] / cell_first
+    second, cell_second = math.sqrt(vv - slant * slant), math.sqrt(moments[5] - cell_slant * cell_slant)
+    if second > 0.0 and cell_second > 0.0 and n > 0.0:
+        scale[0, 0], scale[1, 1], scale[2, 2] = cell_first / first, cell_second / second, math.sqrt(moments[0] / n)
+        scale[0, 1] = (cell_slant - slant * scale[1, 1]) / first
+    return scale
 
 
 @kernel()
-def write_covariance(moments, sums, total, from_u, from_v, measured, made):
+def write_covariance(moments, sums, total, from_u, from_v, measured, covariances):
     """Covariances of a plane's slopes and of q, and the expected sum of squared residuals, tr(C) - tr(A⁻¹B).
 
     Parameters
@@ -270,9 +275,10 @@ def write_covariance(moments, sums, total, from_u, from_v, measured, made):
     total : float
         tr(C).
     from_u, from_v : float
-        From the mean ray to the one at which q is meant.
+        From the mean ray to the ray at which q is wanted.
     measured : tuple of 4 floats
-        n and the scatter again, as they are known better: these count, and of the others what C makes of them.
+        n and the scatter again, where they are known better: then these count.
+    covariances : (COLUMNS,) float64, written
     """
     inverse, there = np.empty((3, 3)), np.eye(3)
     if not write_inverse(moments[0], moments[3], moments[4], moments[5], inverse):
@@ -282,13 +288,21 @@ def write_covariance(moments, sums, total, from_u, from_v, measured, made):
     there[2, 0], there[2, 1] = from_u, from_v
     there = product(there, rescaled(moments, measured))
     covariance = product(product(there, covariance), there.T)
-    made[SLOPES], made[SLOPES + 1], made[SLOPES + 2] = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-    made[WITH_MEAN], made[WITH_MEAN + 1], made[MEAN] = covariance[0, 2], covariance[1, 2], covariance[2, 2]
-    made[EXPECTED] = total - (explained[0, 0] + explained[1, 1] + explained[2, 2])
+    covariances[SLOPES], covariances[SLOPES + 1], covariances[SLOPES + 2] = (
+        covariance[0, 0],
+        covariance[0, 1],
+        covariance[1, 1],
+    )
+    covariances[WITH_MEAN], covariances[WITH_MEAN + 1], covariances[MEAN] = (
+        covariance[0, 2],
+        covariance[1, 2],
+        covariance[2, 2],
+    )
+    covariances[EXPECTED] = total - (explained[0, 0] + explained[1, 1] + explained[2, 2])
 
 
 @kernel()
-def extent(runs, begin, end):
+def extent_of(runs, begin, end):
     """First row and column of some runs; how many rows and columns; pixels; whether all of these are measured."""
     _, rows, starts, stops, shares = runs
     top, bottom, left, right = rows[begin], rows[begin], starts[begin], stops[begin]
@@ -302,47 +316,47 @@ def extent(runs, begin, end):
 
 
 @kernel()
-def shared_covariances(runs, tan_x, tan_y, counts, rays, alpha, noise, components, with_freedom, made):
+def shared_covariances(runs, image_rays, parts, noise, components, with_freedom, covariances):
     """Covariances of the planes of N parts by their errors along the ray.
 
     Parameters
     ----------
     runs : PixelRuns
         Of the parts.
-    tan_x, tan_y : (H, W) float64, or (1, W) and (H, 1)
-    counts : (N,) float64
-        Measured pixels.
-    rays : (N, 5) float64
-        See `noise_variances.means_over`. Of parts whose runs say which pixels are measured, only the mean ray counts.
-    alpha : (N, 3) float64
-        The planes, NaN where there is none.
-    noise : see `noise_variances.LATERAL_X`
+    image_rays : tan_x and tan_y, (H, W) float64, or (1, W) and (H, 1)
+    parts : counts, rays and alpha, (N,), (N, 5) and (N, 3) float64
+        Numbers of measured pixels. Means of u and v over them, and their variances and covariance, uu, uv, vv; of parts
+        whose runs say which pixels are measured, only the mean ray counts. The planes, NaN where there is none.
+    noise : (8 or more,) float64
+        Variances of the noise model: `noise_variances` says which entry is which.
     components : (C, 2) float64
         Shares of its variance, which may add up to more than 1, and how far they are correlated, in pixels: 0 for what
         is independent.
     with_freedom : bool
-        Whether the last column of ``made`` is wanted, too.
-    made : (N, COLUMNS) float64, written
+        Whether the last column of ``covariances`` is wanted, too.
+    covariances : (N, COLUMNS) float64, written
         Variance of the slope along u, covariance of the slopes, variance of that along v; covariances of the slopes
         with q at the mean ray; its variance; the expected sum of squared residuals, and its degrees of freedom. NaN
         where there is no plane.
     """
+    tan_x, tan_y = image_rays
+    counts, rays, alpha = parts
     # An image of one row has one of tanθx with a lens, too, but not one column of tanθy.
     has_one_row = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
-    before = np.empty((2, tan_x.shape[1] + 1 if has_one_row else 0))  # of the row that all rows have
+    before = np.empty((2, tan_x.shape[1] + 1 if has_one_row else 0))  # of the row of tanθx that all rows have
     shared_u = tan_x[0, tan_x.shape[1] // 2]
     if before.shape[1] > 0:
         sums_before(tan_x[0], shared_u, before)
-    cells, room, sums = np.empty((4, MOST_CELLS)), np.empty((14, 2 * MOST_CELLS)), np.empty((3, 3))
+    cells, scratch, sums = np.empty((4, MOST_CELLS)), np.empty((14, 2 * MOST_CELLS)), np.empty((3, 3))
     moments = np.empty(6)
     factors = np.empty((len(components), 2, FEW_CELLS))
     first = runs.first
-    made[:] = math.nan
+    covariances[:] = math.nan
     for i in range(len(alpha)):
         begin, end = first[i], first[i + 1]
         if begin == end or math.isnan(alpha[i, 0]):
             continue
-        top, left, tall, wide, pixels, is_exact = extent(runs, begin, end)
+        top, left, tall, wide, pixels, is_exact = extent_of(runs, begin, end)
         shift = 0
         while (pixels >> 2 * shift) > FILLED or (((tall - 1) >> shift) + 1) * (((wide - 1) >> shift) + 1) > MOST_CELLS:
             shift += 1
@@ -350,22 +364,25 @@ def shared_covariances(runs, tan_x, tan_y, counts, rays, alpha, noise, component
         cells[:, : lines * columns] = 0.0
         moments[:] = 0.0
         u, v = shared_u if before.shape[1] > 0 else rays[i, 0], rays[i, 1]
-        add_runs(runs, begin, end, tan_x, tan_y, u, v, before, top, left, shift, columns, cells, moments)
+        grid = lines, columns, shift
+        add_runs(runs, (begin, end), image_rays, (u, v), before, (top, left, columns, shift), cells, moments)
         mean_u, mean_v = moments[1] / moments[0], moments[2] / moments[0]
         moments[3] -= moments[1] * mean_u
         moments[4] -= moments[1] * mean_v
         moments[5] -= moments[2] * mean_v
-        weigh(cells, lines * columns, u, v, mean_u, mean_v, alpha[i], noise)
+        weigh(cells, lines * columns, (u, v), (mean_u, mean_v), alpha[i], noise)
         sums[:] = 0.0
-        add_alone(cells, lines * columns, 0.0, 1.0, room[0], sums)
-        total = sums[2, 2] * components[:, 0].sum()  # of Σσ²
+        add_alone(cells, lines * columns, 0.0, 1.0, scratch[0], sums)
+        total = sums[2, 2] * components[:, 0].sum()  # Σσ² times all shares
         sums *= components[components[:, 1] == 0.0, 0].sum()
         for k in range(len(components)):
             factor, length = components[k, 0], components[k, 1]
             if length > 0.0:
-                add_correlated(cells, lines, columns, shift, tall, wide, length, factor, room, sums)
+                add_correlated(cells, grid, (tall, wide), length, factor, scratch, sums)
         n, uu, uv, vv = counts[i], counts[i] * rays[i, 2], counts[i] * rays[i, 3], counts[i] * rays[i, 4]
         measured = (moments[0], moments[3], moments[4], moments[5]) if is_exact else (n, uu, uv, vv)
-        write_covariance(moments, sums, total, rays[i, 0] - u - mean_u, rays[i, 1] - v - mean_v, measured, made[i])
+        write_covariance(
+            moments, sums, total, rays[i, 0] - u - mean_u, rays[i, 1] - v - mean_v, measured, covariances[i]
+        )
         if with_freedom:
-            made[i, FREEDOM] = freedom_of(cells, lines, columns, shift, components, factors, room)
+            covariances[i, FREEDOM] = degrees_of_freedom(cells, grid, components, factors, scratch)

@@ -7,16 +7,29 @@ import numpy as np
 from .._jit.kernel import kernel
 from ..common.arrays import copy
 from ..common.depth import inverse_depth
-from ..moments.labels import labelled_columns
+from ..moments.labels import labelled_runs
 from .noise_variances import rounding_at, variance_at
 
 
 @kernel(inline=True)
-def variances_of_run(
-    values, lowest, highest, scale, offset, is_disparity, us, vs, plane, noise, growth, lateral, start, stop, along,
-    independent,
-):  # fmt: skip
-    """Write the variances of pixels ``start`` to ``stop`` of a row: 0 where nothing is measured."""
+def run_variances(values, frame, rays, plane, noise, factors, run, variances):
+    """Write the variances of the pixels of a run of a row, 0 where nothing is measured.
+
+    Parameters
+    ----------
+    values, rays
+        The row's raw values, and its tanθx and tanθy.
+    factors
+        The row of ``growth`` and of ``lateral``, as `label_variances` takes them.
+    run : (start, stop)
+    variances : along, independent, (W,) float64 each, written
+        Variances along the ray, and those of rounding and across the ray.
+    """
+    _, lowest, highest, scale, offset, is_disparity = frame
+    us, vs = rays
+    growth, lateral = factors
+    along, independent = variances
+    start, stop = run
     a, b, c = plane[0], plane[1], plane[2]
     fitted = not math.isnan(a)
     for column in range(start, stop):
@@ -30,9 +43,9 @@ def variances_of_run(
         for column in range(start, stop):
             along[column] *= growth[column]
     if lateral.shape[1] > 0 and fitted:
-        of_uu, of_uv, of_vv = lateral[0], lateral[1], lateral[2]
+        uu, uv, vv = lateral[0], lateral[1], lateral[2]
         for column in range(start, stop):
-            across = a * a * of_uu[column] + 2.0 * a * b * of_uv[column] + b * b * of_vv[column]
+            across = a * a * uu[column] + 2.0 * a * b * uv[column] + b * b * vv[column]
             there = (lowest <= values[column]) & (values[column] <= highest)
             independent[column] += across if there else 0.0
 
@@ -62,37 +75,38 @@ def add_variances(us, vs, along, independent, start, stop, sums, i):
 
 
 @kernel()
-def label_variances(
-    raw, lowest, highest, scale, offset, is_disparity, tan_x, tan_y, labels, alpha, noise, growth, lateral,
-    sums,
-):  # fmt: skip
+def label_variances(frame, rays, labels, alpha, noise, growth, lateral, sums):
     """Sums over the valid pixels of labels 1 to K of the variances of their errors, at the depths of their planes.
 
     Parameters
     ----------
-    tan_x, tan_y : (H, W) float64, or (1, W) and (H, 1)
+    frame : RawFrame
+    rays : tan_x and tan_y, (H, W) float64, or (1, W) and (H, 1)
     labels : (H, W) int32
         0 for none.
     alpha : (K, 3) float64
-        Where it is NaN, each pixel's own depth is used.
-    noise : see `noise_variances.LATERAL_X`
+        Where it is NaN, each pixel's measured depth is used.
+    noise : (8 or more,) float64
+        Variances of the noise model: `noise_variances` says which entry is which.
     growth : (H, W) float64, or empty
         Factors on the variances of q along the ray that ``noise`` gives.
     lateral : (H, 3, W) float64, or empty
         Variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, where a lens makes them
         differ.
     sums : (K, 8) float64, written
-        Sums of the variances of q along the ray, of those of rounding and, with ``lateral``, of errors across the ray,
-        of the squares of their total, and of their total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
+        Sums of the variances of q along the ray; of those of rounding and, with ``lateral``, of errors across the ray;
+        of the squares of their total; and of their total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
     """
-    height, width = raw.shape
+    height, width = labels.shape
+    tan_x, tan_y = rays
     vs, along, independent = np.empty(width), np.empty(width), np.empty(width)
+    starts, stops = np.empty(width, np.int64), np.empty(width, np.int64)
     grown, uneven = np.empty(0), np.empty((3, 0))
     sums[:] = 0.0
     for row in range(height):
         line = labels[row]
-        stop, end = labelled_columns(line)
-        if stop == end:
+        count = labelled_runs(line, starts, stops)
+        if count == 0:
             continue
         us = tan_x[row if tan_x.shape[0] > 1 else 0]
         if tan_y.shape[1] > 1:
@@ -103,15 +117,11 @@ def label_variances(
             grown = growth[row]
         if lateral.shape[0] > 0:
             uneven = lateral[row]
-        while stop < end:
-            start, label = stop, line[stop]
-            while stop < end and line[stop] == label:
-                stop += 1
-            i = label - 1
-            if i < 0:
-                continue
-            variances_of_run(
-                raw[row], lowest, highest, scale, offset, is_disparity, us, vs, alpha[i], noise, grown, uneven, start,
-                stop, along, independent,
-            )  # fmt: skip
+        values = frame.raw[row]
+        for run in range(count):
+            start, stop = starts[run], stops[run]
+            i = line[start] - 1
+            run_variances(
+                values, frame, (us, vs), alpha[i], noise, (grown, uneven), (start, stop), (along, independent)
+            )
             add_variances(us, vs, along, independent, start, stop, sums, i)

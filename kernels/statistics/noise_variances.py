@@ -23,7 +23,7 @@ LITTLE, PIECES = 0.2, 4
 
 
 @kernel(inline=True)
-def entries_of(noise):
+def entries_in(noise):
     """Number of variances in the table of ``noise``."""
     return (noise.shape[0] - VARIANCES) // 2
 
@@ -35,7 +35,7 @@ def variance_at(q, noise):
         return noise[VARIANCES]
     position = q * noise[SCALE]
     position = position if position > 0.0 else 0.0  # also for NaN
-    whole = np.floor(min(position, entries_of(noise) - 2.0))
+    whole = np.floor(min(position, entries_in(noise) - 2.0))
     k = VARIANCES + np.int64(whole)
     return noise[k] + (position - whole) * (noise[k + 1] - noise[k])
 
@@ -111,6 +111,6 @@ def part_variances(alpha, rays, noise, means):
     """`means_over` N parts: ``alpha`` (N, 3), ``rays`` (N, 5) and ``means`` (N, 8), written."""
     for i in range(alpha.shape[0]):
         plane = alpha[i, 0], alpha[i, 1], alpha[i, 2]
-        made = means_over(plane, (rays[i, 0], rays[i, 1], rays[i, 2], rays[i, 3], rays[i, 4]), noise)
+        part = means_over(plane, (rays[i, 0], rays[i, 1], rays[i, 2], rays[i, 3], rays[i, 4]), noise)
         for k in range(8):
-            means[i, k] = made[k]
+            means[i, k] = part[k]

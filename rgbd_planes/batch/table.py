@@ -93,10 +93,9 @@ class Rows:
         """Add a row for each tile of a frame, which is counted from the first of the part."""
         statistics, which = (tiles._statistics.rows, _STATISTICS) if self._noise else _NO_STATISTICS
         start = self._begin(frame, tiles.status.size, grid)
-        row_kernels.add_tiles(
-            tiles.planes, tiles.rmse, tiles.rmse_metric, tiles.valid_count, tiles.status, statistics, which, start,
-            self._floats, self._valid_count, self._status,
-        )  # fmt: skip
+        results = tiles.planes, tiles.rmse, tiles.rmse_metric, tiles.valid_count, tiles.status
+        columns = self._floats, self._valid_count, self._status
+        row_kernels.add_tiles(results, statistics, which, start, columns)
 
     def add_segments(self, frame: int, places: NDArray[np.int32], segments: Segmentation) -> None:
         """Add a row for each segment of a frame.

@@ -19,6 +19,7 @@ from rgbd_planes._core.checks import plain_array
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.depth_validity import measurements_of, validity
 from rgbd_planes.camera.depth_warnings import PLAINLY_NOT_METRES, warn_of_disparity, warn_of_the_range, warn_of_units
+from rgbd_planes.kernels.common.depth import RawFrame
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
 _GRAIN, _GRAIN_OF_DISPARITY = 1e-5, 1.0 / 256.0  # metres, raw units
@@ -73,9 +74,9 @@ class DepthFrame(NamedTuple):
     step: float
 
     @property
-    def values(self) -> tuple[NDArray[Any], Any, Any, float, float, bool]:
+    def values(self) -> RawFrame:
         """All but the step, as most kernels take them."""
-        return self[:6]
+        return RawFrame(*self[:6])
 
     @property
     def valid(self) -> NDArray[np.bool_]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,15 +16,7 @@ from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.frame_warnings import warn_of_noise
 from rgbd_planes.fitting.methods import METHODS, solve_planes, valid_needed
 from rgbd_planes.fitting.results import PlacedFits, allocate
-from rgbd_planes.fitting.saving import (
-    Arrays,
-    Savable,
-    common_content,
-    content_of_fits,
-    content_of_pixels,
-    labels_in,
-    pixels_in,
-)
+from rgbd_planes.fitting.saving import Savable, Values, check_fits, check_label_image
 from rgbd_planes.kernels.moments.labels import label_moments
 from rgbd_planes.uncertainty.falloff import EVEN
 from rgbd_planes.uncertainty.footprints import like_rectangles
@@ -56,16 +46,12 @@ class LabelPlanes(Savable, KeepsPixels, PlacedFits):
     def _title(self) -> str:
         return counted(len(self.status), "label")
 
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        about, pixels = content_of_pixels(self)
-        return content_of_fits(self, about, {"labels": self.labels, **pixels})
-
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        camera, count = Camera.from_dict(about["camera"]), len(arrays["status"])
-        labels = labels_in(arrays, camera.shape, count)
-        common = common_content(about, arrays, camera, (count,), labels.size)
-        return cls(labels=labels, _pixels=pixels_in(about, arrays, camera, count), **common)
+    def _checked(cls, values: Values) -> Values:
+        labels, count = values["labels"], len(values["status"])
+        check_label_image(labels, values["camera"].shape, count)
+        check_fits(values, (count,), labels.size)
+        return values
 
 
 def fit_labels(
@@ -121,9 +107,7 @@ def fit_labels(
     footprint = np.empty((count, 5), np.int64)
     moments, reference = np.empty((count, 10)), np.empty((count, 3))
     with announced(("labels", method, frame.raw.dtype)):
-        label_moments(
-            *frame.values, *camera._rays, method.startswith("standard"), numbers, footprint, moments, reference
-        )
+        label_moments(frame.values, camera._rays, method.startswith("standard"), numbers, footprint, moments, reference)
         arrays["_moments"][:], arrays["_reference"][:] = moments.T, reference.T
         solve_planes(method, arrays, valid_needed(footprint[:, 0], max_missing), error, 0, count)
         pixels = pixels_of_labels(frame, camera, numbers, method, footprint, arrays)

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Self
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.checks import check_labels, label_array
-from rgbd_planes.camera.camera import Camera
 from rgbd_planes.fitting.methods import solve_planes
 from rgbd_planes.fitting.results import PlaneFits, allocate
-from rgbd_planes.fitting.saving import (
-    Arrays,
-    Savable,
-    common_content,
-    content_of_fits,
-    content_of_pixels,
-    labels_in,
-    pixels_in,
-)
+from rgbd_planes.fitting.saving import Savable, Values, check_fits, check_label_image
 from rgbd_planes.kernels.moments.merge import merge_by_label
 from rgbd_planes.uncertainty.correlated_errors import covariances_by_shape, shares_errors
 from rgbd_planes.uncertainty.falloff import EVEN
@@ -46,26 +36,18 @@ class MergedPlanes(Savable, KeepsPixels, PlaneFits):
 
     labels: npt.NDArray[np.int32]
     _pixels: Pixels
-    _of_frame: float
+    _frame_total: float = field(metadata={"saved": "total"})
 
     @property
     def _total(self) -> float:
-        return self._of_frame
-
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        about, pixels = content_of_pixels(self)
-        return content_of_fits(self, {"total": self._of_frame, **about}, {"labels": self.labels, **pixels})
+        return self._frame_total
 
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        camera, count = Camera.from_dict(about["camera"]), len(arrays["status"])
-        most = np.iinfo(np.int32).max  # of overlapping windows pixels count more than once
-        return cls(
-            labels=labels_in(arrays, None, count),
-            _pixels=pixels_in(about, arrays, camera, count),
-            _of_frame=float(about["total"]),
-            **common_content(about, arrays, camera, (count,), most),
-        )
+    def _checked(cls, values: Values) -> Values:
+        count = len(values["status"])
+        check_label_image(values["labels"], None, count)
+        check_fits(values, (count,), np.iinfo(np.int32).max)  # pixels of overlapping windows count more than once
+        return {**values, "_frame_total": float(values["_frame_total"])}
 
 
 def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
@@ -101,8 +83,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     if len(fits.shape) == 3:
         raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
     if array.shape != fits.shape:
-        of_pixels = ": Segmentation.tile_labels has those of tiles" if array.shape == fits.camera.shape else ""
-        raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{of_pixels}")
+        hint = ": Segmentation.tile_labels has those of tiles" if array.shape == fits.camera.shape else ""
+        raise ValueError(f"labels must have the shape of the planes, {fits.shape}, got {array.shape}{hint}")
     # There may be more labels of segments than tiles, and more of overlapping windows than pixels.
     check_labels(array, max(array.size, fits.camera.width * fits.camera.height))
     flat = np.array(array, np.int32, order="C").ravel()  # which the result keeps
@@ -117,8 +99,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     )
     solve_planes(fits.method, arrays, np.full(count, 3.0), np.inf, 0, count, fits._total)
     footprint = _sums(fits._footprint, flat, count).astype(np.int64)
-    of_parts = np.concatenate([np.full((1, 3), np.nan), arrays["alpha"]])[flat]
-    error_sums = sums_of_fits(fits, of_parts)
+    part_alpha = np.concatenate([np.full((1, 3), np.nan), arrays["alpha"]])[flat]
+    error_sums = sums_of_fits(fits, part_alpha)
     if error_sums is not None:
         error_sums = _sums(error_sums, flat, count)
     sizes = like_rectangles(footprint)  # and no growth: the sums include it
@@ -134,7 +116,7 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         method=fits.method,
         labels=flat.reshape(fits.shape),
         _pixels=Pixels(footprint, fits.camera.noise, error_sums, shared, runs),
-        _of_frame=fits._total,
+        _frame_total=fits._total,
         **arrays,
     )
 

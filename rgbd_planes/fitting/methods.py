@@ -47,7 +47,5 @@ def solve_planes(
     """
     # In one dimension, which Numba compiles fastest.
     moments, reference, *results = (array.ravel() for array in in_order(arrays))
-    solve.fit_moments(
-        *SOLVES[method], moments.reshape(10, -1), reference.reshape(3, -1), total, needed, max_error, start, stop,
-        *results,
-    )  # fmt: skip
+    sums = moments.reshape(10, -1), reference.reshape(3, -1)
+    solve.fit_moments(*SOLVES[method], sums, total, needed, max_error, (start, stop), tuple(results))

@@ -154,20 +154,18 @@ def _surfaces(
     variance = np.empty((height, width) if needs_surfaces else (0, 0), np.float32)
     variation = np.empty_like(variance)
     arrays = made.reshape(-1), variance.reshape(-1), variation.reshape(-1)
+    values, all_rays = frame.values, (camera.tan_x, camera.tan_y)
     work: Any
     if not camera.is_distorted:
-        rays = camera.fx, camera.fy, camera.tan_x_columns, camera.tan_y_rows
+        focal, rays = (camera.fx, camera.fy), (camera.tan_x_columns, camera.tan_y_rows)
+        wanted = needs_surfaces, avoid_edges
 
         def work(start: int, stop: int) -> None:
-            normal_kernels.separable(
-                *frame.values, *rays, window, needed, needs_surfaces, avoid_edges, start, stop, *arrays
-            )
+            normal_kernels.separable(values, focal, rays, window, needed, wanted, (start, stop), arrays)
     else:
 
         def work(start: int, stop: int) -> None:
-            normal_kernels.distorted(
-                *frame.values, camera.tan_x, camera.tan_y, window, needed, avoid_edges, start, stop, *arrays
-            )
+            normal_kernels.distorted(values, all_rays, window, needed, avoid_edges, (start, stop), arrays)
 
     with announced(("normals", camera.is_distorted, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)
@@ -176,14 +174,13 @@ def _surfaces(
         chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
         step = float(step_of(frame) * frame.scale)
         rounding = step * step / 12.0  # which may be infinite, as a power may not
-        typical = _typical(frame, rounding, variance)
+        tests = _typical(frame, rounding, variance), _ratio(window)
+        windows = arrays[0], variance, arrays[2]
 
         def choose(start: int, stop: int) -> None:
             edge_windows.choose_windows(
-                frame.raw, frame.lowest, frame.highest, rounding, typical, frame.is_disparity, camera.tan_x,
-                camera.tan_y, window // 2, _ratio(window), arrays[0], variance, arrays[2], start, stop,
-                chosen, chosen_variation,
-            )  # fmt: skip
+                values, all_rays, rounding, window // 2, tests, windows, (start, stop), (chosen, chosen_variation)
+            )
 
         run_in_ranges(choose, height, threads)
     return chosen, chosen_variation

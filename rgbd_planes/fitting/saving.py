@@ -1,4 +1,8 @@
-"""Results in NPZ files: their arrays, and as JSON what else they consist of."""
+"""Results in NPZ files: a file holds the fields of a result, arrays as arrays and all else as JSON.
+
+A class that derives from `Savable` says in `_checked` which values its fields may have. The names in a file are those
+of the fields without leading underscores, or what a field's metadata says under "saved": with None it is not saved.
+"""
 
 import json
 import os
@@ -16,39 +20,35 @@ from rgbd_planes._core.files import naming, readable, write_beside
 from rgbd_planes._core.status import TileStatus
 from rgbd_planes._core.user_warnings import collected_warnings
 from rgbd_planes.camera.camera import Camera
-from rgbd_planes.fitting.methods import ARRAYS, METHODS
-from rgbd_planes.fitting.results import PlaneFits, allocate
+from rgbd_planes.fitting.methods import METHODS
+from rgbd_planes.fitting.results import allocate
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
 from rgbd_planes.kernels.statistics.tiles.block import COLUMNS
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.uncertainty.pixel_errors import KeepsPixels, Pixels
 
 Arrays = Mapping[str, Any]
+Values = Mapping[str, Any]
+"""The fields of a result, by their names."""
 
-# What tells the classes of files that do not name them, as those of earlier versions.
+# Keys that tell the classes of files that do not name them: earlier versions wrote such files.
 _ONLY_IN = {"tile": "TilePlanes", "sigma": "Segmentation"}
 # Public classes that read files.
-_KINDS = {
-    "LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "TrackedSegmentation", "WindowPlanes",
-}  # fmt: skip
+_KINDS = {"LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "WindowPlanes"}  # fmt: skip
 
 
 class Savable:
-    """A base beside those of a result: `save` and `load`, of what the result says it consists of."""
-
-    def _content(self) -> tuple[Mapping[str, Any], Arrays]:
-        """What JSON can hold, and the arrays by their names in a file."""
-        raise NotImplementedError
+    """A base beside those of a result, a dataclass with a ``camera``: `save` and `load`."""
 
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        """The result again; any error says that it is not the content of one."""
+    def _checked(cls, values: Values) -> Values:
+        """The fields of a result as a file has them, in the types of the class; any error says that they are none."""
         raise NotImplementedError
 
     @classmethod
     def _kind(cls) -> str:
-        """The name of the class whose content it is: subclasses of it have no other."""
-        return next(base.__name__ for base in cls.__mro__ if "_content" in vars(base))
+        """The name of the class that files state: that of the nearest base with a `_checked`."""
+        return next(base.__name__ for base in cls.__mro__ if "_checked" in vars(base))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an NPZ file, camera included, that `load` reads; whole or not at all.
@@ -60,7 +60,7 @@ class Savable:
         OSError
             It cannot be written there.
         """
-        about, arrays = self._content()
+        about, arrays = _content(self)
         text = np.array(json.dumps({"class": self._kind(), **about}))
         with write_beside(path, ".npz") as beside, open(beside, "wb") as file:
             np.savez_compressed(file, about=text, **arrays)
@@ -88,13 +88,48 @@ class Savable:
                 raise ValueError(f"expected {expected}, got one that holds {held}: {_reader_of(held)}")
             if newer:
                 raise ValueError(f"expected {expected}, got one of a newer version: it has {', '.join(newer)}, too")
-        # Of a doubtful camera whoever made it has been warned.
+        # The camera's warnings were issued when it was made: they are not repeated.
         with readable(path, expected), collected_warnings([]):
-            return cls._from_content(about, arrays)
+            return cls(**cls._checked(_values(cls, about, arrays)))
+
+
+def _saved_fields(result: Any) -> list[tuple[str, str]]:
+    """The names of the fields that are saved, and those that they have in a file."""
+    names = [(field.name, field.metadata.get("saved", field.name.lstrip("_"))) for field in fields(result)]
+    return [(name, saved) for name, saved in names if saved is not None]
+
+
+def _content(result: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The fields of a result as a file has them: what JSON can hold, and arrays."""
+    about: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
+    for field, name in _saved_fields(result):
+        value = getattr(result, field)
+        if isinstance(value, Pixels):
+            about["pixels_have_noise"] = value.noise == result.camera.noise
+            arrays |= _pixel_arrays(result)
+        elif isinstance(value, np.ndarray):
+            arrays[name] = value
+        else:
+            about[name] = value.to_dict() if isinstance(value, Camera) else value
+    return about, arrays
+
+
+def _values(cls: Any, about: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """The fields of a result from what a file holds."""
+    values: dict[str, Any] = {}
+    for field, name in _saved_fields(cls):
+        if field == "camera":
+            values[field] = Camera.from_dict(about[name])
+        elif field == "_pixels":
+            values[field] = _pixels_in(about, arrays, values["camera"], len(values["status"]))
+        else:
+            values[field] = arrays[name] if name in arrays else about[name]
+    return values
 
 
 def _kind_of(about: Mapping[str, Any]) -> str | None:
-    """The name of the class of which a file holds a result, if it tells."""
+    """The name of the class whose result a file holds, if it tells."""
     named = about.get("class")
     return next((kind for key, kind in _ONLY_IN.items() if key in about), None) if named is None else str(named)
 
@@ -105,14 +140,14 @@ def _reader_of(kind: str) -> str:
 
 
 def _unknown_keys(about: Mapping[str, Any]) -> list[str]:
-    """What the camera of a file, or its noise model, has and this version does not know."""
+    """Keys of a file's camera, or of its noise model, that this version does not know."""
     camera = about.get("camera", {})
     noise = camera.get("noise") or {}
     return sorted(
         key
-        for of, keys in ((Camera, camera), (NoiseModel, noise))
+        for cls, keys in ((Camera, camera), (NoiseModel, noise))
         if isinstance(keys, Mapping)  # anything else is damage
-        for key in set(keys) - {f.name for f in fields(of)}
+        for key in set(keys) - {field.name for field in fields(cls)}
     )
 
 
@@ -132,77 +167,64 @@ def check_planes(planes: NDArray[np.float64], alpha: NDArray[np.float64]) -> Non
             raise ValueError("planes without a unit normal, d > 0 and alpha = -n / d")
 
 
-def content_of_fits(
-    fits: PlaneFits, about: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
-) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    """What `Savable` writes of a fit, with what tells its parts."""
-    whole = {"camera": fits.camera.to_dict(), "method": fits.method, **about}
-    return whole, {**{name.lstrip("_"): getattr(fits, name) for name in ARRAYS}, **arrays}
+def check_fits(values: Values, shape: tuple[int, ...], most: npt.ArrayLike) -> None:
+    """Raise a ValueError unless the fields that all fits have are those of parts in this shape.
 
-
-def common_content(
-    about: Mapping[str, Any], arrays: Arrays, camera: Camera, shape: tuple[int, ...], most: npt.ArrayLike
-) -> dict[str, Any]:
-    """The arguments that all fits are made from, of parts in this shape, which have ``most`` pixels."""
-    check_choice("method", about["method"], METHODS)
-    own = {name: arrays[name.lstrip("_")] for name in ARRAYS}
-    check_alike(own, allocate(shape[:-2], shape[-2:]))
-    count = own["valid_count"]
-    if own["status"].max(initial=0) > max(TileStatus) or ((count < 0) | (count > most)).any():
+    ``most`` are the pixels that the parts have at most.
+    """
+    check_choice("method", values["method"], METHODS)
+    check_alike(values, allocate(shape[:-2], shape[-2:]))
+    count, status = values["valid_count"], values["status"]
+    if status.max(initial=0) > max(TileStatus) or ((count < 0) | (count > most)).any():
         raise ValueError("an invalid status or number of pixels")
-    fitted = np.isin(own["status"], (TileStatus.OK, TileStatus.ROUGH))
-    check_planes(own["planes"][fitted], own["alpha"][fitted])
-    return {"camera": camera, "method": about["method"], **own}
+    fitted = np.isin(status, (TileStatus.OK, TileStatus.ROUGH))
+    check_planes(values["planes"][fitted], values["alpha"][fitted])
 
 
-def labels_in(arrays: Arrays, shape: tuple[int, ...] | None, count: int) -> npt.NDArray[np.int32]:
-    """The labels of a file: of this shape, if there is one, and 0 to ``count``."""
-    labels: npt.NDArray[np.int32] = arrays["labels"]
+def check_label_image(labels: npt.NDArray[Any], shape: tuple[int, ...] | None, count: int) -> None:
+    """Raise a ValueError unless labels are int32 from 0 to ``count``, of this shape if there is one."""
     if labels.dtype != np.int32 or shape not in (None, labels.shape):
         raise ValueError("labels of another shape or dtype")
     if not 0 <= labels.min(initial=0) <= labels.max(initial=0) <= count:
         raise ValueError("labels of other planes")
-    return labels
 
 
 _RUNS = {name: f"run_{name}" for name in PixelRuns._fields}
 
 
-def content_of_pixels(fits: KeepsPixels) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    """The part of a fit's content that is its pixels."""
+def _pixel_arrays(fits: KeepsPixels) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of a fit's pixels, by their names in a file."""
     pixels = fits._pixels
-    several = {
-        "footprint": pixels.footprint,
-        "error_sums": fits._error_sums,
-        "shared": fits._shared,
-        **({} if pixels.runs is None else {_RUNS[name]: of for name, of in pixels.runs._asdict().items()}),
-    }
-    about = {"pixels_have_noise": pixels.noise == fits.camera.noise}
-    return about, {name: array for name, array in several.items() if array is not None}
+    arrays = {"footprint": pixels.footprint, "error_sums": fits._error_sums, "shared": fits._shared}
+    if pixels.runs is not None:
+        arrays |= {_RUNS[name]: array for name, array in pixels.runs._asdict().items()}
+    return {name: array for name, array in arrays.items() if array is not None}
 
 
-def pixels_in(about: Mapping[str, Any], arrays: Arrays, camera: Camera, count: int) -> Pixels:
-    """The pixels of ``count`` parts in a file: `content_of_pixels`."""
+def _pixels_in(about: Mapping[str, Any], arrays: Arrays, camera: Camera, count: int) -> Pixels:
+    """The pixels of ``count`` parts in a file."""
     expected = {
         "footprint": np.empty((count, 5), np.int64),
         "error_sums": np.empty((count, 8)),
         "shared": np.empty((count, COLUMNS)),
     }
     needed = ("footprint", "error_sums") if "shared" in arrays else ("footprint",)
-    own = {name: arrays[name] for name in expected if name in needed or name in arrays}
-    check_alike(own, {name: expected[name] for name in own})
+    found = {name: arrays[name] for name in expected if name in needed or name in arrays}
+    check_alike(found, {name: expected[name] for name in found})
     noise = camera.noise if about["pixels_have_noise"] else None
-    return Pixels(own["footprint"], noise, own.get("error_sums"), own.get("shared"), _runs_in(arrays, camera, count))
+    runs = _runs_in(arrays, camera, count)
+    return Pixels(found["footprint"], noise, found.get("error_sums"), found.get("shared"), runs)
 
 
 def _runs_in(arrays: Arrays, camera: Camera, count: int) -> PixelRuns | None:
-    """Runs that lie in the image: kernels do not ask."""
+    """The runs of a file, checked to lie in the image, as kernels assume without asking."""
     if _RUNS["first"] not in arrays:
         return None
     runs = PixelRuns(*(arrays[name] for name in _RUNS.values()))
     number, dtypes = len(runs.row), (np.int32, np.int32, np.int32, np.float64)
     check_alike(runs._asdict(), {"first": np.empty(count + 1, np.int64)})
-    check_alike(runs._asdict(), {name: np.empty(number, of) for name, of in zip(runs._fields[1:], dtypes, strict=True)})
+    expected = {name: np.empty(number, dtype) for name, dtype in zip(runs._fields[1:], dtypes, strict=True)}
+    check_alike(runs._asdict(), expected)
     in_order = runs.first[0] == 0 and runs.first[-1] == number and (np.diff(runs.first) >= 0).all()
     inside = (runs.row >= 0) & (runs.row < camera.height) & (runs.start >= 0) & (runs.stop <= camera.width)
     if not (in_order and (inside & (runs.start < runs.stop)).all()):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from rgbd_planes._core.text import counted
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.fitting.methods import ARRAYS
 from rgbd_planes.fitting.results import PlacedFits
-from rgbd_planes.fitting.saving import Arrays, Savable, common_content, content_of_fits
+from rgbd_planes.fitting.saving import Savable, Values, check_fits
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
 from rgbd_planes.plotting.protocols import Outlines
 from rgbd_planes.uncertainty.falloff import growth_of_tiles
@@ -174,16 +174,14 @@ class TilePlanes(Savable, PlacedFits):
             "width": self.tile_widths[column],
         }
 
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        return content_of_fits(self, {"tile": self.tile}, {})
-
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        camera = Camera.from_dict(about["camera"])
-        tile = check_tile(tuple(about["tile"]), camera.shape)
-        *frames, rows, columns = arrays["status"].shape
+    def _checked(cls, values: Values) -> Values:
+        camera = values["camera"]
+        tile = check_tile(tuple(values["tile"]), camera.shape)
+        *frames, rows, columns = values["status"].shape
         # Before memory is asked for, of which nonsense takes any amount.
         if (rows, columns) != grid_shape(camera, tile):
             raise ValueError("planes of another grid")
         pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(rows, columns)
-        return cls(tile=tile, **common_content(about, arrays, camera, (*frames, rows, columns), pixels))
+        check_fits(values, (*frames, rows, columns), pixels)
+        return {**values, "tile": tile}

@@ -20,15 +20,16 @@ class WindowMoments:
     ----------
     camera : Camera
     method : str
-        One of `fitting.METHODS`.
+        One of `fitting.methods.METHODS`.
     implementation : {"integral", "naive"}
     """
 
     def __init__(self, camera: Camera, method: str, implementation: str) -> None:
-        self._made_of = camera, method, implementation
+        self._arguments = camera, method, implementation
         self._rays = ray_tables(camera)
         self._arrays = threading.local()
         self._range = method.startswith("range")
+        self._standard = None if self._range else True  # as the kernels take it
         self._integral = implementation == "integral"
         self._table_shape = (camera.height + 1, camera.width + 1)
         self._camera_tables = np.empty((0, 0, 6))
@@ -37,7 +38,7 @@ class WindowMoments:
             summed_area.camera_tables(*self._rays, self._camera_tables)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._made_of  # tables stay in their threads
+        return type(self), self._arguments  # tables stay in their threads
 
     def camera_moments(
         self, windows: npt.NDArray[np.int64], start: int, stop: int, full: npt.NDArray[np.float64]
@@ -54,32 +55,28 @@ class WindowMoments:
 
         They are valid until the same thread prepares its next frame.
         """
-        tan_x, tan_y = self._rays
         values = frame.values
         if not self._integral:
-            pixels = window_pixels.range_window_moments if self._range else window_pixels.standard_window_moments
-            return Source(pixels, (*values, tan_x, tan_y), 0.0)
+            return Source(window_pixels.window_moments, (values, self._rays, self._standard), 0.0)
         height, width = self._table_shape
-        valid = frame.raw, frame.lowest, frame.highest
-        holes = summed_area.count_missing(*valid)
-        tables = self._kept("tables", (height, width, 4 if self._range else 9))
+        holes = summed_area.count_missing(values)
+        tables = self._scratch("tables", (height, width, 4 if self._range else 9))
+        summed_area.frame_tables(values, self._rays, self._standard, tables)
         if not self._range:
-            summed_area.standard_tables(*values, tan_x, tan_y, tables)
             missing = np.empty((0, 0, 1))
             if holes:
-                missing = self._kept("missing", (height, width, 1))
-                summed_area.missing_table(*valid, missing)
+                missing = self._scratch("missing", (height, width, 1))
+                summed_area.missing_table(values, missing)
             return Source(summed_area.standard_window_moments, (tables, missing), _total(tables, 3, 6, 8))
-        summed_area.range_tables(*values, tan_x, tan_y, tables)
         before, sums = np.empty((0, 0), np.int32), np.empty((0, 5))
         if holes:
-            before = self._kept("before", (height - 1, width), np.int32)
+            before = self._scratch("before", (height - 1, width), np.int32)
             sums = np.empty((holes + 1, 5))
-            summed_area.missing_rays(*valid, tan_x, tan_y, before, sums)
+            summed_area.missing_rays(values, self._rays, before, sums)
         total = _total(self._camera_tables, 3, 5)
         return Source(summed_area.range_window_moments, (tables, before, sums), total)
 
-    def _kept(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    def _scratch(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
         """This thread's array with a name: fresh memory for every frame would cost as much as filling it."""
         arrays = self._arrays.__dict__
         if name not in arrays:
@@ -90,9 +87,9 @@ class WindowMoments:
 
 def _as_one_type(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Contiguous and read-only: for other arrays the kernels would be compiled again."""
-    made = np.ascontiguousarray(array).view()
-    made.flags.writeable = False
-    return made
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
 
 
 def _total(tables: npt.NDArray[np.float64], *channels: int) -> float:
@@ -103,7 +100,8 @@ def _total(tables: npt.NDArray[np.float64], *channels: int) -> float:
 class Source:
     """A prepared frame: call it for the moments of some windows.
 
-    ``total`` is what `fitting.solve_planes` needs to tell rounding from scatter: the sum of the squares in the tables.
+    ``total`` is the sum of the squares in the tables, by which `fitting.methods.solve_planes` tells rounding from
+    scatter.
     """
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], total: float) -> None:

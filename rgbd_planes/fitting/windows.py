@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.frame_warnings import warn_of_noise
 from rgbd_planes.fitting.methods import METHODS, solve_planes, valid_needed
 from rgbd_planes.fitting.results import PlacedFits, allocate
-from rgbd_planes.fitting.saving import Arrays, Savable, common_content, content_of_fits
+from rgbd_planes.fitting.saving import Savable, Values, check_fits
 from rgbd_planes.fitting.window_moments import WindowMoments
 from rgbd_planes.plotting.protocols import Outlines
 from rgbd_planes.uncertainty.falloff import growth_of_windows
@@ -45,11 +44,11 @@ class WindowPlanes(Savable, PlacedFits):
     """
 
     windows: npt.NDArray[np.int64]
-    _of_frame: float = field(default=0.0, kw_only=True)
+    _frame_total: float = field(default=0.0, kw_only=True, metadata={"saved": "total"})
 
     @property
     def _total(self) -> float:
-        return self._of_frame
+        return self._frame_total
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """(H', W') int64: the window at these rows and columns of pixels, the smallest of several; -1 none."""
@@ -86,15 +85,11 @@ class WindowPlanes(Savable, PlacedFits):
             return None
         return Outlines(float(np.median(self.windows[:, 2:].min(axis=1))), windows=self.windows)
 
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        return content_of_fits(self, {"total": self._of_frame}, {"windows": self.windows})
-
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        camera = Camera.from_dict(about["camera"])
-        windows = _check_windows(arrays["windows"], camera)
-        common = common_content(about, arrays, camera, (len(windows),), windows[:, 2:].prod(axis=1))
-        return cls(windows=windows, _of_frame=float(about["total"]), **common)
+    def _checked(cls, values: Values) -> Values:
+        windows = _check_windows(values["windows"], values["camera"])
+        check_fits(values, (len(windows),), windows[:, 2:].prod(axis=1))
+        return {**values, "windows": windows, "_frame_total": float(values["_frame_total"])}
 
 
 def fit_windows(
@@ -181,7 +176,7 @@ def fit_windows(
             assess(start, stop)
 
         run_in_ranges(fit_some, len(rectangles), threads)
-    return WindowPlanes(camera=camera, method=method, windows=rectangles, _of_frame=source.total, **arrays)
+    return WindowPlanes(camera=camera, method=method, windows=rectangles, _frame_total=source.total, **arrays)
 
 
 def _assessment_of(

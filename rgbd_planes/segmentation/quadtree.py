@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from rgbd_planes.camera.frame_warnings import warn_of_noise
 from rgbd_planes.fitting.merge import merge
 from rgbd_planes.fitting.methods import METHODS, solve_planes, valid_needed
 from rgbd_planes.fitting.results import allocate
-from rgbd_planes.fitting.saving import check_alike
+from rgbd_planes.fitting.saving import Values, check_alike
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_windows
 from rgbd_planes.fitting.tiles import TileFitter
 from rgbd_planes.fitting.window_moments import WindowMoments
@@ -56,15 +56,11 @@ class QuadtreePlanes(WindowPlanes):
     def _kind(cls) -> str:
         return WindowPlanes._kind()  # whose `load` reads these, too
 
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        about, arrays = super()._content()
-        return about, {**arrays, "level": self.level}
-
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        windows, level = WindowPlanes._from_content(about, arrays), arrays["level"]
-        check_alike({"level": level}, {"level": np.empty(len(windows.windows), np.int64)})
-        return cls(level=level, **{f.name: getattr(windows, f.name) for f in fields(windows)})
+    def _checked(cls, values: Values) -> Values:
+        values = super()._checked(values)
+        check_alike(values, {"level": np.empty(len(values["windows"]), np.int64)})
+        return values
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -195,7 +191,7 @@ class QuadtreeFitter(FixedArguments):
         return QuadtreePlanes(
             camera=self.camera,
             method=self.method,
-            _of_frame=total,
+            _frame_total=total,
             **{
                 name: np.concatenate([part[name] for part in leaves], axis=1 if name.startswith("_") else 0)
                 for name in leaves[0]

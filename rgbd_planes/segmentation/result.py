@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +12,7 @@ from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.status import Reason
 from rgbd_planes._core.text import counted, percent
 from rgbd_planes.camera.camera import Camera
-from rgbd_planes.fitting.saving import Arrays, Savable, check_alike, check_planes
+from rgbd_planes.fitting.saving import Savable, Values, check_alike, check_label_image, check_planes
 from rgbd_planes.fitting.tile_grid import common_labels
 
 if TYPE_CHECKING:
@@ -190,22 +189,15 @@ class Segmentation(Savable):
             "offset_std": self.offset_std,
         }
 
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        about = {"camera": self.camera.to_dict(), "sigma": self.sigma}
-        return about, {name: getattr(self, name) for name in _allocate(self.camera, len(self))}
-
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        camera, sigma = Camera.from_dict(about["camera"]), float(about["sigma"])
-        if arrays["labels"].shape != camera.shape:  # before memory is asked for, of which nonsense takes any amount
+    def _checked(cls, values: Values) -> Values:
+        camera, labels, count = values["camera"], values["labels"], len(values["sizes"])
+        if labels.shape != camera.shape:  # before memory is asked for: a nonsensical size takes any amount
             raise ValueError("labels of another image size")
-        expected = _allocate(camera, len(arrays["sizes"]))
-        own = {name: arrays[name] for name in expected}
-        check_alike(own, expected)
-        if not 0 <= own["labels"].min() <= own["labels"].max() <= len(own["sizes"]):
-            raise ValueError("labels of other planes")
-        check_planes(own["planes"], own["alpha"])
-        return cls(camera=camera, sigma=sigma, **own)
+        check_alike(values, _allocate(camera, count))
+        check_label_image(labels, camera.shape, count)
+        check_planes(values["planes"], values["alpha"])
+        return {**values, "sigma": float(values["sigma"])}
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
         """Draw the planes in colours over the relief of the depth; see `plotting.segments.plot_segments`.

@@ -18,12 +18,25 @@ def shares_errors(noise: NoiseModel | None) -> bool:
 def covariances_by_shape(
     runs: PixelRuns, camera: Camera, counts: Floats, rays: Floats, alpha: Floats, with_freedom: bool = True
 ) -> Floats:
-    """(N, COLUMNS) float64: see `kernels.statistics.shared_errors.shared_covariances`; by the camera's noise."""
+    """(N, COLUMNS) float64: covariances of the planes of N parts by the camera's errors along the ray.
+
+    The columns are those of `kernels.statistics.tiles.block`, from SLOPES on.
+
+    Parameters
+    ----------
+    runs : PixelRuns
+        The parts' pixels.
+    camera : Camera
+    counts, rays, alpha : (N,), (N, 5) and (N, 3) float64
+        Numbers of measured pixels; means, variances and covariance of their rays; planes, NaN where there is none.
+    with_freedom : bool
+        Whether to write the degrees of freedom, too.
+    """
     # Its many kernels take 10 ms to import, of which fits and segments without such errors have no use.
     from rgbd_planes.kernels.statistics.correlated_errors import shared_covariances
 
     assert camera.noise is not None
     components = np.array(camera.noise._components)
-    made = np.empty((len(alpha), COLUMNS))
-    shared_covariances(runs, *camera._rays, counts, rays, alpha, settings_of(camera), components, with_freedom, made)
-    return made
+    covariances, parts = np.empty((len(alpha), COLUMNS)), (counts, rays, alpha)
+    shared_covariances(runs, camera._rays, parts, settings_of(camera), components, with_freedom, covariances)
+    return covariances

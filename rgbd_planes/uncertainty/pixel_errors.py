@@ -96,8 +96,8 @@ def pixels_of_labels(
         sums = _sums_of_rays(camera, counts, rays, q, alpha)
     if _varies(camera):
         sums = np.empty((len(alpha), 8))
-        of_camera = settings_of(camera), growth_of_pixels(camera), lateral_of_pixels(camera)
-        label_variances(*frame.values, *camera._rays, labels, alpha, *of_camera, sums)
+        settings = settings_of(camera), growth_of_pixels(camera), lateral_of_pixels(camera)
+        label_variances(frame.values, camera._rays, labels, alpha, *settings, sums)
     return Pixels(footprint, noise, sums, shared, runs)
 
 

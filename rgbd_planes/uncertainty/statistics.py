@@ -18,13 +18,13 @@ from rgbd_planes.camera.pixel_pitch import pitch_square, uneven_lateral
 from rgbd_planes.kernels.statistics.noise_variances import LATERAL_X, LATERAL_Y
 from rgbd_planes.kernels.statistics.tiles.assess import LIMITS, assess
 from rgbd_planes.kernels.statistics.tiles.block import (
+    DEPTH_ROWS,
     EXPECTED,
     FREEDOM,
+    LENS_ROWS,
     MEAN,
-    OF_DEPTHS,
-    OF_LENS,
-    OF_SHAPE,
     RESULTS,
+    SHAPE_ROWS,
     TABLE_COLUMNS,
 )
 from rgbd_planes.noise.correlation import inverse_freedom
@@ -256,11 +256,11 @@ class Assessment:
         self._first: npt.NDArray[np.int32] | None = None
         if not camera.noise.is_independent:
             self._tables, self._first = _tables_of(camera.noise, sizes)
-        self._of_noise = settings_of(camera)
-        self._of_lens = np.empty((0, len(sizes)))
+        self._settings = settings_of(camera)
+        self._lens_terms = np.empty((0, len(sizes)))
         lateral = uneven_lateral(camera)
         if lateral > 0.0:
-            self._of_lens = lateral**2 * pitch_square(camera, footprint)
+            self._lens_terms = lateral**2 * pitch_square(camera, footprint)
         self._growth = growth
         self._in_range_space = method.startswith("range")
 
@@ -277,17 +277,17 @@ class Assessment:
         tiles = len(self._sizes)
         frames = status.size // tiles if tiles else 1
         planes, errors = planes.reshape(frames, 4 * tiles), errors.reshape(frames, tiles)
-        fits = moments.reshape(frames, 10, tiles), reference.reshape(frames, 3, tiles), planes, errors
+        sums = moments.reshape(frames, 10, tiles), reference.reshape(frames, 3, tiles)
         counts, status = counts.reshape(frames, tiles), status.reshape(frames, tiles)
         results = np.empty((frames, 0, tiles)) if results is None else results.reshape(frames, RESULTS, tiles)
-        of_pixels, growth = self._of_lens, self._growth
+        terms, growth = self._lens_terms, self._growth
         if error_sums is not None:
-            of_pixels, growth = self._of_depths(error_sums, shared, counts), EVEN
-        settings = self._in_range_space, self._of_noise, growth, of_pixels, self._limits
+            terms, growth = self._pixel_terms(error_sums, shared, counts), EVEN
+        settings, in_range_space = (self._settings, (growth, terms), self._limits), self._in_range_space
         if self._tables is not None and self._first is None:
             # Of most grids, and put together beforehand: each step of Python counts beside a frame's few microseconds.
-            before = *fits, counts, self._tables, *settings
-            return lambda start, stop: assess(*before, start, stop, status, results)
+            before = (*sums, planes, errors, counts, status), in_range_space, self._tables, *settings
+            return lambda start, stop: assess(*before, (start, stop), results)
 
         def assess_tiles(start: int, stop: int) -> None:
             tables = self._tables
@@ -297,22 +297,23 @@ class Assessment:
                 if shared is None:
                     tables = _some_tables(*parts)
                 else:
-                    tables = _tables_of_shapes(*parts, of_pixels[OF_LENS, some], shared[some])
+                    tables = _tables_of_shapes(*parts, terms[LENS_ROWS, some], shared[some])
                 index = np.arange(-start, counts.size - start, dtype=counts.dtype).reshape(counts.shape)
             else:
                 index = counts + self._first
-            assess(*fits, index, tables, *settings, start, stop, status, results)
+            fits = *sums, planes, errors, index, status
+            assess(fits, in_range_space, tables, *settings, (start, stop), results)
 
         return assess_tiles
 
-    def _of_depths(self, error_sums: Floats, shared: Floats | None, counts: npt.NDArray[np.int32]) -> Floats:
-        """(OF_DEPTHS or OF_SHAPE, N) float64: means over the pixels of each part, and what their shape does."""
-        of_pixels = np.zeros((OF_DEPTHS if shared is None else OF_SHAPE, counts.size))
-        if not len(self._of_lens):  # otherwise the sums have it of each pixel
-            of_pixels[0], of_pixels[2] = self._of_noise[[LATERAL_X, LATERAL_Y]]
+    def _pixel_terms(self, error_sums: Floats, shared: Floats | None, counts: npt.NDArray[np.int32]) -> Floats:
+        """(DEPTH_ROWS or SHAPE_ROWS, N) float64: means over the pixels of each part, and what their shape does."""
+        terms = np.zeros((DEPTH_ROWS if shared is None else SHAPE_ROWS, counts.size))
+        if not len(self._lens_terms):  # otherwise the sums include it, pixel by pixel
+            terms[0], terms[2] = self._settings[[LATERAL_X, LATERAL_Y]]
         along, rounding, squares, *weighted = error_sums.T / np.maximum(counts.ravel(), 1)
         total = np.where(along + rounding > 0.0, along + rounding, 1.0)
-        of_pixels[OF_LENS:OF_DEPTHS] = [along, rounding, np.sqrt(squares) / total, *(of / total for of in weighted)]
+        terms[LENS_ROWS:DEPTH_ROWS] = [along, rounding, np.sqrt(squares) / total, *(mean / total for mean in weighted)]
         if shared is not None:
-            of_pixels[OF_DEPTHS:] = shared.T[:EXPECTED]
-        return of_pixels
+            terms[DEPTH_ROWS:] = shared.T[:EXPECTED]
+        return terms

@@ -79,10 +79,10 @@ def test_counted_ratios_are_the_papers():
 
 def test_executed_operations():
     """Two additions a table and pixel; the products of the scatter matrix; one division either way."""
-    standard = operations.count(summed_area.standard_tables, 9)
+    standard = operations.count(summed_area.frame_tables, True, 9)
     assert (standard.additions, standard.multiplications) == (18, 8)
     assert (standard.divisions, standard.conversions) == (0, 1)
-    in_range = operations.count(summed_area.range_tables, 3)
+    in_range = operations.count(summed_area.frame_tables, None, 3)
     assert (in_range.additions, in_range.multiplications) == (6, 2)
     assert (in_range.divisions, in_range.conversions) == (1, 0)
 

@@ -13,6 +13,7 @@ import rgbd_planes as rp
 from rgbd_planes._core.status import TileStatus
 from rgbd_planes.fitting.methods import solve_planes
 from rgbd_planes.fitting.results import allocate
+from rgbd_planes.kernels.common.depth import RawFrame
 from rgbd_planes.kernels.moments.summed_area import missing_rays
 
 
@@ -277,7 +278,7 @@ def test_a_frame_of_which_more_is_missing_than_was_counted():
     raw = np.zeros((4, 5), np.uint16)
     sums = np.full((7, 5), np.nan)
     before = np.zeros((4, 6), np.int32)
-    missing_rays(raw, 1, 9, np.ones((4, 5)), np.ones((4, 5)), before, sums[:4])
+    missing_rays(RawFrame(raw, 1, 9, 1.0, 0.0, False), (np.ones((4, 5)), np.ones((4, 5))), before, sums[:4])
     assert before.max() == 3
     assert np.isfinite(sums[:4]).all()
     assert np.isnan(sums[4:]).all()

@@ -85,6 +85,6 @@ def deviates(work, count):
         inside, s = min(max(mantissa[i], ETA_LEAST), ETA_MOST), exponent[i]
         correction = 0.0
         for j in range(CORRECTION.shape[0] - 1, -1, -1):
-            of_s = CORRECTION[j, 2] + s * CORRECTION[j, 3]
-            correction = correction * inside + (CORRECTION[j, 0] + s * (CORRECTION[j, 1] + s * of_s))
+            s_term = CORRECTION[j, 2] + s * CORRECTION[j, 3]
+            correction = correction * inside + (CORRECTION[j, 0] + s * (CORRECTION[j, 1] + s * s_term))
         deviate[i] = deviate[i] * (1.0 / ROOT_2) + correction * root[i] * ROOT_2

@@ -1,52 +1,52 @@
-"""Rounding where other errors are so small that it is not independent of them: see `rounding`."""
+"""The rounding error of tiles whose other errors are so small that rounding is not independent of them."""
 
 import math
 
 from ..._jit.kernel import kernel
 from ..noise_variances import DEPTH_STEP, DISPARITY_STEP
 from ..rounding import between_codes, in_common, is_left
-from .block import BETWEEN, COMMON, INDEPENDENT, MEAN_Q, N_X, N_Y, OF_COUNT, ROUNDING, SHARED, TILES_AT_ONCE, D
+from .block import BETWEEN, BY_COUNT, COMMON, INDEPENDENT, MEAN_Q, N_X, N_Y, ROUNDING, SHARED, TILES_AT_ONCE, D
 
 
 @kernel(inline=True)
-def step_square_of(noise, i, room):
+def step_square_at(noise, i, block):
     """Square of the step to which the inverse depths of tile ``i`` are rounded."""
-    square = room[MEAN_Q, i] * room[MEAN_Q, i]
+    square = block[MEAN_Q, i] * block[MEAN_Q, i]
     return 12.0 * (noise[DEPTH_STEP] * square * square + noise[DISPARITY_STEP])
 
 
 @kernel(inline=True)
-def steps_across(step_square, i, room):
+def steps_across(step_square, i, block):
     """Steps that the plane of tile ``i`` spans along its two sides: evenly spread, √12 of its standard deviations."""
-    scale = math.sqrt(12.0 / (step_square * room[0, i])) / room[D, i]
-    u_steps = abs(room[N_X, i]) * scale * math.sqrt(max(room[4, i], 0.0))
-    return u_steps, abs(room[N_Y, i]) * scale * math.sqrt(max(room[7, i], 0.0))
+    scale = math.sqrt(12.0 / (step_square * block[0, i])) / block[D, i]
+    u_steps = abs(block[N_X, i]) * scale * math.sqrt(max(block[4, i], 0.0))
+    return u_steps, abs(block[N_Y, i]) * scale * math.sqrt(max(block[7, i], 0.0))
 
 
 @kernel(reduction=True, inline=True)
-def find_rounded(noise, room):
+def find_rounded(noise, block):
     """Whether in some tile of the block errors are so small that rounding is not independent of them."""
     number = 0.0
     for i in range(TILES_AT_ONCE):
-        others = room[SHARED, i] + room[INDEPENDENT, i] - room[ROUNDING, i]
-        number += 1.0 if is_left(step_square_of(noise, i, room), others) else 0.0
+        others = block[SHARED, i] + block[INDEPENDENT, i] - block[ROUNDING, i]
+        number += 1.0 if is_left(step_square_at(noise, i, block), others) else 0.0
     return number > 0.0
 
 
 @kernel(inline=True)
-def rounded_apart(noise, count, room):
+def rounded_apart(noise, count, block):
     """Write what rounding may add to the variance of a tile's pixels if all lie near the limit between two codes."""
     for i in range(count):
-        room[BETWEEN, i] = 0.0
-        step_square = step_square_of(noise, i, room)
-        others = room[SHARED, i] + room[INDEPENDENT, i] - room[ROUNDING, i]
+        block[BETWEEN, i] = 0.0
+        step_square = step_square_at(noise, i, block)
+        others = block[SHARED, i] + block[INDEPENDENT, i] - block[ROUNDING, i]
         if is_left(step_square, others):
-            u_steps, v_steps = steps_across(step_square, i, room)
-            room[BETWEEN, i] = between_codes(step_square, others, u_steps, v_steps)
+            u_steps, v_steps = steps_across(step_square, i, block)
+            block[BETWEEN, i] = between_codes(step_square, others, u_steps, v_steps)
 
 
 @kernel(inline=True)
-def rounded_alike(noise, count, room):
+def rounded_alike(noise, count, block):
     """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share.
 
     In rows from COMMON on, 0 before, it is written by itself, for a part of which those factors are not used: as
@@ -54,16 +54,16 @@ def rounded_alike(noise, count, room):
     independent ones.
     """
     for i in range(count):
-        lateral = room[INDEPENDENT, i] - room[ROUNDING, i]
-        shared = max(room[SHARED, i], 1e-60)
-        step_square = step_square_of(noise, i, room)
+        lateral = block[INDEPENDENT, i] - block[ROUNDING, i]
+        shared = max(block[SHARED, i], 1e-60)
+        step_square = step_square_at(noise, i, block)
         if not is_left(step_square, shared + lateral):
             continue
-        u_steps, v_steps = steps_across(step_square, i, room)
-        of_u, of_v, of_mean = in_common(step_square, shared + lateral, room[0, i], u_steps, v_steps)
-        room[SHARED, i] = shared
-        room[COMMON, i], room[COMMON + 1, i], room[COMMON + 2, i] = of_u, of_v, of_mean
-        room[OF_COUNT + 2, i] += of_u / shared
-        room[OF_COUNT + 3, i] += math.sqrt(of_u * of_v) / shared
-        room[OF_COUNT + 4, i] += of_v / shared
-        room[OF_COUNT + 5, i] += of_mean / shared
+        u_steps, v_steps = steps_across(step_square, i, block)
+        common_u, common_v, common_mean = in_common(step_square, shared + lateral, block[0, i], u_steps, v_steps)
+        block[SHARED, i] = shared
+        block[COMMON, i], block[COMMON + 1, i], block[COMMON + 2, i] = common_u, common_v, common_mean
+        block[BY_COUNT + 2, i] += common_u / shared
+        block[BY_COUNT + 3, i] += math.sqrt(common_u * common_v) / shared
+        block[BY_COUNT + 4, i] += common_v / shared
+        block[BY_COUNT + 5, i] += common_mean / shared

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -69,7 +69,7 @@ class SurfaceFits:
     # (..., SURFACE_SUMS) + S' and S with S' = (R, C) or (K,).
     _moments: Floats
     _reference: Floats
-    _writes: list[int]  # how often a fit has written into these arrays, shared with views of them
+    _writes: list[int] = field(metadata={"saved": None})  # how often a fit has written into these arrays, shared with views of them
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what was worked out: in a copy it would no longer follow what a fit writes.

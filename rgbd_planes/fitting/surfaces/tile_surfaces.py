@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,9 @@ import numpy.typing as npt
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.text import counted
 from rgbd_planes.camera.camera import Camera
-from rgbd_planes.fitting.saving import Arrays, Savable
+from rgbd_planes.fitting.saving import Savable, Values
 from rgbd_planes.fitting.surfaces.results import SURFACE_ARRAYS, SurfaceFits
-from rgbd_planes.fitting.surfaces.saving import content_of_surfaces, surfaces_in
+from rgbd_planes.fitting.surfaces.saving import check_surfaces
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_sizes, tile_windows
 from rgbd_planes.uncertainty.falloff import growth_of_tiles
 
@@ -128,14 +128,12 @@ class TileSurfaces(Savable, SurfaceFits):
             "width": self.tile_widths[column],
         }
 
-    def _content(self) -> tuple[dict[str, Any], Arrays]:
-        return content_of_surfaces(self, {"tile": self.tile}, {})
-
     @classmethod
-    def _from_content(cls, about: Mapping[str, Any], arrays: Arrays) -> Self:
-        camera = Camera.from_dict(about["camera"])
-        tile = check_tile(tuple(about["tile"]), camera.shape)
-        if arrays["status"].shape[-2:] != grid_shape(camera, tile):
+    def _checked(cls, values: Values) -> Values:
+        camera, shape = values["camera"], values["status"].shape
+        tile = check_tile(tuple(values["tile"]), camera.shape)
+        if shape[-2:] != grid_shape(camera, tile):
             raise ValueError("surfaces of another grid")
-        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(arrays["status"].shape[-2:])
-        return cls(tile=tile, **surfaces_in(arrays, camera, arrays["status"].shape, pixels))
+        pixels = tile_windows(camera.shape, tile)[:, 2:].prod(axis=1).reshape(shape[-2:])
+        check_surfaces(values, shape, pixels)
+        return {**values, "tile": tile, "_writes": [0]}
