@@ -18,12 +18,12 @@ Habits of these kernels, each because it was measured:
   read by two indices look scattered.
 - Arrays to work in have sizes that are fixed when a kernel is compiled, so that the compiler sees that their rows are
   apart, and uses vectors.
-- Slices are made, and indices with conditions are worked out, before they are used: a slice in a loop, or an array that
-  waits while its index branches, costs a counted reference each time. A kernel that makes no arrays says so
-  (``arrays=False``), and counts none: others ask at each call, for each array, whether its references count.
+- Slices are made before a loop, and indices with conditions are worked out before they are used. A slice in a loop, or
+  an array that waits while its index branches, costs a counted reference each time. A kernel that makes no arrays says
+  so (``arrays=False``), and counts none: others ask at each call, for each array, whether its references count.
 - Fields of tuples get names before a loop: looking into a tuple within it costs more than most of what is done there.
 - What a loop looks up by an index is an array: of a tuple, each entry becomes a branch.
-- Kernels that Python calls return numbers, and write all else to arrays that they are given: to make an array or a
+- Kernels that Python calls return numbers, and write all else to arrays that they are given. To return an array or a
   named tuple, Numba calls Python, and if somebody interrupts that, the process crashes.
 
 Equations of Papadakis and Willis 2017, cited as eq. 1 to 16: their labels, and where to find them.

@@ -29,18 +29,16 @@ def warmup(
 ) -> None:
     """Compile the kernels that fit tiles, or load them from the cache, so that the first frame is as fast as the next.
 
-    On a new installation this takes some seconds, once, and with ``segment`` a minute or two; in later processes
-    a fraction of a second. `normals`, `fit_labels`, `fit_windows`, `estimate_noise` and others compile what they need
-    when they are first called, which takes some seconds: if nothing can be written later, call them, too, on any frame
-    of the camera.
+    On a new installation this takes some seconds, once, and with ``segment`` a minute or two. In later processes it
+    takes a fraction of a second.
 
     Parameters
     ----------
     camera : Camera, optional
-        Kernels differ for cameras with and without lens distortion, and for depth and disparity images; without a
-        camera it is depth without distortion. Those that a noise model needs are compiled whether it has one or not.
+        The camera of the frames to come: kernels differ for cameras with and without lens distortion, and for depth and
+        disparity images. Without a camera it is depth without distortion.
     methods : str or sequence of str
-        See `fit_tiles`.
+        Methods of `fit_tiles`, such as ``range_explicit``.
     dtypes : dtype or sequence of dtypes
         Of the frames to come.
     segment : bool
@@ -50,6 +48,12 @@ def warmup(
     ------
     TypeError, ValueError
         ``camera`` is not a `Camera`, there is no such method, or a dtype is neither integer nor floating point.
+
+    Notes
+    -----
+    Kernels that a noise model needs are compiled whether the camera has one or not. `normals`, `fit_labels`,
+    `fit_windows`, `estimate_noise` and others compile what they need when they are first called, which takes some
+    seconds. If nothing can be written later, call them, too, on any frame of the camera.
     """
     given = Camera(8, 8, 8.0, 8.0, 3.5, 3.5) if camera is None else camera
     check_camera(given)

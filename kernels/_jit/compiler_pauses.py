@@ -1,10 +1,10 @@
 """Compile in a third less time, by avoiding two costs of CPython.
 
-Numba makes millions of small objects that stay until it is done, and Python searches them again and again for garbage,
-by default whenever there are 700 new ones (2000 in later versions).
+Numba makes millions of small objects that stay until it is done. Python searches them again and again for garbage, by
+default whenever there are 700 new ones (2000 in later versions).
 
 And its calls nest hundreds deep. Python keeps their frames in chunks of 16 KB, and gives a chunk back to the system
-when its last frame is done: if a chunk ends just below a function that is called a million times, every call takes a
+when its last frame is done. If a chunk ends just below a function that is called a million times, every call takes a
 chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for those above it.
 
 And a process may be forked meanwhile.

@@ -26,7 +26,7 @@ _OF_SOURCES = re.compile(r"_[0-9a-f]{12}-\d+\.")  # in a file's name: a digest o
 class CacheFiles:
     """A file for each combination of types that a kernel is compiled for.
 
-    Numba's own files are numbered, and an index says which is for which types: if two processes compile a kernel for
+    Numba's files are numbered, and an index says which is for which types. If two processes compile a kernel for
     different types at the same time, either may find the other's code under its number, and run it. And a file that was
     cut short stays an error for good. Here a file is named by what it is for, appears whole or not at all, and is
     compiled anew if it is damaged.

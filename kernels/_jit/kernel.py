@@ -86,12 +86,12 @@ def kernel(
         whose accuracy depends on the order of operations.
     inline : bool or "compiled"
         Make the function part of every kernel that calls it, so that the compiler sees the sizes of the arrays that it
-        gets. Its source goes there, and is compiled once instead of twice; or it goes there "compiled", which takes
-        less time where several kernels call it: such a function makes no arrays. A reduction goes there compiled,
-        since reordering is allowed to whole functions only.
+        gets. With True its source goes there, and is compiled once instead of twice. With "compiled" its code goes
+        there, which takes less time where several kernels call it; such a function makes no arrays. A reduction goes
+        there compiled, since reordering is allowed to whole functions only.
     arrays : bool
-        Whether it makes arrays. If not, references to those that it gets, and to slices of them, are not counted: with
-        others it would count each at every call, and each slice of a loop.
+        Whether it makes arrays. If not, references to the arrays that it gets, and to slices of them, are not counted.
+        Otherwise each would be counted at every call, and each slice in a loop.
     """
     # Each option is said: what is not, a function takes from the kernel for which it is compiled first.
     options: dict[str, Any] = {

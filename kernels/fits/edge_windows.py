@@ -20,11 +20,11 @@ def calmer(other, place, smallest, best):
 def choose_windows(frame, rays, rounding, reach, tests, windows, rows, chosen):
     """Give each valid pixel its window, or one of the eight that are moved by ``reach`` but still hold it.
 
-    Of the moved windows the one with the smallest residual variance is taken if the variance of the window around the
-    pixel is more than ``ratio`` times as large: an edge runs through it. The idea is that of Kuwahara's filter of means
-    (1976). Not so where rounding to raw values explains as much, or where as much is usual in the frame: the moved
-    windows may lie on terraces, which have none, and a sensor rounds, too. At the border windows are moved less. A
-    plane that the pixel's ray does not meet does not count. Missing pixels get NaN.
+    Where an edge runs through the window around a pixel, the moved window with the smallest residual variance is taken.
+    An edge is where the variance of the window around the pixel is more than ``ratio`` times as large. The idea is that
+    of Kuwahara's filter of means (1976). There is none where rounding to raw values explains as much, or where as much
+    is usual in the frame: the moved windows may lie on terraces, which have no variance. At the border windows are
+    moved less. A plane that the pixel's ray does not meet does not count. Missing pixels get NaN.
 
     Parameters
     ----------

@@ -63,9 +63,9 @@ def normals_row(all_sums, valid, needed, focal, rays, normals):
 def surface_row(all_sums, wanted, needed, focal, pixel, rays, results):
     """Normal, residual variance and surface variation of a row of windows.
 
-    With C the covariance of the rays m in the window, m̄ and q̄ the means and s² the mean squared residual, the
-    points X = m/q of the fitted plane spread by tr(J C Jᵀ), J = (I - m̄αᵀ/q̄)/q̄, to first order, and the measured ones
-    scatter about the plane by s²d²/q̄².
+    C is the covariance of the rays m in the window, m̄ and q̄ are the means and s² the mean squared residual. To first
+    order the points X = m/q of the fitted plane spread by tr(J C Jᵀ), J = (I - m̄αᵀ/q̄)/q̄. The measured points scatter
+    about the plane by s²d²/q̄².
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """What the camera alone determines of a tile's moments: the sums of 1, u, v, uu, uv and vv over its valid pixels.
 
-They are the paper's eq. 16: the block of eq. 14 that has no depth in it.
-Without lens distortion tanθx and tanθy are linear in a tile's column j, counted from its last, and row k, and the sums
-follow from those of 1, j, k, jj, jk and kk over the valid pixels, which are integers: a column adds up 1, k and kk in
-three fields of one number, and a tile that number times 1, j and jj.
+They are the paper's eq. 16: the block of eq. 14 that has no depth in it. Without lens distortion tanθx and tanθy are
+linear in a tile's column j, counted from its last, and row k. So the sums follow from the sums of 1, j, k, jj, jk and
+kk over the valid pixels, which are integers. A column adds up 1, k and kk in three fields of one number, and a tile
+adds up that number times 1, j and jj.
 """
 
 import numpy as np

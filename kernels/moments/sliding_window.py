@@ -1,16 +1,15 @@
 """Sums over the window around every pixel of a row, at a cost that hardly depends on the window's size.
 
-Least squares of q on m = (tanθx, tanθy, 1) needs, for each window, Σq, Σq·x, Σq·y of the inverse depth and,
-because pixels are missing and the frame ends, Σ1, Σx, Σy, Σxx, Σxy, Σyy over the pixels that are there. x
-and y count from the window's centre.
+Least squares of q on m = (tanθx, tanθy, 1) needs Σq, Σq·x and Σq·y of the inverse depth for each window. Because pixels
+are missing and the frame ends, it also needs Σ1, Σx, Σy, Σxx, Σxy and Σyy over the valid pixels. x and y count from the
+window's centre.
 
-Along a row a window of w columns is put together from two of k and one of 1 or 3 between them, w = k + c +
-k, and those of k in the same way: a few steps for any w. Down the columns the sums move with the window,
-one row in and one out. Without lens distortion x and y are whole pixels, and the sums over the valid pixels
-whole numbers, exact in float32 for windows of up to 31: none reaches 2**24. Those of the inverse depth are recomputed
-from the window's rows at every BAND-th row of the frame, and when a row with a wild value leaves the window, so that
-rounding errors cannot pile up. Threads share out bands, so every window's sums are added in the same order for any
-number of threads.
+Along a row a window of w columns is put together from two of k and one of 1 or 3 between them, w = k + c + k. The
+windows of k are made in the same way: a few steps for any w. Down the columns the sums move with the window, one row in
+and one out. Without lens distortion x and y are whole pixels, and the sums over the valid pixels whole numbers. They
+are exact in float32 for windows of up to 31: none reaches 2**24. Sums of the inverse depth are recomputed from the
+window's rows at every BAND-th row of the frame, and when a row with a wild value leaves the window. So rounding errors
+cannot pile up. Threads share out bands, so every window's sums are added in the same order for any number of threads.
 
 The frame is handled in strips of columns. The channels of a strip's row (q, q·x, ...) lie one after the
 other at a fixed PITCH, so that the compiler sees their distance and vectorises every loop. Rows and columns

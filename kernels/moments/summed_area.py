@@ -64,10 +64,10 @@ def frame_tables(frame, rays, standard, tables):
     standard : True or None
         Tables of (X, Y, Z), or with None of range space.
     tables : (H + 1, W + 1, CHANNELS) float64, written
-        In range space, q·tanθx, q·tanθy, q and, with a fourth channel, q²: three are all that the explicit solution
-        needs (Mᵗb of the paper), the fourth is for the implicit fit (eq. 14) and for residuals. In the standard form,
-        X, Y, Z, XX, XY, XZ, YY, YZ and, with a ninth channel, ZZ: eight are for the explicit solution (eq. 9), nine for
-        the implicit fit (eq. 6) and for residuals.
+        In range space q·tanθx, q·tanθy and q, which are all that the explicit solution needs (Mᵗb of the paper). A
+        fourth channel is q², for the implicit fit (eq. 14) and for residuals. In the standard form X, Y, Z, XX, XY, XZ,
+        YY and YZ, for the explicit solution (eq. 9). A ninth channel is ZZ, for the implicit fit (eq. 6) and for
+        residuals.
     """
     tan_x, tan_y = rays
     height, width = tan_x.shape
@@ -176,7 +176,7 @@ def missing_table(frame, table):
 def missing_rays(frame, rays, before, sums):
     """The camera terms of the missing pixels, to subtract from those of `camera_tables` where a frame has holes.
 
-    They are few, so instead of five more tables there is a list of their running sums in the order of the pixels: a
+    They are few. So instead of five more tables there is a list of their running sums in the order of the pixels. A
     part of an image row is the difference of two of its entries.
 
     Parameters

@@ -1,6 +1,6 @@
 """Moments of the tiles of a grid in one pass over the frame, strip by strip: the ``direct`` implementation.
 
-A tile's moments are the ten sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over its valid pixels, of coordinates
+A tile's moments are the ten sums [n, Σu, Σv, Σw, Σuu, Σuv, Σuw, Σvv, Σvw, Σww] over its valid pixels. Coordinates are
 relative to a reference point of the tile, so that nothing cancels later.
 
 - In range space, where ``standard`` is None, a pixel is (u, v, w) = (tanθx, tanθy, q). Without lens distortion only

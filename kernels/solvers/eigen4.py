@@ -8,9 +8,9 @@ and M (x, δ) = λ (x, δ), the paper's eq. 5, gives x = -λδ (C - λI)⁻¹ μ
 
     1 - λ/n - λ μᵀ (C - λI)⁻¹ μ = 0,
 
-whose smallest root lies between 0 and C's smallest eigenvalue λ₁. Solved in s, where λ = λ₁ s / (1 + s),
-it is nearly a straight line, even where λ₁ is 0 and M singular: forming M and its quartic would lose the digits that
-the answer is made of.
+whose smallest root lies between 0 and C's smallest eigenvalue λ₁. Solved in s, where λ = λ₁ s / (1 + s), it is nearly a
+straight line, even where λ₁ is 0 and M singular. Forming M and its quartic would lose the digits that the answer is
+made of.
 """
 
 from .._jit.kernel import kernel

@@ -115,8 +115,8 @@ def range_planes(implicit, moments, reference, total, needed, count, work):
     needed : (N,) float64
         Number of valid pixels that a tile needs.
     work : (WORK, TILES) float64
-        On return rows 0 to 2 are α, 3 the residual in the method's units, 4 the one in metres along the normal, NaN
-        where there is no plane, and 5 the distance below which a plane passes through the camera centre.
+        On return rows 0 to 2 are α. Rows 3 and 4 are the residual in the method's units and in metres along the normal,
+        NaN where there is no plane. Row 5 is the distance below which a plane passes through the camera centre.
     """
     solution, error, metric, nearest, residual = work[:3], work[3], work[4], work[5], work[6]
     explicit(moments, reference, total, count, solution, residual, nearest)
@@ -214,8 +214,8 @@ def write_planes(work, valid, needed, max_error, count, results):
     Parameters
     ----------
     work : (WORK, TILES) float64
-        Rows 0 to 2 α, 3 and 4 the residual in the method's units and in metres, 5 the distance below which a plane
-        passes through the camera centre, from `range_planes` or `standard_planes`. Overwritten.
+        From `range_planes` or `standard_planes`: α in rows 0 to 2, residuals in 3 and 4, and in 5 the distance below
+        which a plane passes through the camera centre. Overwritten.
     valid, needed : (N,) float64
         Numbers of valid pixels; fewer than ``needed`` give TOO_FEW.
     max_error : float

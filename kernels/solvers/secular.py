@@ -6,18 +6,18 @@ and A's smallest eigenvalue of
 
     RSS - λ h(λ) = 0,    h(λ) = 1 + α₀ᵀ α_λ,    α_λ = (A - λI)⁻¹ b.
 
-No term of it cancels. A step goes to where λ / RSS - 1 / h(λ) would have its root if it were a straight line, which
-it nearly is, even beside h's pole at A's smallest eigenvalue, where Newton's steps for RSS - λ h go no more than half
-of the way. The slope of h needs nothing new: that of λ h is 1 + α_λᵀ α_λ.
+No term of it cancels. A step goes to where λ / RSS - 1 / h(λ) would have its root if it were a straight line. It nearly
+is, even beside h's pole at A's smallest eigenvalue, where Newton's steps for RSS - λ h go no more than half of the way.
+The slope of h needs nothing new: that of λ h is 1 + α_λᵀ α_λ.
 
 The Rayleigh quotient of (α₀, -1) bounds the root from above, and 1 / tr A⁻¹ is between a third and all of A's smallest
 eigenvalue. From the smaller of the two it takes one or two steps where the noise is small. Where the noise is larger
 than what the rays tell apart, as across a depth edge or in the smallest tiles, the root lies close to the pole, and it
-takes some more; steps that leave the interval in which the root is known to lie are replaced by bisection. The plane
+takes some more. Steps that leave the interval in which the root is known to lie are replaced by bisection. The plane
 then passes near the camera's centre.
 
-All is done in coordinates relative to the tile's reference (u0, v0, q0), where A is well conditioned;
-there the identity becomes B = T⁻¹T⁻ᵀ, T being the change of coordinates.
+All is done in coordinates relative to the tile's reference (u0, v0, q0), where A is well conditioned. There the
+identity becomes B = T⁻¹T⁻ᵀ, with T the change of coordinates.
 """
 
 import math

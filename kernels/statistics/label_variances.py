@@ -94,8 +94,9 @@ def label_variances(frame, rays, labels, alpha, noise, growth, lateral, sums):
         Variance of tanθx, covariance of tanθx and tanθy and variance of tanθy across the ray, where a lens makes them
         differ.
     sums : (K, 8) float64, written
-        Sums of the variances of q along the ray; of those of rounding and, with ``lateral``, of errors across the ray;
-        of the squares of their total; and of their total times u, v, u², uv and v², with (u, v) = (tanθx, tanθy).
+        Sums of the variances of q along the ray; of the variances of rounding and, with ``lateral``, of errors across
+        the ray; of the squares of their total. Then sums of their total times u, v, u², uv and v², with (u, v) =
+        (tanθx, tanθy).
     """
     height, width = labels.shape
     tan_x, tan_y = rays

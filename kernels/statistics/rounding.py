@@ -1,10 +1,10 @@
 """The rounding error that all pixels of a surface have in common.
 
-Rounding to steps Δ is an error of variance Δ²/12, and usually as good as independent from pixel to pixel: other noise,
-of a standard deviation σ, or the slope of the surface carries each pixel over several steps. Where neither does, as on
-a wall that faces the camera, all pixels are rounded to the same side. By its Fourier series the mean of the rounded
-values is off by (-1)^k·(Δ/πk)·exp(-2π²k²σ²/Δ²)·sin(2πkx/Δ), k = 1, 2, ..., at a true value x. Over a surface that spans
-s steps this averages as a sinc, and adds its first moment about the middle to the slope.
+Rounding to steps Δ is an error of variance Δ²/12, and usually as good as independent from pixel to pixel. For other
+noise, of a standard deviation σ, or the slope of the surface carries each pixel over several steps. Where neither does,
+as on a wall that faces the camera, all pixels are rounded to the same side. By its Fourier series the mean of the
+rounded values is off by (-1)^k·(Δ/πk)·exp(-2π²k²σ²/Δ²)·sin(2πkx/Δ), k = 1, 2, ..., at a true value x. Over a surface
+that spans s steps this averages as a sinc, and adds its first moment about the middle to the slope.
 """
 
 import math

@@ -20,5 +20,5 @@ def aligned(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[An
 
     Otherwise each of its vectors would lie in two lines, and take twice the time.
     """
-    room = np.empty(math.prod(shape) * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
-    return np.ndarray(shape, dtype, room, to_next_line(room))
+    memory = np.empty(math.prod(shape) * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
+    return np.ndarray(shape, dtype, memory, to_next_line(memory))

@@ -151,14 +151,14 @@ def number(name: str, value: Any, *, finite: bool = True) -> float:
     if isinstance(value, _NO_NUMBERS) or kind in ("b", "c") or _is_masked(value):
         raise TypeError(f"expected {name} as a number, got {value!r}")
     try:
-        made = float(value)
+        converted = float(value)
     except OverflowError:  # a whole number that no float holds
-        made = math.inf if value > 0 else -math.inf
+        converted = math.inf if value > 0 else -math.inf
     except (TypeError, ValueError):
         raise TypeError(f"expected {name} as a number, got {value!r}") from None
-    if finite and not math.isfinite(made):
+    if finite and not math.isfinite(converted):
         raise ValueError(f"expected {name} as a finite number, got {value!r}")
-    return made
+    return converted
 
 
 def numbers(name: str, values: Any, *, finite: bool = True) -> tuple[float, ...]:

@@ -20,8 +20,8 @@ _NOTHING = nullcontext()
 def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextManager[None]:
     """Log a line if the first call for ``key`` takes long, and now and then how far it is; later calls cost nothing.
 
-    Once in a process for all calls of the same ``takes``, and only while kernels are compiled: those that Numba's cache
-    on disk holds are loaded, which takes more than a second, too, where processes start together.
+    It is said once in a process for all calls of the same ``takes``, and only while kernels are compiled. Kernels that
+    Numba's cache on disk holds are loaded; where processes start together, that takes more than a second, too.
     """
     return _NOTHING if key in _compiled or takes in _announced else _first_call(key, takes)
 

@@ -39,23 +39,23 @@ _MORE_THAN_A_FRAME = 2**28
 
 
 @contextmanager
-def write_beside(path: str | os.PathLike[str], own: str | None = None) -> Iterator[Path]:
+def write_beside(path: str | os.PathLike[str], its_suffix: str | None = None) -> Iterator[Path]:
     """A path beside `path` to write to; it takes the place of `path` once the block has ended without an error.
 
     It has the suffix of `path`, by which many writers know the format, and the permissions of a file that was there
-    before, which is unchanged after an error; then nothing is left behind.
+    before. After an error that file is unchanged, and nothing is left behind.
 
     Raises
     ------
     ValueError
-        `path` has the suffix of another format than ``own``, if that is given.
+        `path` has the suffix of another format than ``its_suffix``, if that is given.
     OSError
         The folder does not exist, `path` is a folder, or it cannot be written there.
     """
     given = Path(path).suffix.lower()
-    if own is not None and given in _OF_FILES and given != own:
+    if its_suffix is not None and given in _OF_FILES and given != its_suffix:
         raise ValueError(
-            f"{os.fspath(path)}: expected a path that ends in {own}, which is what is written, got {given}"
+            f"{os.fspath(path)}: expected a path that ends in {its_suffix}, which is what is written, got {given}"
         )
     check_writable(path)
     target, replaceable = _target(path)
@@ -71,7 +71,7 @@ def write_beside(path: str | os.PathLike[str], own: str | None = None) -> Iterat
                 shutil.copymode(target, beside)
             beside.replace(target)
     except OSError as error:
-        if type(error) is OSError and error.errno is None:  # a library's own, in its own words
+        if type(error) is OSError and error.errno is None:  # a library's error, in its words
             raise OSError(f"cannot write {path}: {error}") from error
         # A full disk, say, or a name that is too long.
         if error.errno is not None and error.filename in (None, os.fspath(written)):

@@ -1,7 +1,7 @@
 """Run a kernel over ranges on several threads.
 
-Kernels release the GIL and write disjoint ranges, so ordinary Python threads run them in parallel: the same
-bits for any number of threads, and no threading layer of Numba's to choose, to lock or to lose in a fork.
+Kernels release the GIL and write disjoint ranges, so ordinary Python threads run them in parallel. The bits are the
+same for any number of threads, and there is no threading layer of Numba's to choose, to lock or to lose in a fork.
 """
 
 import os
@@ -93,7 +93,7 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
     messages: list[str] = []
     # The first who writes into it does the work. A lock would not tell an interrupted caller who has it.
     taken: dict[str, str] = {}
-    made: list[Result] = []
+    results: list[Result] = []
     wrong: list[BaseException] = []
     ended = Lock()
     ended.acquire()
@@ -103,7 +103,7 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
             return
         try:
             with collected_warnings(messages):
-                made.append(work(*arguments))
+                results.append(work(*arguments))
         except BaseException as error:
             wrong.append(error)
         ended.release()
@@ -127,7 +127,7 @@ def submit(work: Callable[..., Result], num_threads: int, *arguments: Any) -> Ca
         try:
             if wrong:
                 raise wrong.pop()
-            return made.pop()
+            return results.pop()
         finally:
             for message in messages:
                 warn_caller(message)

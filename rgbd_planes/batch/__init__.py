@@ -1,1 +1,1 @@
-"""Fit or segment whole sequences, and write tables."""
+"""Whole sequences, fitted or segmented into tables of planes. Uses `segmentation` and what is below it."""

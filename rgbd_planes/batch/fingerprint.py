@@ -34,8 +34,8 @@ def digests(sequence: FrameSequence) -> dict[str, str | None]:
     entries = sequence.entries
     return {
         "sequence": _digest(f"{entry.name}\n{entry.timestamp}\n".encode() for entry in entries),
-        "locations": _of_locations(sequence),
-        "cameras": _of_cameras([entry.camera for entry in entries]),
+        "locations": _location_digest(sequence),
+        "cameras": _camera_digest([entry.camera for entry in entries]),
     }
 
 
@@ -54,7 +54,7 @@ def stamps(location: Any) -> str:
     return " ".join(texts)
 
 
-def of_files(stamps_of_frames: Iterable[str]) -> str:
+def files_digest(stamps_of_frames: Iterable[str]) -> str:
     """Digest of the `stamps` of some frames."""
     return _digest(f"{text}\n".encode() for text in stamps_of_frames)
 
@@ -66,7 +66,7 @@ def _digest(texts: Iterable[bytes | memoryview]) -> str:
     return digest.hexdigest()
 
 
-def _of_locations(sequence: FrameSequence) -> str | None:
+def _location_digest(sequence: FrameSequence) -> str | None:
     # Kept for this call only: the target of a link may change.
     folder = functools.cache(os.path.realpath)
 
@@ -91,7 +91,7 @@ def _of_locations(sequence: FrameSequence) -> str | None:
     return _digest([stream.getbuffer()])
 
 
-def _of_cameras(cameras: list[Camera]) -> str | None:
+def _camera_digest(cameras: list[Camera]) -> str | None:
     different = {id(camera): camera for camera in cameras}  # few: faster than comparing all
     if any(camera.noise is not None and camera.noise.formula is not None for camera in different.values()):
         return None

@@ -1,9 +1,10 @@
 """Fit every frame of a sequence into a table of planes on disk.
 
-The table is a folder of Parquet files, each of which holds some of the frames and appears whole or not at all: after an
+The table is a folder of Parquet files. Each of them holds some of the frames and appears whole or not at all. After an
 interruption the files that are there are done, and the same call does the rest. Threads share the frames, since reading
-an image, fitting it and writing a table all release Python's lock; where one machine is not enough, the workers of a
-Dask cluster do. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a worker.
+an image, fitting it and writing a table all release Python's lock. Where one machine is not enough, the workers of a
+Dask cluster share them. Only the caller's process writes, so that no row is lost or doubled whatever becomes of a
+worker.
 """
 
 import concurrent.futures.thread  # noqa: F401 (pandas, which pyarrow loads, cannot once the main thread has ended)
@@ -30,7 +31,7 @@ from rgbd_planes._core.text import counted
 from rgbd_planes._core.threads import num_cores
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes._core.version import __version__
-from rgbd_planes.batch.fingerprint import UNKNOWN, digests, of_files, stamps
+from rgbd_planes.batch.fingerprint import UNKNOWN, digests, files_digest, stamps
 from rgbd_planes.batch.table import Columns
 from rgbd_planes.batch.worker import FitSettings, Part, fit_part
 from rgbd_planes.camera.camera import Camera
@@ -134,11 +135,11 @@ def fit_sequence(
     ----------
     sequence : FrameSequence
     out : folder
-        Made if need be; `pandas.read_parquet` and others read the folder as one table. Columns: frame, name,
-        timestamp; row and column of a tile, label of a segment; top, left, height, width in pixels; status,
-        valid_count; nx, ny, nz, d; rmse, rmse_metric; for tiles, if the cameras have a noise model, p_value; then, and
-        for segments always, the covariance of the plane, cov_nx_nx, cov_nx_ny, ..., cov_d_d. All floats but timestamp
-        are in single precision. A segment's place is the rectangle around it, its valid_count its pixels.
+        Made if need be; `pandas.read_parquet` and others read the folder as one table. Columns: frame, name, timestamp;
+        row and column of a tile, label of a segment; top, left, height, width in pixels; status, valid_count; nx, ny,
+        nz, d; rmse, rmse_metric. Tiles of cameras with a noise model have p_value, too. They, and segments always, have
+        the covariance of the plane: cov_nx_nx, cov_nx_ny, ..., cov_d_d. All floats but timestamp are in single
+        precision. A segment's place is the rectangle around it, its valid_count its pixels.
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles` or `segment`.
     num_threads : int, optional
@@ -165,20 +166,20 @@ def fit_sequence(
     NotADirectoryError
         `out` is a file.
     OSError
-        No Dask scheduler answers, `out` cannot be written, or a frame cannot be read for a reason that is not its own:
-        too many files are open, say, or a disk does not answer.
+        No Dask scheduler answers, or `out` cannot be written. Or a frame cannot be read for a reason that would concern
+        all frames: too many files are open, say, or a disk does not answer.
     MemoryError
         There is not enough memory to read or fit a frame.
     TypeError, ValueError
-        `out` holds another table, or one that cannot be told from another, or something else, or is named like a file
-        of another format; or the first frame has integers, and its camera neither `depth_scale` nor `disparity`; or an
-        argument cannot be used.
+        An argument cannot be used. Or `out` holds another table, or one that cannot be told from another, or something
+        else, or is named like a file of another format. Or the first frame has integers, and its camera neither
+        `depth_scale` nor `disparity`.
 
     Warns
     -----
     UserWarning
-        What `fit_tiles` or `segment` warns of, or, without noise, that surfaces are bent when taken as depth and flat
-        when taken as distances along the ray: each once, for one of the frames concerned.
+        What `fit_tiles` or `segment` warns of. Or, without noise, that surfaces are bent when taken as depth and flat
+        when taken as distances along the ray. Each warning comes once, for one of the frames concerned.
     """
     with needs("pyarrow", "batch" if scheduler is None else "dask"):
         import pyarrow.parquet  # noqa: F401 (now, not after minutes of work)
@@ -206,7 +207,7 @@ def fit_sequence(
         report = BatchReport(folder, len(sequence))
         missing = []
         for task in tasks:
-            done = Part.of_file(_file(folder, task[0]))
+            done = Part.read(_file(folder, task[0]))
             if done is None or (retry and done.problems) or _has_changed(done, sequence, task):
                 missing.append(task)
                 continue
@@ -232,7 +233,7 @@ def fit_sequence(
 def _has_changed(part: Part, sequence: FrameSequence, task: Task) -> bool:
     """Whether the files of its frames are others now."""
     _, start, stop = task
-    return part.files != of_files(stamps(entry.location) for entry in sequence.entries[start:stop])
+    return part.files != files_digest(stamps(entry.location) for entry in sequence.entries[start:stop])
 
 
 def _check_frames(sequence: FrameSequence) -> None:

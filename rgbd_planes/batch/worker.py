@@ -14,7 +14,7 @@ import numpy as np
 from rgbd_planes._core.checks import check_bool, check_choice, check_max_error, check_share
 from rgbd_planes._core.files import write_beside
 from rgbd_planes._core.user_warnings import collected_warnings
-from rgbd_planes.batch.fingerprint import of_files, stamps
+from rgbd_planes.batch.fingerprint import files_digest, stamps
 from rgbd_planes.batch.table import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import as_depth_frame
@@ -81,14 +81,14 @@ class FitSettings:
             The settings cannot be used, or some are for tiles with `segments`, or for segments without it.
         """
         fitted, others = ("segments", "tiles") if self.segments else ("tiles", "segments")
-        of_segments = ("segments", "min_size")
-        of_others = [
+        segment_options = ("segments", "min_size")
+        others_options = [
             f.name
             for f in fields(self)
-            if (f.name in of_segments) != self.segments and getattr(self, f.name) != f.default
+            if (f.name in segment_options) != self.segments and getattr(self, f.name) != f.default
         ]
-        if of_others:
-            raise ValueError(f"{fitted} take no options of {others}, got {', '.join(of_others)}")
+        if others_options:
+            raise ValueError(f"{fitted} take no options of {others}, got {', '.join(others_options)}")
         check_camera(camera)
         if not self.segments:
             _fitter.__wrapped__(camera, self)  # what is no camera may not be hashable
@@ -105,8 +105,8 @@ class FitSettings:
 class Part(NamedTuple):
     """Some frames' rows: the content of a Parquet file, unless that is already written, and a summary of it.
 
-    `files` is the digest of those that its frames were read from, see `digest.of_files`; `warnings` has, for each
-    `kind_of` warning, the first frame that it is about and the message.
+    `files` is the digest of the files that its frames were read from. `warnings` has, for each kind of warning, the
+    first frame that it is about and the message.
     """
 
     content: bytes
@@ -117,7 +117,7 @@ class Part(NamedTuple):
     warnings: dict[str, tuple[str, str]]
 
     @classmethod
-    def of_file(cls, path: Path) -> "Part | None":
+    def read(cls, path: Path) -> "Part | None":
         """Return all but the rows of a file that was written earlier; None if there is none, or it is damaged."""
         import pyarrow
         import pyarrow.parquet
@@ -194,7 +194,7 @@ def fit_part(
         fitted()
     begin = time.perf_counter()
     status = rows.status_counts()
-    digest = of_files(files)
+    digest = files_digest(files)
     about = json.dumps({"status": status, "problems": problems, "files": digest})
     content = b""
     if where is None:

@@ -60,15 +60,15 @@ def _run(argv: list[str] | None) -> int:
         )
         subparser.set_defaults(run=command(subparser))
     status: int | None = 0
-    of_command: argparse.ArgumentParser = parser
+    command_parser: argparse.ArgumentParser = parser
     try:
         try:
             arguments, unknown = parser.parse_known_args(argv)
         finally:  # also if that ends here, with a help text
             print(end="", flush=True)
-        of_command = subparsers.choices[arguments.command]
+        command_parser = subparsers.choices[arguments.command]
         if unknown:
-            of_command.error(f"unrecognized arguments: {' '.join(unknown)}")
+            command_parser.error(f"unrecognized arguments: {' '.join(unknown)}")
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"PIL\.")  # for a damaged file the error says enough
             warnings.showwarning = _show_each_once()
@@ -79,8 +79,8 @@ def _run(argv: list[str] | None) -> int:
             return 130
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):  # of no kind of its own
             raise
-        words = _with_options(one_line(error), of_command)
-        print(f"{of_command.prog}: {words or 'not enough memory'}", file=sys.stderr)
+        words = _with_options(one_line(error), command_parser)
+        print(f"{command_parser.prog}: {words or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

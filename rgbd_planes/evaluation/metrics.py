@@ -136,21 +136,21 @@ class LabelComparison:
         if not 0.5 < tolerance <= 1.0:
             raise ValueError(f"tolerance must be above 0.5 and at most 1, got {tolerance}")
         shared = self.table[1:, 1:]
-        of_truth = shared / self.truth_sizes[:, None]
-        of_predicted = shared / self.predicted_sizes[None, :]
+        truth_share = shared / self.truth_sizes[:, None]
+        predicted_share = shared / self.predicted_sizes[None, :]
 
         # Every possible instance: its mean share, its kind, its true regions, its predicted regions.
         instances: list[tuple[float, int, NDArray[np.int64], NDArray[np.int64]]] = []
-        for i, j in np.argwhere((of_truth >= tolerance) & (of_predicted >= tolerance)):
-            instances.append((0.5 * (of_truth[i, j] + of_predicted[i, j]), 0, np.array([i]), np.array([j])))
-        inside = of_predicted >= tolerance  # predicted region j lies in true region i
+        for i, j in np.argwhere((truth_share >= tolerance) & (predicted_share >= tolerance)):
+            instances.append((0.5 * (truth_share[i, j] + predicted_share[i, j]), 0, np.array([i]), np.array([j])))
+        inside = predicted_share >= tolerance  # predicted region j lies in true region i
         for i in np.flatnonzero(inside.sum(axis=1) >= 2):
             parts = np.flatnonzero(inside[i])
             total = shared[i, parts].sum()
             if total / self.truth_sizes[i] >= tolerance:
                 share = 0.5 * (total / self.predicted_sizes[parts].sum() + total / self.truth_sizes[i])
                 instances.append((share, 1, np.array([i]), parts))
-        inside = of_truth >= tolerance  # true region i lies in predicted region j
+        inside = truth_share >= tolerance  # true region i lies in predicted region j
         for j in np.flatnonzero(inside.sum(axis=0) >= 2):
             parts = np.flatnonzero(inside[:, j])
             total = shared[parts, j].sum()
@@ -255,9 +255,9 @@ class LabelComparison:
             return 0.0
         rows, columns = np.nonzero(table)
         shared = table[rows, columns]
-        of_truth = table.sum(axis=1)[rows] / shared
-        of_predicted = table.sum(axis=0)[columns] / shared
-        return float((shared * (np.log2(of_truth) + np.log2(of_predicted))).sum() / pixels)
+        truth_share = table.sum(axis=1)[rows] / shared
+        predicted_share = table.sum(axis=0)[columns] / shared
+        return float((shared * (np.log2(truth_share) + np.log2(predicted_share))).sum() / pixels)
 
     @property
     def covering(self) -> float:

@@ -1,8 +1,8 @@
 """Rendered piecewise planar scenes: the paper's synthetic sensor, with its ground truth.
 
-A ray leaves the camera through the centre of every pixel and meets the nearest surface, which gives the noise-free
-depth, the surface that each pixel sees, and that surface's plane. ``Rendering.measure`` then turns the depth into what
-a sensor would deliver: noise, missing pixels, integer units.
+A ray leaves the camera through the centre of every pixel and meets the nearest surface. That gives the noise-free
+depth, the surface that each pixel sees, and its plane. ``Rendering.measure`` then turns the depth into what a sensor
+would deliver: noise, missing pixels, integer units.
 
 Examples
 --------
@@ -237,14 +237,14 @@ class Rendering:
         Returns
         -------
         (H, W) uint16 or float64
-            Raw units, with a value for missing that the camera takes as such; or, not quantised, metres with NaN: for a
-            camera without `disparity`, which takes floats for disparities.
+            Raw units, with a value for missing that the camera takes as such. Or, not quantised, metres with NaN, for a
+            camera without `disparity`, which would take floats for disparities.
 
         Raises
         ------
         TypeError, ValueError
-            A share is outside 0..1, the noise is negative, or something is not a number; or, for `quantise`, the camera
-            has no units or (disparity) no raw value that means missing.
+            A share is outside 0..1, the noise is negative, or something is not a number. Or `quantise` is asked for and
+            the camera has no units, or, with disparity, no raw value that means missing.
         """
         noise = number("noise", noise)
         if not noise >= 0.0:

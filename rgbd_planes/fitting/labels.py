@@ -28,7 +28,7 @@ from rgbd_planes.uncertainty.statistics import Assessment, check_significance
 class LabelPlanes(Savable, KeepsPixels, PlacedFits):
     """The planes of labels 1 to K of a frame, arrays of shape S = (K,).
 
-    p-values, covariances, `plot`, `to_table`, `save` and `load` are as in `TilePlanes`.
+    It has the p-values, covariances, `plot`, `to_table`, `save` and `load` that `TilePlanes` has.
 
     Attributes
     ----------
@@ -66,16 +66,26 @@ def fit_labels(
 ) -> LabelPlanes:
     """Fit a plane to the pixels of a mask, or of each label of a segmentation from elsewhere.
 
-    Each valid pixel counts: one at the edge of a mask that lies on something else pulls the plane towards it.
-    Covariances are those of the noise model: of a label that is not one plane, whose p-value is near 0, they say
-    nothing. `segment` finds the pixels of planes by itself.
+    `segment` finds the pixels of planes by itself.
 
     Parameters
     ----------
-    depth, camera, method, max_missing, max_error, significance
-        As in `fit_tiles`.
+    depth : (H, W) array_like
+        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+        ``disparity``.
+    camera : Camera
     labels : (H, W) array_like of int or bool
-        0 for none, 1..K, of which each has a row in the result; a mask is label 1.
+        0 for none, 1..K. Each label has a row in the result; a mask is label 1.
+    method : str
+        ``range_explicit``, ``range_implicit``, ``standard_explicit``, ``standard_implicit`` or ``standard_pca``:
+        `fit_tiles` explains them.
+    max_missing : float
+        Share of missing pixels above which a label gets TOO_FEW.
+    max_error : float, optional
+        Labels with a larger ``rmse_metric``, in metres, get ROUGH.
+    significance : float, optional
+        Labels whose residual the camera's noise exceeds less often than this get ROUGH. None is 0.01; 0 is no such
+        test.
 
     Returns
     -------
@@ -85,13 +95,20 @@ def fit_labels(
     Raises
     ------
     TypeError, ValueError
-        As `fit_tiles`, and for labels that are not integers, of another shape, negative, or above the number of pixels.
+        An argument cannot be used: the message says what was expected and what came. Labels must be integers or a mask
+        of the frame's shape, neither negative nor above the number of pixels.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`, and for labels that are an image of 0 and 255, most likely a mask, or in which 255 seems to be
-        none.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
+        Or the labels are an image of 0 and 255, most likely a mask, or 255 seems to mean none.
+
+    Notes
+    -----
+    Each valid pixel counts. A pixel at the edge of a mask that lies on something else pulls the plane towards it.
+    Covariances follow from the noise model. They say nothing about a label that is not one plane, whose p-value is
+    near 0.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)

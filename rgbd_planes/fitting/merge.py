@@ -26,7 +26,7 @@ from rgbd_planes.uncertainty.statistics import Assessment
 class MergedPlanes(Savable, KeepsPixels, PlaneFits):
     """The planes of N unions of tiles, arrays of shape S = (N,): row i belongs to label i + 1.
 
-    p-values, covariances, `to_table`, `save` and `load` are as in `TilePlanes`.
+    It has the p-values, covariances, `to_table`, `save` and `load` that `TilePlanes` has.
 
     Attributes
     ----------
@@ -60,10 +60,11 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     fits : TilePlanes, WindowPlanes, LabelPlanes or MergedPlanes
         Of one frame. Pixels that overlapping windows share count twice.
     labels : array_like of int or bool
-        Of the shape of ``fits``: 0 for none, 1..N, of which each has a row in the result; a mask is label 1. Tiles
-        without a plane of their own, but with valid pixels, are merged as well.
+        Of the shape of ``fits``: 0 for none, 1..N. Each label has a row in the result; a mask is label 1. Tiles that
+        have no plane, but valid pixels, are merged as well.
     significance : float, optional
-        As in `fit_tiles`: unions with a larger residual get ROUGH.
+        Unions whose residual the camera's noise exceeds less often than this get ROUGH. None is 0.01; 0 is no such
+        test.
 
     Returns
     -------
@@ -73,9 +74,9 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     Raises
     ------
     TypeError, ValueError
-        The labels are not integers or a mask of this shape, or masked, negative, or above the numbers of pixels and of
-        planes; or ``fits`` are a batch's: merge ``fits[i]``; or ``significance`` is not from 0 to below 1, or the
-        camera has no noise model for it.
+        The labels are not integers or a mask of this shape, or negative, or above the numbers of pixels and of planes.
+        Or ``fits`` are a batch's: merge ``fits[i]``. Or ``significance`` is not from 0 to below 1, or the camera has no
+        noise model for it.
     """
     if not isinstance(fits, PlaneFits):
         raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")

@@ -38,14 +38,15 @@ def normals(
     Parameters
     ----------
     depth : (H, W) array_like
-        As `fit_tiles` takes it.
+        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+        ``disparity``.
     camera : Camera
     window : int
         Side of the square window in pixels: odd, 3 to 31.
     avoid_edges : bool
-        Where an edge runs through a pixel's window, or too much of it is missing, use the one of eight windows beside
-        it, which still hold the pixel, that has the smallest residual: normals do not bleed over steps and creases.
-        See Notes.
+        Keep normals from bleeding over steps and creases. Where an edge runs through a pixel's window, or too much of
+        it is missing, one of eight windows beside it is used, which still hold the pixel: the one with the smallest
+        residual. It takes about four times as long.
     max_missing : float
         Share of the window's pixels inside the frame above which there is no normal; at 1 any pixels that determine a
         plane will do.
@@ -55,34 +56,35 @@ def normals(
     Returns
     -------
     (H, W, 3) ndarray of float32
-        Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, too much of
-        its window is (with ``avoid_edges``, of each of the eight, too), the window's valid pixels lie on one line, or
-        the pixel's ray does not meet the fitted plane. (A row of pixels that a lens bends counts as determining a
-        plane, however badly.) Sums and solution are float64; float32 only rounds the result, by less than 1e-7 rad.
+        Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, or too much of
+        its window; where the window's valid pixels lie on one line; and where the pixel's ray does not meet the fitted
+        plane.
 
     Raises
     ------
     TypeError, ValueError
-        For an argument that cannot be used, saying what was expected and what came.
+        An argument cannot be used: the message says what was expected and what came.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
 
     Notes
     -----
-    A window counts as crossed by an edge when the variance of its residuals is larger than that of a window beside
-    it by more than noise explains: by the factor that the ratio of two such variances exceeds in one to two cases
-    of a thousand, or four with a window of 3, for independent normal noise. It does not count where rounding to the
-    frame's raw values makes as large a variance, or where most windows of the frame have one as large: sensors
+    A window counts as crossed by an edge when the variance of its residuals exceeds that of a window beside it by more
+    than noise explains. The limit is the factor that independent normal noise exceeds in one to two cases of a
+    thousand, or in four with a window of 3. There is no threshold to set. It does not count where rounding to the
+    frame's raw values makes as large a variance, or where most windows of the frame have one as large. For sensors
     round, too, and neighbouring pixels share errors, so that some windows are far calmer than others by chance. So
-    chance makes an edge where the frame is much noisier than elsewhere: of one pixel in a hundred with a window of
-    3, and eight others; where a fifth is missing of six in a hundred, and with a window of 7 of five in a thousand.
-    There is no threshold to set. It takes about four times as long. A surface that bends by more than its noise
-    within a window is also taken for an edge: its normals are then those half a window away; with a window of 15,
-    on a ball of 0.2 m radius at 1 m, off by 8° where it is seen at 60° to 70° from its normal, and by 13° to 18° at
-    its very rim.
+    chance makes an edge where the frame is much noisier than elsewhere. With a window of 3 and its eight others that
+    happens to one pixel in a hundred. Where a fifth is missing, it happens to six in a hundred, and with a window of 7
+    to five in a thousand. A surface that bends by more than its noise within a window is also taken for an edge: its
+    normals are then the normals half a window away. With a window of 15, on a ball of 0.2 m radius at 1 m, they are off
+    by 8° where it is seen at 60° to 70° from its normal, and by 13° to 18° at its very rim.
+
+    A row of pixels that a lens bends counts as determining a plane, however badly. Sums and solution are float64;
+    float32 only rounds the result, by less than 1e-7 rad.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
 
@@ -100,8 +102,18 @@ def curvature(
 
     Parameters
     ----------
-    depth, camera, window, avoid_edges, max_missing, num_threads
-        As in `normals`.
+    depth : (H, W) array_like
+        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+        ``disparity``.
+    camera : Camera
+    window : int
+        Side of the square window in pixels: odd, 3 to 31.
+    avoid_edges : bool
+        Where an edge runs through a pixel's window, use one of eight windows beside it.
+    max_missing : float
+        Share of the window's pixels above which there is no result.
+    num_threads : int, optional
+        None takes threads when the frame is large enough to pay for them.
 
     Returns
     -------
@@ -111,22 +123,22 @@ def curvature(
     Raises
     ------
     TypeError, ValueError
-        As `normals`.
+        An argument cannot be used: the message says what was expected and what came.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
 
     Notes
     -----
-    Surface variation is λ₁ / (λ₁ + λ₂ + λ₃), the share of the points' variance that lies across the plane
-    (Pauly, Gross, Kobbelt, "Efficient simplification of point-sampled surfaces", IEEE Visualization 2002); PCL
-    calls it curvature. Here the plane is that of `normals`; λ₁ is the mean squared distance of the points from it, and
-    λ₂ + λ₃ the variance of the plane's own points under the window's rays, both to first order in the window's
-    extent. Noise counts: a flat wall has λ₁ = σ², so a window must be wide enough for its points to spread
-    farther than the sensor's noise. It does not find depth edges: a plane across one runs along the rays, on which
-    the points spread far, so that it is small there; with ``avoid_edges`` it is that of one side.
+    Surface variation is λ₁ / (λ₁ + λ₂ + λ₃), the share of the points' variance that lies across the plane. It comes
+    from Pauly, Gross, Kobbelt, "Efficient simplification of point-sampled surfaces", IEEE Visualization 2002. PCL calls
+    it curvature. Here the plane is the one that `normals` fits. λ₁ is the mean squared distance of the points from it,
+    and λ₂ + λ₃ the variance of the plane's points under the window's rays, both to first order in the window's extent.
+    Noise counts: a flat wall has λ₁ = σ², so a window must be wide enough for its points to spread farther than the
+    sensor's noise. It does not find depth edges. A plane across an edge runs along the rays, on which the points spread
+    far, so that the variation is small there. With ``avoid_edges`` it is the variation of one side.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=False)[1]
 
@@ -150,10 +162,10 @@ def _surfaces(
     needs_surfaces = avoid_edges or not normals_only or camera.is_distorted
     threads = choose_num_threads(check_num_threads(num_threads), frame.raw.size)
 
-    made = np.empty((height, width, 3), np.float32)
+    found = np.empty((height, width, 3), np.float32)
     variance = np.empty((height, width) if needs_surfaces else (0, 0), np.float32)
     variation = np.empty_like(variance)
-    arrays = made.reshape(-1), variance.reshape(-1), variation.reshape(-1)
+    arrays = found.reshape(-1), variance.reshape(-1), variation.reshape(-1)
     values, all_rays = frame.values, (camera.tan_x, camera.tan_y)
     work: Any
     if not camera.is_distorted:
@@ -170,8 +182,8 @@ def _surfaces(
     with announced(("normals", camera.is_distorted, frame.raw.dtype)):
         run_in_ranges(work, -(-height // BAND), threads)
         if not avoid_edges:
-            return made, variation
-        chosen, chosen_variation = np.empty_like(made), np.empty_like(variation)
+            return found, variation
+        chosen, chosen_variation = np.empty_like(found), np.empty_like(variation)
         step = float(step_of(frame) * frame.scale)
         rounding = step * step / 12.0  # which may be infinite, as a power may not
         tests = _typical(frame, rounding, variance), _ratio(window)

@@ -48,9 +48,9 @@ class PlaneFits:
     alpha : S + (3,) float64
         -n / d, in 1/m: the inverse depth of the plane is q = α·(tanθx, tanθy, 1).
     rmse : S float64
-        Root mean square residual over the valid pixels in the method's own units: 1/m for
-        ``range_explicit``, metres along the optical axis for ``standard_explicit`` and along the normal
-        for ``standard_pca``; the implicit methods' is the algebraic distance for coefficients of norm 1.
+        Root mean square residual over the valid pixels, in the method's units: 1/m for ``range_explicit``, metres along
+        the optical axis for ``standard_explicit`` and along the normal for ``standard_pca``. For the implicit methods
+        it is the algebraic distance for coefficients of norm 1.
     rmse_metric : S float64
         The same in metres along the normal; d·Z̄·rmse, to first order, in range space: at the mean inverse depth, where
         a part spans a range of depths.
@@ -68,8 +68,8 @@ class PlaneFits:
     rmse_metric: Floats
     valid_count: npt.NDArray[np.int32]
     status: npt.NDArray[np.uint8]
-    # The ten sums of `range_tiles` or `standard_tiles` and the point that they are relative to:
-    # (..., 10) + S' and (..., 3) + S' with S' = (R, C) or (K,).
+    # The ten sums of `kernels.moments.tiles` and the point that they are relative to: (..., 10) + S' and (..., 3) + S'
+    # with S' = (R, C) or (K,).
     _moments: Floats
     _reference: Floats
 
@@ -87,12 +87,13 @@ class PlaneFits:
     def p_value(self) -> Floats:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
-        It is that of the residual in inverse depth under ``camera.noise``: of its chi-square, or, where the noise has a
-        spread, of its ratio to a variance that differs from place to place. On flat surfaces it is uniform between 0
-        and 1; below the significance level a tile is ROUGH. For the ``standard_`` methods, whose residual is in metres,
-        this holds only where a part spans a small range of depths, and is much larger than the noise. A part of exactly
-        three pixels, which fit exactly, has 1. This, the covariances and the standard deviations are computed together,
-        when one of them is first asked for, and from then on by each fit that writes into this result.
+        On flat surfaces it is uniform between 0 and 1; below the significance level a tile is ROUGH. It tests the
+        residual in inverse depth under ``camera.noise``: by its chi-square, or, where the noise has a spread, by its
+        ratio to a variance that differs from place to place. The residual of the ``standard_`` methods is in metres.
+        For them this holds only where a part spans a small range of depths, and is much larger than the noise. A part
+        of exactly three pixels, which fit exactly, has 1. It, the covariances and the standard deviations are computed
+        together when one of them is first asked for. From then on each fit that writes into this result computes them,
+        too.
 
         Raises
         ------
@@ -106,12 +107,13 @@ class PlaneFits:
     def alpha_covariance(self) -> Floats:
         """S + (3, 3) float64, 1/m²: covariance of `alpha`, σq²(MᵀM)⁻¹; NaN where there is no plane.
 
-        For labels by ``range_explicit`` it is exact wherever the noise is independent from pixel to pixel; for tiles,
-        windows and unions of them if σq is also constant over each. Where it changes with the depth, or by a falloff,
-        their pixels count as if they filled a parallelogram. Errors that neighbours share count by where the pixels of
-        labels and unions lie, and as if those of tiles and windows filled rectangles. For the other methods it is, to
-        first order in the spread of depths, that of ``range_explicit`` on the same pixels: where σq is constant, the
-        bound that they reach at best. It leaves out that ``standard_explicit`` and ``standard_pca`` are biased.
+        For labels by ``range_explicit`` it is exact wherever the noise is independent from pixel to pixel. For tiles,
+        windows and unions of them it is exact if σq is also constant over each. Where it changes with the depth, or by
+        a falloff, their pixels count as if they filled a parallelogram. Errors that neighbours share count by where the
+        pixels of labels and unions lie, and as if those of tiles and windows filled rectangles. For the other methods
+        it is the covariance of ``range_explicit`` on the same pixels, to first order in the spread of depths. Where σq
+        is constant, that is the bound which they reach at best. It leaves out that ``standard_explicit`` and
+        ``standard_pca`` are biased.
         """
         return self._statistics.matrix(ALPHA_COVARIANCE, 3)
 
@@ -132,10 +134,10 @@ class PlaneFits:
     def offset_std(self) -> Floats:
         """S float64, metres: standard deviation of d.
 
-        That is the distance of the camera from the plane extended up to it, which a small tile's tilt moves far more
-        than the surface itself: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
+        d is the distance of the camera from the plane extended up to it. The tilt of a small tile moves it far more
+        than the surface itself. The uncertainty of the surface at a point is what `uncertainty.point_distance` gives.
         The mean of d is smaller than the true one, by d·θ²/2 - σd²/d where θ is `angle_std` in radians, since normals
-        err to all sides; most of all of small planes that face the camera.
+        err to all sides. That matters most for small planes that face the camera.
         """
         return self._statistics.row(OFFSET_STD)
 
@@ -194,8 +196,8 @@ class PlaneFits:
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row per plane as a dict of equally long columns, which `pandas.DataFrame` takes.
 
-        Columns: of a tile its row and column, for a batch after its frame, and top, left, height and width in pixels;
-        of a window the last four, of an element of a quadtree its level, too; of others the label. Then status (its
+        Columns: a tile has its row and column, in a batch after its frame, and top, left, height and width in pixels. A
+        window has the last four, an element of a quadtree its level, too. Others have the label. Then status (its
         name), valid_count; nx, ny, nz, d; rmse, rmse_metric. If the camera has a noise model: p_value; angle_std in
         degrees, offset_std in metres.
         """

@@ -73,9 +73,9 @@ def tile_windows(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[n
 @lru_cache(maxsize=16)
 def tile_footprints(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[np.int64]:
     """(R * C, 5) int64: `footprints` of every tile."""
-    made = footprints(tile_windows(frame, tile))
-    made.flags.writeable = False
-    return made
+    result = footprints(tile_windows(frame, tile))
+    result.flags.writeable = False
+    return result
 
 
 class TileRays(NamedTuple):
@@ -86,8 +86,8 @@ class TileRays(NamedTuple):
     centre : (2, R, C) float64
         The mean of tanθx and tanθy over each tile, the reference point of its moments.
     tan_x, tan_y : (H, W) float64
-        The camera's; for a separable one, (C * tile width,) and (H,): tanθx of each column and tanθy of each row,
-        relative to the centre of its tile. Columns that the last tile lacks are 0.
+        The camera's rays. For a camera without lens distortion, (C * tile width,) and (H,): tanθx of each column and
+        tanθy of each row, relative to the centre of its tile. Columns that the last tile lacks are 0.
     """
 
     centre: npt.NDArray[np.float64]
@@ -101,10 +101,10 @@ def tile_rays(camera: Camera, tile: tuple[int, int]) -> TileRays:
     heights, widths = tile_sizes(camera.height, tile[0]), tile_sizes(camera.width, tile[1])
     centre = np.empty((2, len(heights), len(widths)))
     if not camera.is_distorted:
-        of_columns, of_rows = camera.tan_x_columns, camera.tan_y_rows
-        centre[0], centre[1] = (_means(of_columns, widths), _means(of_rows, heights)[:, None])
-        tan_x, tan_y = np.zeros(len(widths) * tile[1]), of_rows - np.repeat(centre[1, :, 0], heights)
-        tan_x[: camera.width] = of_columns - np.repeat(centre[0, 0], widths)
+        column_tan_x, row_tan_y = camera.tan_x_columns, camera.tan_y_rows
+        centre[0], centre[1] = (_means(column_tan_x, widths), _means(row_tan_y, heights)[:, None])
+        tan_x, tan_y = np.zeros(len(widths) * tile[1]), row_tan_y - np.repeat(centre[1, :, 0], heights)
+        tan_x[: camera.width] = column_tan_x - np.repeat(centre[0, 0], widths)
         tan_x.flags.writeable = tan_y.flags.writeable = False
     else:
         tan_x, tan_y = camera.tan_x, camera.tan_y

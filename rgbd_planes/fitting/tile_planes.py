@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def assessment_of_tiles(camera: Camera, method: str, significance: float | None, tile: tuple[int, int]) -> Assessment:
-    """What tests the tiles of any frame that is fitted so, and writes their statistics."""
+    """The test and the statistics of the tiles of this camera, for any of its frames."""
     from rgbd_planes.uncertainty.statistics import Assessment
 
     sizes, footprint = tile_windows(camera.shape, tile)[:, 2:], tile_footprints(camera.shape, tile)
@@ -46,7 +46,7 @@ class TilePlanes(Savable, PlacedFits):
     Attributes
     ----------
     tile : (height, width)
-        Size of a tile in pixels; the last row and column may be smaller, see `tile_heights`, `tile_widths`.
+        Size of a tile in pixels. The last row and column may be smaller: `tile_heights` and `tile_widths` say it.
     """
 
     tile: tuple[int, int]
@@ -102,7 +102,7 @@ class TilePlanes(Savable, PlacedFits):
         Raises
         ------
         TypeError
-            The planes are those of a single frame, or it is no whole number and no slice.
+            The planes are of a single frame, or it is neither a whole number nor a slice.
         IndexError
             There are not so many frames.
         """
@@ -147,7 +147,7 @@ class TilePlanes(Savable, PlacedFits):
         Raises
         ------
         TypeError
-            The planes are those of a single frame.
+            The planes are of a single frame.
         """
         if len(self.shape) != 3:
             raise TypeError("the planes of a single frame have no length; see .shape")

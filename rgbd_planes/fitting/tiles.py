@@ -45,13 +45,27 @@ class TileFitter(GridFitter[TilePlanes]):
 
     Parameters
     ----------
-    camera, tile, method, implementation, max_missing, max_error, significance, num_threads
-        As in `fit_tiles`.
+    camera : Camera
+    tile : int or (height, width)
+        Size of a tile in pixels, at least 2 each way.
+    method : str
+        ``range_explicit``, ``range_implicit``, ``standard_explicit``, ``standard_implicit`` or ``standard_pca``:
+        `fit_tiles` explains them.
+    implementation : {"direct", "integral", "naive"}
+        Single-pass tile moments; summed-area tables; each tile's pixels in turn.
+    max_missing : float
+        Share of missing pixels above which a tile gets TOO_FEW.
+    max_error : float, optional
+        Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
+    significance : float, optional
+        Tiles whose residual the camera's noise exceeds less often than this get ROUGH. None is 0.01; 0 is no such test.
+    num_threads : int, optional
+        Threads that share a frame, or frames. None takes threads when the work is large enough to pay for them.
 
     Raises
     ------
     TypeError, ValueError
-        For an argument that cannot be used, saying what was expected and what came.
+        An argument cannot be used: the message says what was expected and what came.
     """
 
     method: str
@@ -91,7 +105,7 @@ class TileFitter(GridFitter[TilePlanes]):
         self._assessment = assessment_of_tiles(camera, method, significance, self.tile)
         if implementation == "direct":
             centre, tan_x, tan_y = tile_rays(camera, self.tile)
-            self._of_camera = (
+            self._camera_arguments = (
                 tan_x, tan_y, *self.tile, centre.reshape(2, -1), self._needed, *SOLVES[method], self._max_error,
             )  # fmt: skip
         else:
@@ -136,17 +150,17 @@ class TileFitter(GridFitter[TilePlanes]):
     def _into_result(self, out: TilePlanes) -> Callable[[DepthFrame], Work]:
         """`_into` the arrays of a result; kept with it, since checking and making it takes 5 µs."""
         statistics = getattr(out, "_asked_for", None)
-        kept = getattr(out, "_kept", None)
-        if kept is None or kept[0] is not self or kept[1] is not statistics:
-            kept = self, statistics, self._into(self._arrays((), out))
-            out.__dict__["_kept"] = kept
-        fit: Callable[[DepthFrame], Work] = kept[2]
+        prepared = getattr(out, "_kept", None)
+        if prepared is None or prepared[0] is not self or prepared[1] is not statistics:
+            prepared = self, statistics, self._into(self._arrays((), out))
+            out.__dict__["_kept"] = prepared
+        fit: Callable[[DepthFrame], Work] = prepared[2]
         return fit
 
     def _into(self, arrays: Arrays) -> Callable[[DepthFrame], Work]:
-        """Return a function of a frame that returns a function to fit some of its tile rows into ``arrays``.
+        """Return a function of a frame, which returns a function that fits some of its tile rows into ``arrays``.
 
-        Or of as many frames, all at once, as there are arrays for.
+        The frame may hold several frames, as many as there are arrays for.
         """
         fit = self._direct(arrays) if self.implementation == "direct" else self._windowed(arrays)
         if self.camera.noise is None:
@@ -174,7 +188,7 @@ class TileFitter(GridFitter[TilePlanes]):
             # Numba compiles for depth images and for disparity images.
             offset = frame.offset if frame.is_disparity else None
             values = frame.raw.reshape(frames, *self.camera.shape), frame.lowest, frame.highest, frame.scale, offset
-            return lambda start, stop: tile_kernels.fit_tiles(*values, *self._of_camera, start, stop, *results)
+            return lambda start, stop: tile_kernels.fit_tiles(*values, *self._camera_arguments, start, stop, *results)
 
         return fit
 
@@ -215,29 +229,30 @@ def fit_tiles(
     Parameters
     ----------
     depth : (H, W) array_like
-        Along the optical axis, not along the ray. Integers in the camera's ``depth_scale`` or ``disparity``, or
-        floats: metres, or, where the camera has ``disparity``, disparities. Missing is NaN, infinity, 0 and
-        negative depth, one of the camera's ``invalid_values`` or outside its ``depth_range``.
+        Depth along the optical axis, not along the ray: floats in metres, or integers in the camera's ``depth_scale``.
+        Of a camera with ``disparity``, disparities. Missing is NaN, infinity, 0 and negative depth, one of the camera's
+        ``invalid_values`` or outside its ``depth_range``.
     camera : Camera
     tile : int or (height, width)
         Size of a tile in pixels, at least 2 each way. A frame that is not a multiple of it keeps its ragged last row
         and column of tiles.
     method : str
-        ``range_explicit``, least squares of the inverse depth (the paper's eq. 15), the maximum-likelihood fit for a
-        disparity sensor whose pixels err independently; ``range_implicit`` (eq. 14); ``standard_explicit``, least
-        squares of Z (eq. 7); ``standard_implicit`` (eq. 6); ``standard_pca``, the orthogonal regression. The implicit
-        methods depend on the unit of length, since the paper's norm mixes the normal with an offset: here it is the
-        metre.
+        - ``range_explicit``: least squares of the inverse depth (the paper's eq. 15). It is the maximum-likelihood fit
+          for a disparity sensor whose pixels err independently.
+        - ``range_implicit``: eq. 14.
+        - ``standard_explicit``: least squares of Z (eq. 7).
+        - ``standard_implicit``: eq. 6.
+        - ``standard_pca``: orthogonal regression.
     implementation : {"direct", "integral", "naive"}
         Single-pass tile moments; summed-area tables; each tile's pixels in turn. They give the same planes, up to
-        rounding, which sums over a whole frame leave more of: by ``standard_`` methods small tiles may be DEGENERATE.
+        rounding.
     max_missing : float
-        Share of missing pixels above which a tile gets TOO_FEW; at 1 any pixels that determine a plane are fitted.
+        Share of missing pixels above which a tile gets TOO_FEW. At 1 any pixels that determine a plane are fitted.
     max_error : float, optional
         Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
     significance : float, optional
-        For a camera with a noise model: tiles get ROUGH whose residual the noise alone exceeds less often than this, at
-        any depth. None is 0.01: about one flat tile in a hundred; 0 is no such test.
+        For a camera with a noise model: tiles whose residual the noise alone exceeds less often than this get ROUGH, at
+        any depth. None is 0.01, which is about one flat tile in a hundred; 0 is no such test.
     num_threads : int, optional
         None takes threads when the work is large enough to pay for them. The result is the same for any number.
 
@@ -249,23 +264,31 @@ def fit_tiles(
     Raises
     ------
     TypeError, ValueError
-        For an argument that cannot be used, saying what was expected and what came.
+        An argument cannot be used: the message says what was expected and what came.
 
     Warns
     -----
     UserWarning
-        Most likely something is not meant as it is:
+        Something is most likely not meant as it is:
 
-        - The unit of the frame: its typical depth is above 50 m, or all of its depths are below 2 cm, or it has 8 bits
-          and ends before 1 m, as a picture does. A ``depth_range`` that reaches beyond 50 m, or ends below those
-          limits, says that this is meant; of a ``disparity`` a scale of 1 does, as that of a network's has no unit.
-        - The unit of the ``depth_range``: it begins beyond 50 m and leaves nothing of the frame, which is between those
-          numbers of millimetres.
-        - A number that means missing, but counts as depth in more than one pixel of a hundred: 65535 or 32767, the
-          largest of 16 bits; one beyond 50 m and more than three times as far as all else in the frame, such as the
-          1e10 of a renderer's sky, unless the ``depth_range`` reaches beyond 50 m; a disparity of 0 or less.
-        - The direction of z: all depths are negative.
-        - The unit of the camera's noise model: it says more than a fifth of 1/Z. A `TileFitter` asks one frame for it.
+        - The unit of the frame. Its typical depth is above 50 m, or all of its depths are below 2 cm, or it has 8 bits
+          and ends before 1 m, as a picture does.
+        - The unit of the ``depth_range``. It begins beyond 50 m and leaves nothing of the frame, which lies between
+          those numbers of millimetres.
+        - A number that means missing, but counts as depth in more than one pixel of a hundred. That is 65535 or 32767,
+          the largest of 16 bits; a disparity of 0 or less; or a depth beyond 50 m and more than three times as far as
+          all else in the frame, such as the 1e10 of a renderer's sky.
+        - The direction of z. All depths are negative.
+        - The unit of the camera's noise model. It says more than a fifth of 1/Z. A `TileFitter` asks one frame for it.
+
+        A ``depth_range`` that reaches beyond 50 m says that such depths are meant, and one that ends below 2 cm, or
+        1 m, says so of small ones. A ``disparity`` of scale 1 says that the depth has no unit, as a network's.
+
+    Notes
+    -----
+    The implicit methods depend on the unit of length, since the paper's norm mixes the normal with an offset. Here it
+    is the metre. Summed-area tables leave more rounding than single-pass moments: by the ``standard_`` methods small
+    tiles may be DEGENERATE.
     """
     fitter = TileFitter(
         camera,

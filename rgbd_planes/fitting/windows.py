@@ -35,7 +35,7 @@ _AS_TABLES = 3
 class WindowPlanes(Savable, PlacedFits):
     """The planes of K windows of a frame, arrays of shape S = (K,).
 
-    p-values, covariances, `plot`, `to_table`, `save` and `load` are as in `TilePlanes`.
+    It has the p-values, covariances, `plot`, `to_table`, `save` and `load` that `TilePlanes` has.
 
     Attributes
     ----------
@@ -106,18 +106,31 @@ def fit_windows(
 ) -> WindowPlanes:
     """Fit a plane to each of many rectangles of a frame, which may overlap.
 
-    The pixels of each window are summed up, or, for windows that together have more than three times the pixels of the
-    frame, summed-area tables are built, which make the cost of a window independent of its size (the paper's section on
-    integral images).
+    Many windows cost little more than a few. Windows that together have more than three times the pixels of the frame
+    are fitted from summed-area tables (the paper's section on integral images).
 
     Parameters
     ----------
-    depth, camera, method, max_missing, max_error, significance, num_threads
-        As in `fit_tiles`.
+    depth : (H, W) array_like
+        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+        ``disparity``.
+    camera : Camera
     windows : (K, 4) array_like of int
         Row, column, height, width of each window in pixels, inside the frame.
+    method : str
+        ``range_explicit``, ``range_implicit``, ``standard_explicit``, ``standard_implicit`` or ``standard_pca``:
+        `fit_tiles` explains them.
     implementation : {"integral", "naive"}, optional
         Summed-area tables, or each window's pixels. By default what takes less time.
+    max_missing : float
+        Share of missing pixels above which a window gets TOO_FEW.
+    max_error : float, optional
+        Windows with a larger ``rmse_metric``, in metres, get ROUGH.
+    significance : float, optional
+        Windows whose residual the camera's noise exceeds less often than this get ROUGH. None is 0.01; 0 is no such
+        test.
+    num_threads : int, optional
+        None takes threads when the work is large enough to pay for them.
 
     Returns
     -------
@@ -127,23 +140,25 @@ def fit_windows(
     Raises
     ------
     TypeError, ValueError
-        As `fit_tiles`, and for windows that are masked, not (K, 4) integers, empty, or not wholly inside the frame.
+        An argument cannot be used: the message says what was expected and what came. Windows must be (K, 4) integers,
+        not empty, and wholly inside the frame.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
 
     Notes
     -----
     Fits by tables differ from those of `fit_tiles` only by float64's rounding, which acts on differences of sums over
-    the whole frame. So small windows of large frames may be DEGENERATE: by the standard methods, of a wall at 8 m with
-    the noise of a Kinect v1, seen with a field of view of 63 degrees, all of 3x3 and 4x4 pixels and some of 8x8 in
-    3840 x 2160, half or fewer of 3x3 in 1920 x 1080, none in 640 x 480; in range space some of 3x3 in 3840 x 2160, if
-    half of the frame is nearer than 10 cm. With the standard methods a depth of hundreds of kilometres, as simulators
-    give for none, makes all windows inexact, one of 1000 km by tenths of a degree; beyond that nothing is left of the
-    others, and they get DEGENERATE. In range space a depth of micrometres does the same. The camera's ``depth_range``
-    or ``invalid_values`` exclude such depths.
+    the whole frame. So small windows of large frames may be DEGENERATE. An example is a wall at 8 m with the noise of a
+    Kinect v1, seen with a field of view of 63 degrees. By the standard methods that happens to all windows of 3x3 and
+    4x4 pixels and some of 8x8 in 3840 x 2160, to at most half of 3x3 in 1920 x 1080, and to none in 640 x 480. In range
+    space it happens to some of 3x3 in 3840 x 2160, if half of the frame is nearer than 10 cm.
+
+    Simulators give depths of hundreds of kilometres for none. By the standard methods they make all windows inexact:
+    one of 1000 km by tenths of a degree. Beyond that nothing is left of the others, and they get DEGENERATE. In range
+    space a depth of micrometres does the same. The camera's ``depth_range`` or ``invalid_values`` exclude such depths.
     """
     check_camera(camera)
     check_choice("method", method, METHODS)
@@ -187,7 +202,7 @@ def _assessment_of(
 
 
 def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
-    """Return the windows as a contiguous (K, 4) int64 array of its own."""
+    """Return the windows as a new contiguous (K, 4) int64 array."""
     array = plain_array("windows", windows)
     if array.ndim == 0:
         raise TypeError(f"expected windows as an array of shape (K, 4), got {type(windows).__name__}")

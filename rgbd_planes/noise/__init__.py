@@ -165,9 +165,9 @@ def function(sigma: Callable[[Floats], ArrayLike]) -> NoiseModel:
     Parameters
     ----------
     sigma : callable
-        Takes an array of inverse depths above 0, 1/m, returns the standard deviation of each, 1/m: a finite
-        number, 0 or more, everywhere from 1.2e-3 to 20 1/m. It must always return the same: what is made of it is
-        kept for cameras with an equal function, as methods of one object are.
+        Takes an array of inverse depths above 0, in 1/m, and returns the standard deviation of each, in 1/m. That must
+        be finite and not negative everywhere from 1.2e-3 to 20 1/m. It must always return the same: what is made of it
+        is kept for cameras with an equal function, as methods of one object are.
 
     Raises
     ------
@@ -201,8 +201,9 @@ def quantised(model: NoiseModel, step: float | HasUnits) -> NoiseModel:
     Notes
     -----
     Rounding by Δ in depth is a variance of Δ²/12, in inverse depth Δ²q⁴/12. Where the other noise is less than half a
-    step, the rounding errors of a surface that faces the camera are not independent, but alike: covariances account for
-    it, p-values are then too large, or too small where it climbs by a whole step or a half from pixel to pixel.
+    step, the rounding errors of a surface that faces the camera are not independent, but alike. Covariances account for
+    that. P-values are then too large, or too small where the surface climbs by a whole step or a half from pixel to
+    pixel.
     """
     if not isinstance(model, NoiseModel):
         raise TypeError(f"expected a NoiseModel, got {type(model).__name__}")

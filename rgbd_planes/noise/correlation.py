@@ -55,7 +55,7 @@ class ResidualStatistics:
         half = half + independent * (2.0 * along * self.expected + independent * number)
         return expected, expected**2 / half
 
-    def of_some(self, count: Floats, whole: Floats) -> "ResidualStatistics":
+    def scaled_to(self, count: Floats, whole: Floats) -> "ResidualStatistics":
         """The statistics if only ``count`` of ``whole`` pixels have a measurement, here and there.
 
         With P and C as in `kernels.statistics.assess`: the part of single pixels, the diagonal of PCP, falls with their
@@ -94,8 +94,8 @@ def inverse_freedom(spread: float | Floats) -> Any:
 def ratio_at(deviate: float, freedom: float | Floats, spread: float | Floats) -> Floats:
     """The sum of squared residuals over its expected value that is exceeded as often as this normal deviate.
 
-    A chi-square over its degrees of freedom times a variance as in `inverse_freedom` is a multiple of Fisher's F:
-    by Paulson's approximation (1942), which without a spread is Wilson and Hilferty's (1931).
+    A chi-square over its degrees of freedom, times a variance that differs from place to place, is a multiple of
+    Fisher's F. Paulson's approximation (1942) is used; without a spread it is Wilson and Hilferty's (1931).
     """
     v, w = 2.0 / 9.0 / freedom, 2.0 / 9.0 * inverse_freedom(spread)
     a, b = 1.0 - w, 1.0 - v
@@ -122,7 +122,7 @@ def correlated_statistics(components: Components, count: Floats, proportions: Fl
     below = np.floor(step + 1e-9)
     beyond = np.maximum(step - below, 0.0)
     root = 0.5 * np.log(pixels)
-    made = np.zeros((len(pixels), 5))
+    sums = np.zeros((len(pixels), 5))
     for node in np.unique(np.concatenate([below, below[beyond > 0.0] + 1.0])).tolist():
         weight = np.where(below == node, 1.0 - beyond, np.where(below == node - 1.0, beyond, 0.0))
         used = np.flatnonzero(weight)
@@ -131,8 +131,8 @@ def correlated_statistics(components: Components, count: Floats, proportions: Fl
         roots, curves = _rectangles(components, int(node), 2**most)
         i = np.clip(np.searchsorted(roots, at) - 1, 0, len(roots) - 2)
         share = np.clip((at - roots[i]) / (roots[i + 1] - roots[i]), 0.0, 1.0)[:, None]
-        made[used] += weight[used, None] * (curves[i] * (1.0 - share) + curves[i + 1] * share)
-    expected, log_freedom, along, across, offset = made.T.reshape(5, *count.shape)
+        sums[used] += weight[used, None] * (curves[i] * (1.0 - share) + curves[i + 1] * share)
+    expected, log_freedom, along, across, offset = sums.T.reshape(5, *count.shape)
     more = count > 3.0
     wide = proportions >= 1.0
     return ResidualStatistics(
@@ -177,8 +177,8 @@ def _along(components: Components, n: int) -> _Side:
 def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats, Floats]:
     """Statistics of rectangles whose sides are as 1 to 2^(step / `_PER_DOUBLING`), by the root of their area.
 
-    (S,) the logarithms of the roots, up to about that of ``largest``, and (S, 5): expected per pixel, log freedom, the
-    tilts along the long side and along the short one, offset.
+    (S,) logarithms of roots, up to about the root of ``largest``, and (S, 5) expected per pixel, log freedom, the tilts
+    along the long side and along the short one, offset.
 
     The covariance of the pixels is C = Σ w T⊗T', of the T of each side. The fit removes the constant and the two
     slopes, H = Σ φφᵀ with φ = p0⊗p0, p1⊗p0, p0⊗p1. So tr((I - H)C) and tr(((I - H)C)²) are products of
@@ -198,8 +198,8 @@ def _rectangles(components: Components, step: int, largest: int) -> tuple[Floats
         offset, along, across = (w @ (a.constant * b.constant), w @ (a.slope * b.constant), w @ (a.constant * b.slope))
         expected = n * m * w.sum() - offset - along - across
         a_00, a_11, b_00, b_11 = (t @ t.T for t in (a.on_constant, a.on_slope, b.on_constant, b.on_slope))
-        of_all = (a.by_lag * a.often) @ a.by_lag.T * ((b.by_lag * b.often) @ b.by_lag.T)
-        squares = of_all - 2.0 * (a_00 * b_00 + a_11 * b_00 + a_00 * b_11)
+        all_pairs = (a.by_lag * a.often) @ a.by_lag.T * ((b.by_lag * b.often) @ b.by_lag.T)
+        squares = all_pairs - 2.0 * (a_00 * b_00 + a_11 * b_00 + a_00 * b_11)
         half_variance = w @ squares @ w + offset**2 + along**2 + across**2
         freedom = expected**2 / half_variance
         roots.append(0.5 * np.log(n * m))

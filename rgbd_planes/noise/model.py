@@ -41,8 +41,8 @@ class NoiseModel:
     Attributes
     ----------
     coefficients : (c0, c1, c2)
-        σq = c0 + c1·q + c2·q² of the random error of one pixel on the optical axis, in 1/m; not below 0 at any q from
-        1.2e-3 to 20 1/m.
+        σq = c0 + c1·q + c2·q² is the standard deviation of the random error of one pixel on the optical axis, in 1/m.
+        It is not below 0 at any q from 1.2e-3 to 20 1/m.
     samples : tuple of (q, σq), optional
         Instead of `coefficients`: σq at inverse depths, linear between them, constant beyond.
     formula : function, optional
@@ -66,9 +66,9 @@ class NoiseModel:
         Standard deviation, in pixels, of how far beside its ray a measurement lies. Times the change of q from pixel
         to pixel it is another error, which is large on steep surfaces. `sigma` does not contain it.
     falloff : float
-        How fast noise grows away from the optical axis, as where a sensor's own light falls off: at a pixel whose ray
-        is (tanθx, tanθy, 1), at an angle θ from the axis, σq before rounding is (1 + tan²θx + tan²θy)^(falloff / 2),
-        which is 1 / cos^falloff(θ), times that on the axis. The lateral error and rounding do not grow.
+        How fast noise grows away from the optical axis, as where a sensor's light falls off. At a pixel whose ray is
+        (tanθx, tanθy, 1), at an angle θ from the axis, σq before rounding is 1 / cos^falloff(θ) times its value on the
+        axis: (1 + tan²θx + tan²θy)^(falloff / 2) times. The lateral error and rounding do not grow.
         `rgbd_planes.segment` uses it in covariances only, and there if neighbours share errors: each frame tells it how
         much noise there is.
     evidence : NoiseEvidence, optional
@@ -77,7 +77,7 @@ class NoiseModel:
     Notes
     -----
     Fits of tiles and windows look σq up in a table, unless it is a single coefficient. Made from coefficients, the
-    table is right to 0.2 % from 0.05 to 20 m, and to 5 % up to 100 m. Nearer and farther it may be far off: for
+    table is right to 0.2 % from 0.05 to 20 m, and to 5 % up to 100 m. Nearer and farther it may be far off. For
     ``time_of_flight(0.02)`` it gives 0.56 times σq at 0.025 m, 1.3 times at 273 m and 4 times at 1000 m.
     """
 
@@ -250,9 +250,9 @@ class NoiseModel:
         count : array_like of int
             Numbers of valid pixels.
         size : (..., 2) array_like, optional
-            Height and width of the rectangles among whose pixels these lie. Where some are missing, they may be missing
-            in one piece, which leaves a rectangle of these proportions, or here and there: the case with larger errors
-            counts. Without it the pixels are full squares.
+            Height and width of the rectangles among whose pixels these lie. Pixels may be missing in one piece, which
+            leaves a rectangle of these proportions, or here and there. The case with larger errors counts. Without it
+            the pixels are full squares.
 
         Returns
         -------
@@ -264,21 +264,21 @@ class NoiseModel:
         TypeError, ValueError
             One of them is no array of numbers, or of numbers that no image has.
         """
-        n = _of_image("count", real_array("count", count), 0.0)
+        n = _image_sized("count", real_array("count", count), 0.0)
         if self.is_independent:
             freedom = np.maximum(n - 3.0, 0.0)
             one = np.ones(n.shape)
             return ResidualStatistics(freedom, np.maximum(freedom, 1e-3), one, one, one)
         if size is None:
             return correlated_statistics(self._components, n, np.ones(n.shape))
-        sides = _of_image("size", shaped_array("size", size, (2,)), 1.0)
+        sides = _image_sized("size", shaped_array("size", size, (2,)), 1.0)
         n, height, width = np.broadcast_arrays(n, *np.moveaxis(sides, -1, 0))
         whole, proportions = height * width, width / height
         in_one_piece = correlated_statistics(self._components, n, proportions)
         if not (n < whole - 0.5).any():
             return in_one_piece
         full = correlated_statistics(self._components, whole, proportions)
-        return in_one_piece.or_larger(full.of_some(n, whole))
+        return in_one_piece.or_larger(full.scaled_to(n, whole))
 
     @property
     def _white(self) -> float:
@@ -301,12 +301,12 @@ class NoiseModel:
         """
         if self.formula is not None:
             raise ValueError("expected a noise model of numbers, got one of a function: make a table of it")
-        made = {
+        values = {
             f.name: getattr(self, f.name)
             for f in fields(self)
             if f.name not in ("formula", "evidence") and getattr(self, f.name) != f.default
         }
-        return made if self.samples is not None else made | {"coefficients": self.coefficients}
+        return values if self.samples is not None else values | {"coefficients": self.coefficients}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
@@ -341,21 +341,21 @@ def _bends_of(table: Floats) -> Floats:
     return np.asarray(np.clip(bends, -_MOST_BENT, _MOST_BENT))
 
 
-def _of_image(name: str, values: Floats, least: float) -> Floats:
+def _image_sized(name: str, values: Floats, least: float) -> Floats:
     """Return numbers of pixels, each of at least ``least``, and of no more than images have."""
     if not ((values >= least) & (values <= _MOST_PIXELS)).all():
         raise ValueError(f"expected {name} of {least:g} to {_MOST_PIXELS:g} pixels, got {values.tolist()}")
     return values
 
 
-def _pairs(name: str, values: Any, of: str) -> Floats:
+def _pairs(name: str, values: Any, entries: str) -> Floats:
     """(N, 2) finite numbers."""
     try:
         pairs = real_array(name, [tuple(pair) for pair in values]).reshape(len(values), 2)
     except (OverflowError, TypeError, ValueError):
         pairs = np.full((1, 2), np.nan)
     if not np.isfinite(pairs).all():
-        raise ValueError(f"expected {name} as pairs ({of}), got {values!r}")
+        raise ValueError(f"expected {name} as pairs ({entries}), got {values!r}")
     return pairs
 
 

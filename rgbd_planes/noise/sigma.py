@@ -15,25 +15,25 @@ LARGEST_NOISE = 1e60  # 1/m: the square of its square is finite, and so are sums
 
 def check_noise(sigma: Any, inverse_depth: NDArray[np.float64], *, finite: bool = True) -> NDArray[np.float64]:
     """Return standard deviations at inverse depths, one for each, as floats: 0 or more."""
-    made = for_each(sigma, inverse_depth)
-    bad = ~(made >= 0.0) | (finite & (made > LARGEST_NOISE))
+    values = for_each(sigma, inverse_depth)
+    bad = ~(values >= 0.0) | (finite & (values > LARGEST_NOISE))
     if bad.any():
         first = bad.argmax()
         raise ValueError(
             f"expected noise of 0 to {LARGEST_NOISE:g} 1/m at all inverse depths, "
-            f"got {made[first]:g} at {inverse_depth[first]:g} 1/m"
+            f"got {values[first]:g} at {inverse_depth[first]:g} 1/m"
         )
-    return made
+    return values
 
 
 def for_each(sigma: Any, inverse_depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what a function gave for inverse depths as floats, one for each; a single number counts for all."""
-    made = real_array("noise", sigma)
+    values = real_array("noise", sigma)
     try:
-        return np.broadcast_to(made, inverse_depth.shape)
+        return np.broadcast_to(values, inverse_depth.shape)
     except ValueError:
         raise ValueError(
-            f"expected noise for each inverse depth, of shape {inverse_depth.shape}, got shape {made.shape}"
+            f"expected noise for each inverse depth, of shape {inverse_depth.shape}, got shape {values.shape}"
         ) from None
 
 

@@ -47,7 +47,8 @@ def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera
         total = np.bincount(key, weight)
         some = np.flatnonzero(total)
         means = [
-            np.bincount(key, weight * of[seen])[some] / total[some] for of in (residual, camera.tan_x, camera.tan_y)
+            np.bincount(key, weight * values[seen])[some] / total[some]
+            for values in (residual, camera.tan_x, camera.tan_y)
         ]
         parts.append((planes + some // cells, some % cells, total[some], *means))
         planes += len(alpha)
@@ -99,7 +100,7 @@ def _bias(
     system = LinearOperator((3 * planes, 3 * planes), lambda v: v - shared.T @ (share * (shared @ v)), dtype=np.float64)
     bias = mean - share * (shared @ cg(system, wanted, rtol=1e-4, maxiter=_STEPS)[0])
     some = np.flatnonzero(total)
-    centre = np.stack([np.bincount(cell, weight * of, cells)[some] / total[some] for of in rays.T], axis=1)
+    centre = np.stack([np.bincount(cell, weight * values, cells)[some] / total[some] for values in rays.T], axis=1)
     root = np.sqrt(total[some])
     planar = np.linalg.lstsq(root[:, None] * centre, root * bias[some], rcond=None)[0]
     seen = np.full(cells, np.nan)

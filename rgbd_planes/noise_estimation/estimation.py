@@ -1,11 +1,11 @@
 """A sensor's noise from ordinary frames: whatever in them is flat shows it.
 
-Flat tiles of several sizes are used, and large planes. How the tiles' mean square residual changes with depth gives
-σq, how it changes with the angle off the optical axis the falloff, and with the slope of the surface the lateral
-error. How it grows with the size of the tile, and how much more the slopes of tiles differ from their surroundings'
-than independent errors would make them, says how far errors reach: under independent errors all sizes are alike, a bias
-that bends over 50 pixels shows in large tiles only, and one over hundreds of pixels in how far large planes are bent.
-How unequal the tiles are gives the spread.
+Flat tiles of several sizes are used, and large planes. How the tiles' mean square residual changes with depth gives σq.
+How it changes with the angle off the optical axis gives the falloff, and with the slope of the surface the lateral
+error. The correlation length follows from how the residual grows with the size of the tile, and from how much more the
+slopes of tiles differ from their surroundings' than independent errors would make them. Under independent errors all
+sizes are alike. A bias that bends over 50 pixels shows in large tiles only, and one over hundreds of pixels in how far
+large planes are bent. How unequal the tiles are gives the spread.
 """
 
 from __future__ import annotations
@@ -262,8 +262,8 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
     total = max(float(spread @ spread), 1e-12)
     power = float(np.clip(spread @ np.log(sigma) / total, 0.0, 2.0))
     # Of medians of logarithms of variances, which are twice those of deviations.
-    of_bins = [0.5 * 1.25 * np.std(np.log(seen / growth)[some]) / math.sqrt(len(seen[some])) for some in bins]
-    if not power > _SURE * float(np.median(of_bins)) / math.sqrt(total):
+    bin_errors = [0.5 * 1.25 * np.std(np.log(seen / growth)[some]) / math.sqrt(len(seen[some])) for some in bins]
+    if not power > _SURE * float(np.median(bin_errors)) / math.sqrt(total):
         power = 0.0  # where hardly different depths are seen, chance makes any
     farther, nearer = np.array([0.25, 0.35, 0.5, 0.7]), np.array([1.4, 2.0, 2.8, 4.0])
     along = table(
@@ -276,8 +276,8 @@ def _fit_depth(samples: Samples, known: NoiseModel) -> NoiseModel:
 def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
     """How fast noise grows away from the optical axis, fitted in turns with how it changes with depth in ``model``.
 
-    There is a falloff only if what depth leaves over grows by more than chance would make it, by the jackknife over
-    parts of the image and over frames: a few noisy surfaces towards the edge, in however many frames, make none.
+    There is a falloff only if what depth does not explain grows by more than chance would make it, by the jackknife
+    over parts of the image and over frames. A few noisy surfaces towards the edge, in however many frames, make none.
     """
     # The part of the angle that goes with depth, as on a floor, says nothing: depth may explain it as well.
     away = np.log(samples.growth(NoiseModel(falloff=1.0)))
@@ -289,16 +289,16 @@ def _fit_falloff(samples: Samples, model: NoiseModel) -> NoiseModel:
     slope = _slope(away, left)
 
     def variance(part: Any) -> float:
-        """Of the slope, from what it is without each part."""
+        """Variance of the slope by the jackknife: from the slopes without each part."""
         without = [_slope(away[part != i], left[part != i]) for i in np.unique(part)]
         return (len(without) - 1.0) * float(np.var(without))
 
     variances = [variance(frame)] if len(np.unique(frame)) >= _FRAMES else []
-    of_parts = []
+    parts = []
     for start in _STARTS:
         row, column = ((_PARTS * (i - i.min()) / (np.ptp(i) + 1) + start).astype(np.int64) for i in place)
-        of_parts.append(variance((_PARTS + 1) * row + column))
-    variances.append(sum(of_parts) / len(of_parts))
+        parts.append(variance((_PARTS + 1) * row + column))
+    variances.append(sum(parts) / len(parts))
     if not slope > _SURE * math.sqrt(max(variances)):
         return model
     for _ in range(_TURNS):
@@ -329,7 +329,7 @@ def _alone(part: tuple[float, float]) -> NoiseModel:
     return NoiseModel(correlation=(part,) if part[1] else ())
 
 
-def _of_squares(part: tuple[float, float], sizes: npt.ArrayLike, filled: Floats | float) -> ResidualStatistics:
+def _square_statistics(part: tuple[float, float], sizes: npt.ArrayLike, filled: Floats | float) -> ResidualStatistics:
     """What such errors do to squares of which this share of the pixels is measured."""
     sides = np.asarray(sizes, np.float64)
     return _alone(part).statistics(filled * sides**2, np.stack([sides, sides], axis=-1))
@@ -337,13 +337,13 @@ def _of_squares(part: tuple[float, float], sizes: npt.ArrayLike, filled: Floats 
 
 def _per_pixel(part: tuple[float, float], sizes: npt.ArrayLike, filled: Floats | float = 1.0) -> Floats:
     """Expected mean square residual of tiles of these sizes if all errors had this correlation."""
-    return np.asarray(_of_squares(part, sizes, filled).expected / (filled * np.square(sizes)))
+    return np.asarray(_square_statistics(part, sizes, filled).expected / (filled * np.square(sizes)))
 
 
 def _tilts(part: tuple[float, float], sizes: npt.NDArray[np.int64], window: int, filled: Floats) -> Floats:
     """Expected variance of slopes about those of the window that the tiles are part of."""
-    shared = (sizes / window) ** 4 * _of_squares(part, np.full(len(sizes), window), filled).tilt_x
-    return np.asarray(_of_squares(part, sizes, filled).tilt_x - shared)
+    shared = (sizes / window) ** 4 * _square_statistics(part, np.full(len(sizes), window), filled).tilt_x
+    return np.asarray(_square_statistics(part, sizes, filled).tilt_x - shared)
 
 
 def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[LargePlanes] = ()) -> NoiseModel:
@@ -352,7 +352,7 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     And from how far large planes are bent, if there are any.
 
     By least squares of errors relative to what is seen and to what chance makes of it, no share below 0. There is a
-    floor only if that brings the model nearer by more than chance would: in tiles smaller than its length little of it
+    floor only if it brings the model nearer by more than chance would. In tiles smaller than its length little of it
     shows, and to explain that little it would have to be large.
     """
     from scipy.optimize import nnls
@@ -367,8 +367,8 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
     counts = np.array([len(some.count) for some in samples.values()])
     filled = np.array([np.mean(some.count) / size**2 for size, some in samples.items()])
     freedom = [max(float(np.median(some.expected(model)[1])), _FEWEST_FREE) for some in samples.values()]
-    of_one = np.append(1.25 * np.sqrt(2.0 / np.array(freedom)), np.full(len(small), 1.0 / np.log(2.0)))
-    chance = of_one / np.sqrt(np.append(counts, counts[: len(small)]))
+    one_error = np.append(1.25 * np.sqrt(2.0 / np.array(freedom)), np.full(len(small), 1.0 / np.log(2.0)))
+    chance = one_error / np.sqrt(np.append(counts, counts[: len(small)]))
     scale = seen * np.hypot(chance, _INEXACT)
     sides, bends, planes = bends_by_side(large)
     values = np.append(values, bends)
@@ -380,16 +380,16 @@ def _fit_reach(samples: dict[int, Samples], model: NoiseModel, large: Sequence[L
         tilts = _tilts(part, small, window, filled[: len(small)])
         return np.concatenate([_per_pixel(part, sizes, filled), tilts, bent(part)])
 
-    def shared_out(of_parts: list[Floats], scale: Floats) -> tuple[float, Floats]:
+    def shared_out(parts: list[Floats], scale: Floats) -> tuple[float, Floats]:
         """Of the first values, as many as there are of the scale: how far off they are, and the shares."""
         first = slice(len(scale))
-        of_values = np.stack(of_parts, axis=1)[first]
-        shares, distance = nnls(of_values / scale[:, None], values[first] / scale, maxiter=1000)
+        explained = np.stack(parts, axis=1)[first]
+        shares, distance = nnls(explained / scale[:, None], values[first] / scale, maxiter=1000)
         return distance**2, np.asarray(shares)
 
     random_parts = [terms(part) for part in ((0.0, 0.0), *((1.0, length) for length in LENGTHS))]
-    _, of_tiles = shared_out(random_parts, scale)
-    usual = np.maximum(np.array(random_parts)[:, len(scale) :].T @ of_tiles, 3.0 / TILE**2)
+    _, tile_shares = shared_out(random_parts, scale)
+    usual = np.maximum(np.array(random_parts)[:, len(scale) :].T @ tile_shares, 3.0 / TILE**2)
     scale = np.append(scale, _chance_of_bends(bends, usual, sides, planes))
     error, shares = shared_out(random_parts, scale)
     if planes.sum() < 2 or not (bends > _BENT * usual).any():  # one may be a wall with a board before it
@@ -424,9 +424,9 @@ def _chance_of_bends(bends: Floats, usual: Floats, sides: Floats, planes: Floats
     That, of three coefficients a tile, varies little; what waves add has room for few, and varies by `_WAVES`.
     """
     tiles = np.maximum(_FILLED * (sides / TILE) ** 2, _FEWEST_TILES)
-    of_random = 1.25 * np.sqrt(2.0 / (3.0 * tiles)) * usual
-    of_waves = _WAVES * np.maximum(bends - usual, 0.0)
-    return np.hypot(np.hypot(of_random, of_waves) / np.sqrt(planes), _UNSURE * usual)
+    random_error = 1.25 * np.sqrt(2.0 / (3.0 * tiles)) * usual
+    wave_error = _WAVES * np.maximum(bends - usual, 0.0)
+    return np.hypot(np.hypot(random_error, wave_error) / np.sqrt(planes), _UNSURE * usual)
 
 
 def _fit_scale(samples: Samples, model: NoiseModel) -> NoiseModel:

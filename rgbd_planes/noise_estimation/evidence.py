@@ -32,7 +32,7 @@ class NoiseEvidence:
     sizes : (S,) int64
         Sides of tiles; then, if there are any, of squares as large as the large planes of a frame.
     residuals, expected : (S,) float64
-        Median of the root mean square residual of the flat tiles of each size, or of such planes, as a multiple of the
+        Median of the root mean square residual of the flat tiles of each size, or of large planes, as a multiple of the
         model's σq, and what the model expects.
     inverse_depth, sigma, sigma_fit : (K,) float64
         By depth: root mean square residual of the tiles of 12 pixels there, and the model's.

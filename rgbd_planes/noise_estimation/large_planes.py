@@ -44,8 +44,8 @@ class LargePlanes(NamedTuple):
     side : (K,) float64
         Side in pixels of a square as large as the rectangle in which the plane lies.
     bend : (K,) float64
-        Mean square residual beyond that of the tiles about planes of their own, in σq² of the errors without rounding
-        and the lateral error: how far the plane is from flat over more than a tile.
+        How far the plane is from flat over more than a tile: the mean square residual about it less that of its tiles
+        about theirs, in σq² of the errors without rounding and the lateral error.
     """
 
     labels: Indices
@@ -62,27 +62,30 @@ def large_planes(frames: Sequence[Any], camera: Camera, num_threads: int | None 
     wavy = replace(noise, floor=max(noise.floor, _BIAS), floor_length=max(noise.floor_length, _BIAS_LENGTH))
     fitter = TileFitter(camera.with_noise(wavy), TILE, significance=1e-3, num_threads=num_threads)
     with collected_warnings([]):  # nobody has given this noise, and of the frames others have warned
-        return [_of_frame(fitter.fit(depth), noise) for depth in frames]
+        return [_frame_planes(fitter.fit(depth), noise) for depth in frames]
 
 
 def bends_by_side(large: Sequence[LargePlanes]) -> tuple[Floats, Floats, Floats]:
     """Medians of ``side`` and of ``bend`` of planes of similar sides, and the numbers of these planes."""
-    side, bend = np.concatenate([np.empty((2, 0)), *((of.side, of.bend) for of in large)], axis=1)
+    side, bend = np.concatenate([np.empty((2, 0)), *((values.side, values.bend) for values in large)], axis=1)
     bins = [some for some in bins_of(side, _ENOUGH) if len(some)]
-    sides, bends = ([float(np.median(of[some])) for some in bins] for of in (side, bend))
+    sides, bends = ([float(np.median(values[some])) for some in bins] for values in (side, bend))
     return np.array(sides), np.array(bends), np.array([len(some) for some in bins], np.float64)
 
 
-def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
+def _frame_planes(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     """Find the large planes among a frame's tiles."""
     labels = _connected(tiles, replace(noise, floor=0.0))
     merged = merge(tiles, labels)
     # Links from tile to tile can lead around a bend: tiles that are not on the common plane are left out.
     on_plane = labels > 0
-    of = labels[on_plane] - 1
+    values = labels[on_plane] - 1
     on_plane[on_plane] = (
         same_plane(
-            tiles.alpha[on_plane], tiles.alpha_covariance[on_plane], merged.alpha[of], merged.alpha_covariance[of]
+            tiles.alpha[on_plane],
+            tiles.alpha_covariance[on_plane],
+            merged.alpha[values],
+            merged.alpha_covariance[values],
         )
         > 1e-3
     )
@@ -99,11 +102,11 @@ def _of_frame(tiles: TilePlanes, noise: NoiseModel) -> LargePlanes:
     a, b, c = merged.alpha[number].T
     off = (q - (a * u + b * v + c)) / np.sqrt(variance)
     for k in np.flatnonzero(large):
-        of_tiles = np.full(labels.shape, np.nan)
-        of_tiles[on_plane] = np.where(number == k, off, np.nan)
-        large[k] = not _is_in_two(of_tiles)
+        tile_offsets = np.full(labels.shape, np.nan)
+        tile_offsets[on_plane] = np.where(number == k, off, np.nan)
+        large[k] = not _is_in_two(tile_offsets)
     squares = (count * variance, count * tiles.rmse[on_plane] ** 2, noise._rounding(q))
-    along, within, rounding = (np.bincount(number, of, len(many)) for of in squares)
+    along, within, rounding = (np.bincount(number, values, len(many)) for values in squares)
     lateral = noise.lateral**2 * slope_square(merged.alpha, tiles.camera, merged._footprint)
     # Each tile's own three coefficients absorb as much of the independent errors.
     independent = 3.0 * (1.0 - 1.0 / np.maximum(many, 1)) * (rounding + many * lateral)
@@ -140,8 +143,8 @@ def _is_in_two(off: Floats) -> bool:
 def _connected(tiles: TilePlanes, random: NoiseModel) -> Indices:
     """Label, from 1, flat tiles that neighbours link to one plane; 0 elsewhere.
 
-    Neighbours may differ as biased ones do, but hardly more than by their ``random`` errors: a wave of the sensor is
-    smooth, where a board begins its tiles step aside.
+    Neighbours may differ as biased tiles do, but hardly more than by their ``random`` errors. A wave of the sensor is
+    smooth; where a board begins, its tiles step aside.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -93,13 +93,13 @@ class Samples:
         # Slopes of small tiles are noisy themselves, and larger where the residual is: those of windows are taken.
         place = frame, row, column = np.nonzero(chosen)
         alpha = planes.alpha[place]
-        of_window = alpha
+        window_alpha = alpha
         if size < windows.tile[0]:
             side = windows.tile[0]
-            of_window = windows.alpha[frame, row * size // side, column * size // side]
+            window_alpha = windows.alpha[frame, row * size // side, column * size // side]
         # Independent errors of variance 1 make its mean 1, less what the window shares of them.
         n, s_u, s_v, _, s_uu, s_uv, _, s_vv, *_ = planes._moments[frame, :, row, column].T
-        tilt_x, tilt_y = (alpha - of_window)[:, :2].T
+        tilt_x, tilt_y = (alpha - window_alpha)[:, :2].T
         tilt_square = 0.5 * (
             (s_uu - s_u * s_u / n) * tilt_x**2
             + 2.0 * (s_uv - s_u * s_v / n) * tilt_x * tilt_y
@@ -109,7 +109,7 @@ class Samples:
         depths = np.maximum(alpha[:, 0] * rays[0] + alpha[:, 1] * rays[1] + alpha[:, 2], 0.0)
         return cls(
             q[chosen],
-            slope_square(of_window, planes.camera, planes._footprint[row * columns + column]),
+            slope_square(window_alpha, planes.camera, planes._footprint[row * columns + column]),
             tilt_square,
             windows.tile[0],
             rss[chosen],
@@ -199,15 +199,15 @@ def flat_windows(
 ) -> npt.NDArray[np.bool_]:
     """Windows that are no rougher as a whole than their parts are.
 
-    The residual of the window is compared with the median of those of the small tiles in it: the usual ratio, that of
-    the sensor's errors, is the commonest, and smaller ones, which no shape makes, tell how far it varies. So no
-    surface that makes more noise than others is missed, and no bent one taken for flat. Windows far rougher than usual,
-    clutter, are left out. For larger windows clutter may be the usual case: ``flat_parts`` says which windows of
-    `WINDOW` pixels are flat, and only windows whose parts are all flat are considered.
+    The residual of the window is compared with the median residual of the small tiles in it. The commonest ratio is due
+    to the sensor's errors. No shape makes a smaller one: these tell how far it varies. So no surface that makes more
+    noise than others is missed, and no bent one taken for flat. Windows far rougher than usual, clutter, are left out.
+    Most larger windows may hold clutter. ``flat_parts`` says which windows of `WINDOW` pixels are flat, and only
+    windows whose parts are all flat are considered.
     """
     _, rows, columns = planes.shape
     window = planes.tile[0]
-    inside = _of_parts(planes, small)
+    inside = _part_residuals(planes, small)
     good = planes.fitted & (planes.valid_count >= (1.0 - most_missing) * window * window)
     good &= (planes.tile_heights == window)[:, None] & (planes.tile_widths == window)
     good &= _varied(planes)
@@ -231,7 +231,7 @@ def flat_windows(
 
 def unevenness(planes: TilePlanes, small: TilePlanes, flat: npt.NDArray[np.bool_]) -> float:
     """Median over flat windows of the median over the smallest residual of their parts."""
-    inside = np.sort(_of_parts(planes, small)[flat], axis=1)
+    inside = np.sort(_part_residuals(planes, small)[flat], axis=1)
     inside = inside[inside[:, 0] > 0.0]  # without those whose residual rounding leaves at zero
     return float(np.median(inside[:, inside.shape[1] // 2] / inside[:, 0])) if len(inside) else 1.0
 
@@ -258,7 +258,7 @@ def outlying(frames: Sequence[Any], planes: TilePlanes, flat: npt.NDArray[np.boo
     return float(np.median(ratios)) if ratios else 1.0
 
 
-def _of_parts(planes: TilePlanes, small: TilePlanes) -> Floats:
+def _part_residuals(planes: TilePlanes, small: TilePlanes) -> Floats:
     """(F, R, C, N): the residuals of the N small tiles in each window, NaN where one has no plane."""
     frames, rows, columns = planes.shape
     parts = planes.tile[0] // small.tile[0]

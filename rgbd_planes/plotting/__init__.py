@@ -1,1 +1,1 @@
-"""Figures of results, by matplotlib."""
+"""Figures of anything with planes and a status, by matplotlib. Uses `camera` and what is below it, no results."""

@@ -68,16 +68,16 @@ def plot_quadtree(
     counts = {status: int(np.count_nonzero(elements.status == status)) for status in OUTLINES}
     points = _PANEL_POINTS / elements.camera.width  # of a pixel on paper
     for status, colour in OUTLINES.items():
-        of_status = elements.windows[elements.status == status]
+        windows = elements.windows[elements.status == status]
         widest = 0.9 if status == TileStatus.OK else 1.4
         # Thinner around small squares, which lines would hide, and inset by half a line and as much between neighbours.
-        lines = np.minimum(widest, 0.06 * points * of_status[:, 3])
+        lines = np.minimum(widest, 0.06 * points * windows[:, 3])
         inset = lines / points
         panels[1].add_collection(
             PatchCollection(
                 [
                     Rectangle((left - 0.5 + by, top - 0.5 + by), across - 2.0 * by, down - 2.0 * by)
-                    for (top, left, down, across), by in zip(of_status, inset, strict=True)
+                    for (top, left, down, across), by in zip(windows, inset, strict=True)
                 ],
                 facecolor="none",
                 edgecolor=colour,

@@ -1,1 +1,1 @@
-"""Find the planes of a frame, and follow them through a video."""
+"""The planes of a frame, and of a video. Uses `fitting` and what is below it."""

@@ -30,11 +30,11 @@ class Motion(NamedTuple):
     rotation: Floats = np.eye(3)
     step: Floats = np.zeros(3)
 
-    def of_points(self, points: Floats) -> Floats:
+    def move_points(self, points: Floats) -> Floats:
         """Return points, (P, 3)."""
         return points @ self.rotation.T + self.step
 
-    def of_planes(self, planes: Floats) -> Floats:
+    def move_planes(self, planes: Floats) -> Floats:
         """Return planes, (K, 4)."""
         normals = planes[:, :3] @ self.rotation.T
         return np.column_stack([normals, planes[:, 3] - normals @ self.step])
@@ -55,19 +55,19 @@ def camera_motion(before: Floats, now: Floats, weights: Floats) -> Motion:
     weights : (K,) float64
         Above 0.
     """
-    kept = np.ones(len(weights), np.bool_)
+    inliers = np.ones(len(weights), np.bool_)
     weights = weights / weights.sum()
     motion = Motion()
     for _ in range(ROUNDS):
-        motion = _motion_of(before, now, weights * kept)
-        moved = motion.of_planes(before)
+        motion = _motion_of(before, now, weights * inliers)
+        moved = motion.move_planes(before)
         angle = np.degrees(np.arccos(np.clip(np.sum(moved[:, :3] * now[:, :3], axis=1), -1.0, 1.0)))
         share = np.abs(moved[:, 3] / now[:, 3] - 1.0)
         inlying = angle <= max(LEAST_ANGLE, OUTLYING * np.median(angle))
         inlying &= share <= max(LEAST_SHARE, OUTLYING * np.median(share))
-        if not inlying.any() or (inlying == kept).all():
+        if not inlying.any() or (inlying == inliers).all():
             break
-        kept = inlying
+        inliers = inlying
     return motion
 
 

@@ -55,7 +55,7 @@ class Points(NamedTuple):
         """Return those points."""
         return Points(self.xyz[chosen], self.of[chosen], self.squares[chosen], self.unseen[chosen])
 
-    def of_planes(self, place: NDArray[Any]) -> Points:
+    def renumbered(self, place: NDArray[Any]) -> Points:
         """Return the points with other numbers for their planes."""
         return self._replace(of=place[self.of])
 
@@ -63,16 +63,16 @@ class Points(NamedTuple):
 def thin(counts: Indices) -> tuple[Indices, Floats]:
     """Which to keep of so many of each plane, plane by plane, and how many each of these stands for.
 
-    One of each so many that follow one another, by chance: every n-th of what is read row by row would be in a few
-    columns only where n and the width of a plane have a common divisor, and at the same places of its rim in each
+    One of each run of pixels that follow one another, picked at random. Every n-th pixel, row by row, would lie in a
+    few columns only where n and the width of a plane have a common divisor, and at the same places of its rim in each
     frame. The same counts give the same.
     """
     numbers = -(-counts // np.maximum(counts // POINTS, 1))
-    of_each = np.repeat(counts / np.maximum(numbers, 1), numbers)
-    first, place = (np.repeat(np.cumsum(of) - of, numbers) for of in (counts, numbers))
+    shares = np.repeat(counts / np.maximum(numbers, 1), numbers)
+    first, place = (np.repeat(np.cumsum(each) - each, numbers) for each in (counts, numbers))
     # In double precision a place and what chance adds might round up to the next.
     chance = np.random.default_rng(counts @ counts).random(len(place), np.float32)
-    return first + ((np.arange(len(place)) - place + chance) * of_each).astype(np.intp), of_each
+    return first + ((np.arange(len(place)) - place + chance) * shares).astype(np.intp), shares
 
 
 class KnownPlanes(NamedTuple):
@@ -86,8 +86,8 @@ class KnownPlanes(NamedTuple):
 
     def moved(self, motion: Motion) -> KnownPlanes:
         """Return them as the camera sees them when it has moved."""
-        points = self.points._replace(xyz=motion.of_points(self.points.xyz))
-        return self._replace(planes=motion.of_planes(self.planes), points=points)
+        points = self.points._replace(xyz=motion.move_points(self.points.xyz))
+        return self._replace(planes=motion.move_planes(self.planes), points=points)
 
     def largest(self) -> KnownPlanes:
         """Return the LARGEST, of those that were seen lately rather than of others."""
@@ -95,7 +95,7 @@ class KnownPlanes(NamedTuple):
         chosen = np.sort(np.argsort(-squares, kind="stable")[:LARGEST])
         place = np.full(len(self.ids), -1)
         place[chosen] = np.arange(len(chosen))
-        points = self.points.some(np.flatnonzero(place[self.points.of] >= 0)).of_planes(place)
+        points = self.points.some(np.flatnonzero(place[self.points.of] >= 0)).renumbered(place)
         return KnownPlanes(self.ids[chosen], self.planes[chosen], self.seen[chosen], self.missed[chosen], points)
 
 
@@ -114,8 +114,8 @@ class View(NamedTuple):
         labels = found.labels[::2, ::2].astype(np.intp)
         for row, column in ((0, 1), (1, 0), (1, 1)):
             other = found.labels[row::2, column::2]
-            own = labels[: other.shape[0], : other.shape[1]]
-            np.copyto(own, other, where=own == 0)
+            first_label = labels[: other.shape[0], : other.shape[1]]
+            np.copyto(first_label, other, where=first_label == 0)
         sizes = np.bincount(labels.ravel(), minlength=len(found) + 1)
         return cls(found, labels, sizes, *(tangent[::2, ::2] for tangent in ray_tables(found.camera)))
 
@@ -142,14 +142,14 @@ class View(NamedTuple):
         labels = self.labels.ravel()
         # NumPy sorts integers of up to 16 bits by their digits, which takes a fifth of the time.
         by_label = np.argsort(labels.astype(np.min_scalar_type(len(self.found))), kind="stable")
-        kept, of_each = thin(self.sizes[1:])
-        places = by_label[self.sizes[0] + kept]
+        chosen, shares = thin(self.sizes[1:])
+        places = by_label[self.sizes[0] + chosen]
         row, column = np.divmod(places, self.labels.shape[1])
         label = labels[places]
         q = self.inverse_depth(label, row, column)
         rays = np.column_stack([self.tan_x[row, column], self.tan_y[row, column], np.ones(len(row))])
         with np.errstate(divide="ignore"):
-            points = Points(rays / q[:, None], label - 1, of_each, np.zeros(len(label), np.intp))
+            points = Points(rays / q[:, None], label - 1, shares, np.zeros(len(label), np.intp))
         return points.some(np.flatnonzero(q > 0.0))
 
 
@@ -231,8 +231,8 @@ def same_planes(
     pairs = known.points.of[seen] * count + labels[row, column]
 
     def sums(values: Floats | float) -> Floats:
-        made = np.bincount(pairs, values * squares_of, len(known.ids) * count)
-        return np.asarray(made.reshape(-1, count)[:, 1:])
+        totals = np.bincount(pairs, values * squares_of, len(known.ids) * count)
+        return np.asarray(totals.reshape(-1, count)[:, 1:])
 
     shared = sums(1.0)
     rows, columns = np.nonzero(shared)
@@ -255,8 +255,8 @@ def same_planes(
     first, second = linear_sum_assignment(table, maximize=True)
     chosen = np.flatnonzero(table[first, second] > 0.0)
     first, second = first[chosen], second[chosen]
-    of_pairs = shared[first, second]
-    return Matches(first, second, of_pairs, float(of_pairs.sum() / max(shared.sum(), 1.0)))
+    pair_squares = shared[first, second]
+    return Matches(first, second, pair_squares, float(pair_squares.sum() / max(shared.sum(), 1.0)))
 
 
 def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int) -> KnownPlanes:
@@ -274,18 +274,18 @@ def remember(known: KnownPlanes, view: View, ids: NDArray[np.int32], memory: int
     planes, (seen, missed) = np.empty((len(every), 4)), np.zeros((2, len(every)), np.intp)
     planes[place[there]] = view.found.planes[there]
     planes[place_before[lost]] = known.planes[lost]
-    for kept in (again, lost):
-        seen[place_before[kept]] = known.seen[kept]
+    for chosen_ids in (again, lost):
+        seen[place_before[chosen_ids]] = known.seen[chosen_ids]
     seen[place[there]] += 1
     missed[place_before[lost]] = known.missed[lost] + 1
     old = known.points
     hidden = old.some(np.flatnonzero((label[old.of] > 0) & (old.unseen < memory)))
     hidden = hidden.some(np.flatnonzero(_is_hidden(hidden, label[hidden.of], view)))
-    chosen, of_each = thin(np.bincount(hidden.of, minlength=len(known.ids)))
+    chosen, shares = thin(np.bincount(hidden.of, minlength=len(known.ids)))
     hidden = hidden.some(chosen)
-    hidden = hidden._replace(squares=hidden.squares * of_each, unseen=hidden.unseen + 1)
+    hidden = hidden._replace(squares=hidden.squares * shares, unseen=hidden.unseen + 1)
     out_of_sight = old.some(np.flatnonzero(is_lost[old.of]))
-    parts = points.of_planes(place), hidden.of_planes(place_before), out_of_sight.of_planes(place_before)
+    parts = points.renumbered(place), hidden.renumbered(place_before), out_of_sight.renumbered(place_before)
     together = Points(*(np.concatenate(values) for values in zip(*parts, strict=True)))
     return KnownPlanes(every, planes, seen, missed, together.some(np.argsort(together.of, kind="stable")))
 

@@ -72,7 +72,7 @@ class PlanePolygon:
     def area(self) -> float:
         """Square metres, holes left out; missing pixels inside the outline count.
 
-        Where a plane is seen nearly edge-on, close to its horizon, one pixel is many square metres: the area then
+        Where a plane is seen nearly edge-on, close to its horizon, one pixel is many square metres. The area then
         follows from few pixels, and may be far off.
         """
         return float(self.metric.area)
@@ -182,10 +182,10 @@ def plane_polygons(
     segmentation : Segmentation or LabelPlanes
         Of the latter, the result of `fit_labels`, all pixels without a label count as missing.
     tolerance : float
-        How far, in pixels, a simplified outline may be from the outline of the pixels, or, at one corner of a ring,
-        twice as far; in the plane, if a lens distorts, by a quarter of it more. Outlines of neighbours, each simplified
-        by itself, may overlap by as much. 0 keeps every corner; where an edge steps aside at every pixel, its line
-        passes through the middles of the pixels' sides.
+        How far, in pixels, a simplified outline may be from the outline of the pixels. At one corner of a ring it may
+        be twice as far, and in the plane a quarter more if a lens distorts. Outlines of neighbours, each simplified by
+        itself, may overlap by as much. 0 keeps every corner; where an edge steps aside at every pixel, its line passes
+        through the middles of the pixels' sides.
     min_part : float
         Parts and holes of fewer pixels are left out, unless nothing else is left of the plane. A missing pixel counts
         as the plane's if every square of that many pixels around it contains one of the plane's.
@@ -294,8 +294,8 @@ def _outline(mask: NDArray[np.bool_], left: int, top: int, tolerance: float, min
     if not parts:
         return shapely.MultiPolygon()
     areas = np.array([polygon(rings).area for rings in parts])
-    kept = np.flatnonzero(areas >= least) if areas.max() >= least else [areas.argmax()]
-    outline = shapely.MultiPolygon([polygon([_with_corners(ring) for ring in parts[i]]) for i in kept])
+    chosen = np.flatnonzero(areas >= least) if areas.max() >= least else [areas.argmax()]
+    outline = shapely.MultiPolygon([polygon([_with_corners(ring) for ring in parts[i]]) for i in chosen])
     return _simplified(outline, tolerance) if tolerance > 0.0 else _multi(outline, outline)
 
 

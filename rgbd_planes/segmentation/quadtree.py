@@ -100,7 +100,7 @@ class QuadtreeSegmentation:
         return quadtree_html(self)
 
     def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
-        """Draw the depth, and the elements as the paper does; see `plotting.quadtree.plot_quadtree`.
+        """Draw the depth, and the elements as the paper does.
 
         Parameters
         ----------
@@ -120,8 +120,17 @@ class QuadtreeFitter(FixedArguments):
 
     Parameters
     ----------
-    camera, tile, method, max_subdivisions, max_error, max_missing
-        As in `segment_quadtree`.
+    camera : Camera
+    tile : int
+        Width and height of the grid's squares in pixels.
+    method : str
+        A method of `fit_tiles`.
+    max_subdivisions : int
+        How often a square may be split.
+    max_error : float
+        Residual in metres along the normal above which a square is split.
+    max_missing : float
+        Share of missing pixels above which a square is dropped.
     implementation : {"direct", "integral"}
         Where an element's moments come from: those of the finest tiles, added up, or summed-area tables.
     """
@@ -262,8 +271,8 @@ def segment_quadtree(
     """Segment a frame as the paper does: a grid of squares, split where not flat, then k-means.
 
     Each square is fitted. Where the residual is too large, or the pixels determine no plane, the square is split into
-    four, whose moments are sums of finer tiles': no pixel is read twice. Squares with too many missing pixels are
-    dropped. K-means on the plane coefficients then labels similar planes.
+    four. Their moments are sums of the moments of finer tiles, so that no pixel is read twice. Squares with too many
+    missing pixels are dropped. K-means on the plane coefficients then labels similar planes.
 
     Parameters
     ----------
@@ -274,13 +283,15 @@ def segment_quadtree(
     tile : int
         Width and height of the grid's squares in pixels.
     method : str
-        As in `fit_tiles`.
+        ``range_explicit``, ``range_implicit``, ``standard_explicit``, ``standard_implicit`` or ``standard_pca``:
+        `fit_tiles` explains them.
     max_subdivisions : int
         How often a square may be split; ``tile`` must be 2**max_subdivisions times a whole number of at least
         2 pixels.
     max_error : float
-        Residual in metres along the normal (``rmse_metric``) above which a square is split: larger than the sensor's
-        noise at the farthest surface, which is 30 mm for a Kinect v1 at 4.6 m. The camera's noise model plays no part.
+        Residual in metres along the normal (``rmse_metric``) above which a square is split. It must be larger than the
+        sensor's noise at the farthest surface, which is 30 mm for a Kinect v1 at 4.6 m. The camera's noise model plays
+        no part.
     max_missing : float
         Share of missing pixels above which a square is dropped.
     clusters : int
@@ -296,18 +307,18 @@ def segment_quadtree(
     Raises
     ------
     TypeError, ValueError
-        For an argument that cannot be used, saying what was expected and what came.
+        An argument cannot be used: the message says what was expected and what came.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
 
     Notes
     -----
-    The distance of k-means is that of (nx, ny, nz, d / D) with D the median depth of the fitted squares: turning a
-    plane by a small angle, and moving it by that angle times the typical depth, are equal distances. Each square counts
-    by its area, one that is cut at the frame's border by that of a whole one.
+    K-means works on (nx, ny, nz, d / D), with D the median depth of the fitted squares. So turning a plane by a small
+    angle counts as much as moving it by that angle times the typical depth. Each square counts by its area; a square
+    that is cut at the frame's border counts as a whole one.
 
     Papadakis and Willis 2017, section "Planar Segmentation Application".
     """

@@ -31,28 +31,32 @@ class Segmentation(Savable):
     planes : (N, 4) float64
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
-        -n / d, in 1/m: q = α·(tanθx, tanθy, 1), the least squares fit to the pixels of the label whose measured
-        neighbours, of eight, have it too: at an edge a pixel may see both sides, or be the other's. Where those are
-        less than half, it is the fit to all pixels of the label. Strays that took their neighbours' label in the end
-        are in no fit, and nor are the pixels beside them.
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1). It is the least squares fit to the label's interior pixels, all of
+        whose eight measured neighbours have the label, too: at an edge a pixel may see both sides. Where fewer than
+        half are interior, it is the fit to all pixels of the label. Strays that took their neighbours' label in the end
+        are in no fit, and neither are the pixels beside them.
     alpha_covariance : (N, 3, 3) float64
-        Of α, in 1/m². With a noise model it is that of `fit_labels` for the pixels of the fit, or as much more as their
-        residual is larger than by the model, if the model says what errors neighbours share, or the frame shows none:
-        squares of 16 to 64 pixels within its planes show what chance makes of independent errors in 99 frames of a
-        hundred, or are too few to tell. Otherwise, and without a model, it comes from the residual or the frame's
-        noise, whichever is larger, and as many independent pixels as flat squares show. The frame's noise counts as no
-        less than 0.04 % of 1/Z, and chance and edges pass for errors that reach far. So where errors are independent,
-        covariances without a model are too large, in single frames many times. Where errors reach farther than the
-        squares show, as those of most sensors do, they are too small.
+        Of α, in 1/m². With a noise model it is the covariance that `fit_labels` gives for the pixels of the fit, or
+        more by as much as their residual exceeds the model's. That holds if the model says what errors neighbours
+        share, or if the frame shows no such errors. Otherwise, and without a model, it follows from the residual or the
+        frame's noise, whichever is larger, and from as many independent pixels as flat squares show.
     sizes : (N,) int32
         Pixels.
     rmse : (N,) float64
-        Root mean square residual in inverse depth, 1/m, of the pixels of the fit. How often a noise model explains as
-        much tells ``fit_labels(depth, camera, labels).p_value``, of all pixels of each label.
+        Root mean square residual in inverse depth, 1/m, of the pixels of the fit. Whether a noise model explains it is
+        what ``fit_labels(depth, camera, labels).p_value`` says, of all pixels of each label.
     reason : (H, W) uint8
         `Reason`.
     sigma : float
         Typical standard deviation of the frame's inverse depth, 1/m.
+
+    Notes
+    -----
+    A frame shows no shared errors if squares of 16 to 64 pixels within its planes differ as independent errors make
+    them differ in 99 frames of a hundred, or are too few to tell. The frame's noise counts as no less than 0.04 % of
+    1/Z, and chance and edges pass for errors that reach far. So where errors are independent, covariances without a
+    model are too large, in single frames many times. Where errors reach farther than the squares show, as the errors of
+    most sensors do, they are too small.
     """
 
     camera: Camera
@@ -94,8 +98,8 @@ class Segmentation(Savable):
     def rmse_metric(self) -> Floats:
         """(N,) float64: `rmse` in metres along the normal, d·Z̄·rmse, to first order.
 
-        At the plane's mean inverse depth: for a plane that spans a range of depths, like a long floor, it is smaller
-        than the root mean square of the points' distances, which grow with depth.
+        It holds at the plane's mean inverse depth. For a plane that spans a range of depths, like a long floor, it is
+        smaller than the root mean square of the points' distances, which grow with depth.
         """
         return self.planes[:, 3] * self.mean_depth * self.rmse
 
@@ -130,10 +134,10 @@ class Segmentation(Savable):
     def offset_std(self) -> Floats:
         """(N,) float64, metres: standard deviation of d.
 
-        That is the distance of the camera from the plane extended up to it, which the tilt of a small plane moves far
-        more than its surface: for the surface's own uncertainty at a point use `uncertainty.point_distance`.
+        d is the distance of the camera from the plane extended up to it. The tilt of a small plane moves it far more
+        than the surface itself. The uncertainty of the surface at a point is what `uncertainty.point_distance` gives.
         The mean of d is smaller than the true one, by d·θ²/2 - σd²/d where θ is `angle_std` in radians, since normals
-        err to all sides; most of all of small planes that face the camera.
+        err to all sides. That matters most for small planes that face the camera.
         """
         return np.sqrt(self.plane_covariance[:, 3, 3])
 
@@ -200,7 +204,7 @@ class Segmentation(Savable):
         return {**values, "sigma": float(values["sigma"])}
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
-        """Draw the planes in colours over the relief of the depth; see `plotting.segments.plot_segments`.
+        """Draw the planes in colours over the relief of the depth.
 
         Parameters
         ----------
@@ -224,8 +228,8 @@ def boxes_of(labels: NDArray[np.int32], count: int) -> list[tuple[slice, slice]]
 
 def no_segmentation(given: Any, expected: str = "a Segmentation") -> TypeError:
     """The error for something else, which says where one is."""
-    own = ": its .segmentation is one" if isinstance(getattr(given, "segmentation", None), Segmentation) else ""
-    return TypeError(f"expected {expected}, got {type(given).__name__}{own}")
+    hint = ": its .segmentation is one" if isinstance(getattr(given, "segmentation", None), Segmentation) else ""
+    return TypeError(f"expected {expected}, got {type(given).__name__}{hint}")
 
 
 def _allocate(camera: Camera, count: int) -> dict[str, NDArray[Any]]:

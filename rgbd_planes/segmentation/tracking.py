@@ -84,21 +84,23 @@ def segment_sequence(
 
     The largest planes tell how the camera has moved since the last frame, and so where the earlier ones should be. Each
     plane is identified with the one that it shares most pixels with, if the two are nearly the same plane. So the
-    camera may move as long as it sees much of the same planes again, and a plane that was covered, out of the image or
-    lost for a while comes back under its old id. Where hardly any is seen again, as after a cut or in a frame of
-    another camera, planes are new unless they are just where one was, and those before are remembered as they were.
+    camera may move as long as it sees much of the same planes again. A plane that was covered, out of the image or lost
+    for a while comes back under its old id. Where hardly any is seen again, as after a cut or in a frame of another
+    camera, planes are new unless they are just where one was. The earlier ones are remembered as they were.
 
     Parameters
     ----------
     frames : iterable of (H, W) array_like, or of Frame
-        Read one at a time; see `segment`. A sequence of `open_sequence` gives frames with their cameras.
+        Depth frames, read one at a time. A sequence of `open_sequence` gives frames with their cameras.
     camera : Camera, optional
-        Of all frames; that of a frame which brings its own must have the same rays and unit. Without it, each frame
-        must bring its own.
-    noise, min_size
-        See `segment`.
+        The camera of all frames. A `Frame`'s camera must have the same rays and unit. Without it, each frame must be a
+        `Frame`.
+    noise : float, function or NoiseModel, optional
+        Standard deviation of inverse depth in 1/m. By default the frame tells it, or the camera's noise model.
+    min_size : int
+        Pixels that a plane must have.
     memory : int
-        For how many frames a plane that is out of sight is remembered, and what is covered of one in sight.
+        For how many frames a plane that is out of sight is remembered, and the covered part of a plane in sight.
 
     Returns
     -------
@@ -108,15 +110,16 @@ def segment_sequence(
     Raises
     ------
     TypeError, ValueError
-        As `segment`: at once for an invalid argument, and for a frame when it is that frame's turn; no more come then.
+        An argument cannot be used: at once. Or a frame cannot be used: when it is that frame's turn, and no more come
+        then.
     """
     check_settings(camera, noise, min_size)
     tracker = PlaneTracker(memory)
 
     def follow(number: int, frame: Any) -> TrackedSegmentation:
-        own = _camera_of(frame) if camera is None else camera
-        given, least = check_settings(own, noise, min_size)
-        return tracker.follow(segment_frame(as_numbered_frame(number, frame, own), own, given, least))
+        its_camera = _camera_of(frame) if camera is None else camera
+        given, least = check_settings(its_camera, noise, min_size)
+        return tracker.follow(segment_frame(as_numbered_frame(number, frame, its_camera), its_camera, given, least))
 
     return (follow(number, frame) for number, frame in enumerate(each_of(frames)))
 
@@ -133,7 +136,7 @@ class PlaneTracker(FixedArguments):
     Parameters
     ----------
     memory : int
-        See `segment_sequence`.
+        For how many frames a plane that is out of sight is remembered, and the covered part of a plane in sight.
 
     Raises
     ------

@@ -20,7 +20,7 @@ _LEAST_SHARE = 1e-8  # of what is summed up to a window, the window's own: more 
 
 def growth_of_pixels(camera: Camera) -> Floats:
     """(H, W) float64: the variance of q before rounding, as a multiple of that on the axis; (0, 1) without falloff."""
-    return _of_pixels(camera) if _grows(camera) else EVEN[0, :, None]
+    return _pixel_growth(camera) if _grows(camera) else EVEN[0, :, None]
 
 
 def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
@@ -29,7 +29,7 @@ def growth_of_parts(camera: Camera, footprint: npt.NDArray[np.int64]) -> Floats:
     ``footprint`` is that of `ray_pitch.pitch_square`. Over pixels that the lens has a ray for; 1 and 0 where there are
     none. (2, 0) without falloff.
     """
-    return _of_parts(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
+    return _part_growth(camera, np.ascontiguousarray(footprint).tobytes()) if _grows(camera) else EVEN
 
 
 def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
@@ -51,7 +51,7 @@ def growth_of_windows(camera: Camera, windows: npt.NDArray[np.int64]) -> Floats:
 
 def growth_of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
     """`growth_of_windows` for all tiles of a grid."""
-    return _of_tiles(camera, tile) if _grows(camera) else EVEN
+    return _tile_growth(camera, tile) if _grows(camera) else EVEN
 
 
 def _grows(camera: Camera) -> bool:
@@ -59,33 +59,33 @@ def _grows(camera: Camera) -> bool:
 
 
 @functools.lru_cache(maxsize=2)
-def _of_pixels(camera: Camera) -> Floats:
+def _pixel_growth(camera: Camera) -> Floats:
     assert camera.noise is not None
-    made = camera.noise._growth(camera.tan_x, camera.tan_y)
-    made.flags.writeable = False
-    return made
+    growth = camera.noise._growth(camera.tan_x, camera.tan_y)
+    growth.flags.writeable = False
+    return growth
 
 
 @functools.lru_cache(maxsize=8)
-def _of_parts(camera: Camera, footprint: bytes) -> Floats:
+def _part_growth(camera: Camera, footprint: bytes) -> Floats:
     parts = np.frombuffer(footprint, np.int64).reshape(-1, 5)
-    return _mean_and_spread(*means_over(_of_seen(camera), parts))
+    return _mean_and_spread(*means_over(_seen_growth(camera), parts))
 
 
 @functools.lru_cache(maxsize=8)
-def _of_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
+def _tile_growth(camera: Camera, tile: tuple[int, int]) -> Floats:
     rows, columns = (np.arange(0, length, side) for length, side in zip(camera.shape, tile, strict=True))
-    sums = np.add.reduceat(np.add.reduceat(_of_seen(camera), rows, axis=1), columns, axis=2)
+    sums = np.add.reduceat(np.add.reduceat(_seen_growth(camera), rows, axis=1), columns, axis=2)
     return _mean_and_spread(*sums.reshape(len(sums), -1))
 
 
 @functools.lru_cache(maxsize=2)
 def _summed(camera: Camera) -> Floats:
-    """(4, H + 1, W + 1): summed-area tables of `_of_seen`."""
-    return np.pad(_of_seen(camera).cumsum(axis=1).cumsum(axis=2), ((0, 0), (1, 0), (1, 0)))
+    """(4, H + 1, W + 1): summed-area tables of `_seen_growth`."""
+    return np.pad(_seen_growth(camera).cumsum(axis=1).cumsum(axis=2), ((0, 0), (1, 0), (1, 0)))
 
 
-def _of_seen(camera: Camera) -> Floats:
+def _seen_growth(camera: Camera) -> Floats:
     """(4, H, W): growth, its logarithm and the square of that, and 1; 0 where a fisheye lens has no ray."""
     growth, without_ray = growth_of_pixels(camera), camera._without_ray
     seen = np.ones(growth.shape) if without_ray is None else (~without_ray).astype(np.float64)
@@ -95,6 +95,6 @@ def _of_seen(camera: Camera) -> Floats:
 
 def _mean_and_spread(*sums: Floats) -> Floats:
     mean, logarithm, square = np.divide(sums[:3], sums[3], out=np.zeros((3, *sums[0].shape)), where=sums[3] > 0.0)
-    made: Floats = np.stack([np.where(sums[3] > 0.0, mean, 1.0), square - logarithm**2])
-    made.flags.writeable = False
-    return made
+    result: Floats = np.stack([np.where(sums[3] > 0.0, mean, 1.0), square - logarithm**2])
+    result.flags.writeable = False
+    return result

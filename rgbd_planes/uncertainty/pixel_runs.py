@@ -34,13 +34,13 @@ def runs_of_windows(windows: npt.NDArray[np.int64], counts: npt.NDArray[np.int32
     first = np.concatenate([[0], np.cumsum(lines)])
     row = np.arange(len(which)) - first[which] + top[which]
     share = (counts / (height * width))[which]
-    row, start, stop = (of.astype(np.int32) for of in (row, left[which], (left + width)[which]))
+    row, start, stop = (each.astype(np.int32) for each in (row, left[which], (left + width)[which]))
     return PixelRuns(first, row, start, stop, share)
 
 
 def joined(runs: PixelRuns, labels: npt.NDArray[np.int32], count: int) -> PixelRuns:
     """The runs of ``count`` unions of parts; ``labels`` say which union each part belongs to, from 1, 0 for none."""
-    of_runs = np.repeat(labels, np.diff(runs.first))
-    order = np.argsort(of_runs, kind="stable")[np.count_nonzero(of_runs == 0) :]
-    first = np.searchsorted(of_runs[order], np.arange(1, count + 2))
+    run_labels = np.repeat(labels, np.diff(runs.first))
+    order = np.argsort(run_labels, kind="stable")[np.count_nonzero(run_labels == 0) :]
+    first = np.searchsorted(run_labels[order], np.arange(1, count + 2))
     return PixelRuns(first, runs.row[order], runs.start[order], runs.stop[order], runs.share[order])

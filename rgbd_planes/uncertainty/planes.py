@@ -1,9 +1,9 @@
 """What follows from a plane's covariance: comparisons, distances, angles, other frames.
 
-Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and
-``plane_covariance`` of a fit. Everything is to first order in the errors. Leading shapes broadcast. Arrays of other
-shapes, and planes whose normals are not of length 1, raise a ValueError that names them; masked arrays, and arrays of
-anything but numbers, a TypeError.
+Planes are (..., 4), n·X + d = 0 with ‖n‖ = 1, and their covariances (..., 4, 4), as ``planes`` and ``plane_covariance``
+of a fit. Everything is to first order in the errors. Leading shapes broadcast. Arrays of other shapes, and planes whose
+normals are not of length 1, raise a ValueError that names them. Masked arrays, and arrays of anything but numbers,
+raise a TypeError.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ def same_plane(
     Parameters
     ----------
     alpha, other_alpha : (..., 3) or (..., 4) array_like
-        As ``alpha`` of a fit, -n / d; or planes (n, d), as from `transform_planes`, both in the same frame. Of planes
-        that one camera saw, α is better: errors of (n, d) are known to first order only, which is not enough where
-        normals are uncertain by ten degrees or more, as those of tiles of a few pixels.
+        As ``alpha`` of a fit, -n / d; or planes (n, d), as from `transform_planes`, both in the same frame. For planes
+        that one camera saw, α is better. Errors of (n, d) are known to first order only. That is not enough where
+        normals are uncertain by ten degrees or more, as in tiles of a few pixels.
     covariance, other_covariance : (..., 3, 3) or (..., 4, 4) array_like
         As ``alpha_covariance``, or as ``plane_covariance``.
 
@@ -155,9 +155,9 @@ def angle_between(
     Returns
     -------
     angle, std : (...) float64
-        Degrees, 0 to 180. Between planes that are parallel to within their errors the angle is the length of
-        an error, never negative; the standard deviation is then that of a component along the line between
-        the normals, or along the most uncertain direction where they coincide.
+        Degrees, 0 to 180. Between planes that are parallel to within their errors the angle is the length of an error,
+        never negative. Its standard deviation is then taken along the line between the normals, or along the most
+        uncertain direction where they coincide.
     """
     first, second = _planes("planes", planes)[..., :3], _planes("other_planes", other_planes)[..., :3]
     first_covariance = _covariance("plane_covariance", plane_covariance)[..., :3, :3]
@@ -286,8 +286,8 @@ def align_planes(
     Raises
     ------
     ValueError
-        Fewer than three planes are in both frames, or they do not face three directions: they tell no motion; or no
-        motion takes the normals to the same sides; or a covariance is not of rank 3.
+        Fewer than three planes are in both frames, or they do not face three directions. Or no motion takes the normals
+        to the same sides. Or a covariance is not of rank 3.
 
     Notes
     -----
@@ -298,31 +298,38 @@ def align_planes(
     from scipy.spatial.transform import Rotation
 
     first, second = _planes("planes", planes), _planes("other_planes", other_planes)
-    of_first = shaped_array("plane_covariance", plane_covariance, (4, 4))
-    of_second = shaped_array("other_covariance", other_covariance, (4, 4))
-    leading = {first.shape[:-1], second.shape[:-1], of_first.shape[:-2], of_second.shape[:-2]}
+    first_covariance = shaped_array("plane_covariance", plane_covariance, (4, 4))
+    second_covariance = shaped_array("other_covariance", other_covariance, (4, 4))
+    leading = {first.shape[:-1], second.shape[:-1], first_covariance.shape[:-2], second_covariance.shape[:-2]}
     if first.ndim != 2 or len(leading) > 1:
-        came = ", ".join(str(array.shape) for array in (first, of_first, second, of_second))
+        came = ", ".join(str(array.shape) for array in (first, first_covariance, second, second_covariance))
         raise ValueError(f"expected (K, 4) planes and (K, 4, 4) covariances of as many in both frames, got {came}")
-    given = first, second, of_first, of_second
+    given = first, second, first_covariance, second_covariance
     there = np.logical_and.reduce([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in given])
-    first, second, of_first, of_second = first[there], second[there], of_first[there], of_second[there]
+    first, second, first_covariance, second_covariance = (
+        first[there],
+        second[there],
+        first_covariance[there],
+        second_covariance[there],
+    )
     if np.linalg.matrix_rank(first[:, :3], tol=_RANK) < 3:
         raise ValueError(f"expected planes that face three directions in both frames, got {len(first)} that do not")
-    _check_rank(first, of_first)
-    _check_rank(second, of_second)
+    _check_rank(first, first_covariance)
+    _check_rank(second, second_covariance)
     motion, products = np.eye(4), second[:, :3].T @ first[:, :3]
     motion[:3, :3] = nearest_rotation(products)
     # Of normals to the other side this is a rotation and a reflection, unless they hardly face three directions.
-    scatter = np.sqrt(np.trace(of_first[:, :3, :3] + of_second[:, :3, :3], axis1=1, axis2=2).sum())
+    scatter = np.sqrt(np.trace(first_covariance[:, :3, :3] + second_covariance[:, :3, :3], axis1=1, axis2=2).sum())
     if np.linalg.det(products) < 0.0 and np.linalg.svd(products, compute_uv=False)[-1] > 5.0 * scatter:
         raise ValueError(f"{_SAME_SIDES}, got some that only a reflection brings together")
-    axes = _axes_across(second[:, :3]) @ _about(_surest(second, of_second))
+    axes = _axes_across(second[:, :3]) @ _about(_surest(second, second_covariance))
     for _ in range(_ROUNDS):
-        moved, of_moved = transform_planes(first, of_first, motion)
+        moved, moved_covariance = transform_planes(first, first_covariance, motion)
         errors = np.sum(axes * (second - moved)[:, None, :], axis=-1)
         slope = axes @ _slope_of_motion(moved[:, :3], motion[:3, 3])
-        weighted = np.swapaxes(slope, 1, 2) @ np.linalg.inv(axes @ (of_moved + of_second) @ np.swapaxes(axes, 1, 2))
+        weighted = np.swapaxes(slope, 1, 2) @ np.linalg.inv(
+            axes @ (moved_covariance + second_covariance) @ np.swapaxes(axes, 1, 2)
+        )
         covariance = np.linalg.inv((weighted @ slope).sum(axis=0))
         step = covariance @ (weighted @ errors[..., None]).sum(axis=(0, 2))
         motion[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ motion[:3, :3]
@@ -357,17 +364,17 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     Raises
     ------
     ValueError
-        There are none, their normals point to opposite sides, or a covariance is not of rank 3, as far as rounding lets
-        one tell: for planes some 100 km from the origin it may not.
+        There are none, their normals point to opposite sides, or a covariance is not of rank 3. Rounding may hide the
+        rank of planes some 100 km from the origin.
 
     Notes
     -----
     Inverse covariances add: for tiles' planes with independent noise this is, to first order, the plane of all their
     pixels. `same_plane` tells whether they are one plane; if not, the result means nothing.
 
-    Errors that a sensor repeats from frame to frame, as those of its lens and its calibration (a noise model's
-    ``floor``), are not independent: of K frames from one place they stay as they are, while the result's deviation is
-    that of one divided by √K. So fuse frames from places that are far from each other, or keep one frame's covariance.
+    Errors that a sensor repeats from frame to frame, by its lens and its calibration (a noise model's ``floor``), are
+    not independent. In K frames from one place they stay as they are, while the result's deviation is divided by √K. So
+    fuse frames from places that are far from each other, or keep one frame's covariance.
     """
     plane, covariance = _planes("planes", planes), shaped_array("plane_covariance", plane_covariance, (4, 4))
     shape = _leading(planes=plane.shape[:-1], plane_covariance=covariance.shape[:-2])
@@ -378,20 +385,20 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
     some = np.asarray(there.any(axis=-1))
     first = np.argmax(there, axis=-1)[..., None]
     fused = np.take_along_axis(plane, first[..., None], axis=-2)[..., 0, :]
-    of_fused = np.take_along_axis(covariance, first[..., None, None], axis=-3)[..., 0, :, :]
+    fused_covariance = np.take_along_axis(covariance, first[..., None, None], axis=-3)[..., 0, :, :]
     if (np.sum(plane[..., :3] * fused[..., None, :3], axis=-1) < 0.0).any():
         raise ValueError("expected planes whose normals point to one side")
     _check_rank(plane[there], covariance[there])
     for _ in range(2):  # from the first plane, and then from the result
-        origin = _about(_surest(fused, of_fused))
+        origin = _about(_surest(fused, fused_covariance))
         axes = _axes_across(fused[..., :3]) @ origin
         errors = np.sum(axes[..., None, :, :] * plane[..., None, :], axis=-1)
-        of_errors = axes[..., None, :, :] @ covariance @ np.swapaxes(axes, -1, -2)[..., None, :, :]
-        of_errors = np.where(there[..., None, None], of_errors, np.eye(3))
-        information = np.where(there[..., None, None], np.linalg.inv(of_errors), 0.0)
-        of_sum = np.linalg.inv(np.where(some[..., None, None], information.sum(axis=-3), np.eye(3)))
+        error_covariance = axes[..., None, :, :] @ covariance @ np.swapaxes(axes, -1, -2)[..., None, :, :]
+        error_covariance = np.where(there[..., None, None], error_covariance, np.eye(3))
+        information = np.where(there[..., None, None], np.linalg.inv(error_covariance), 0.0)
+        inverse_sum = np.linalg.inv(np.where(some[..., None, None], information.sum(axis=-3), np.eye(3)))
         weighted = np.sum(information * np.where(there[..., None], errors, 0.0)[..., None, :], axis=(-3, -1))
-        found = np.sum(of_sum * weighted[..., None, :], axis=-1)
+        found = np.sum(inverse_sum * weighted[..., None, :], axis=-1)
         across = axes[..., :2, :3]
         normal = fused[..., :3] + np.sum(found[..., :2, None] * across, axis=-2)
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -405,9 +412,9 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         back = np.linalg.inv(origin)
         fused = np.sum(back * np.concatenate([normal, found[..., 2:]], axis=-1)[..., None, :], axis=-1)
         slope = back @ slope
-        of_fused = slope @ of_sum @ np.swapaxes(slope, -1, -2)
-    fused[~some], of_fused[~some] = np.nan, np.nan
-    return fused, of_fused
+        fused_covariance = slope @ inverse_sum @ np.swapaxes(slope, -1, -2)
+    fused[~some], fused_covariance[~some] = np.nan, np.nan
+    return fused, fused_covariance
 
 
 def _covariance(name: str, covariance: npt.ArrayLike | None) -> Floats:
@@ -453,8 +460,8 @@ def _check_rank(plane: Floats, covariance: Floats) -> None:
     """Refuse covariances unless the errors in two directions, and of d, do not follow from one another."""
     _, aa, ab, bb, ad, bd, dd = _along_axes(plane, covariance)
     determinant = aa * bb - ab * ab
-    of_d = dd * determinant - (bb * ad * ad - 2.0 * ab * ad * bd + aa * bd * bd)
-    if not ((aa + bb > 0.0) & (determinant > _RANK * (aa + bb) ** 2) & (of_d > 0.0)).all():
+    offset_minor = dd * determinant - (bb * ad * ad - 2.0 * ab * ad * bd + aa * bd * bd)
+    if not ((aa + bb > 0.0) & (determinant > _RANK * (aa + bb) ** 2) & (offset_minor > 0.0)).all():
         raise ValueError("expected covariances of rank 3, as those of planes that were fitted")
 
 

@@ -68,8 +68,8 @@ class FitStatistics:
         """Written by `kernels.statistics.assess`, and again whenever the fit's arrays are written into."""
         assessment = fits._assessment
         # Copied where they are read-only, as Ray and joblib hand over results: no kernel is compiled for such.
-        kept = {name: getattr(fits, name) for name in _ARGUMENTS}
-        arrays = {name: array if array.flags.writeable else array.copy() for name, array in kept.items()}
+        results = {name: getattr(fits, name) for name in _ARGUMENTS}
+        arrays = {name: array if array.flags.writeable else array.copy() for name, array in results.items()}
         arrays["_statistics"] = self.rows
         assessment.of(arrays, fits._error_sums, fits._shared)(0, math.prod(fits.shape))
         rows = self.rows.view()
@@ -107,11 +107,11 @@ def _settings(noise: NoiseModel, fx: float, fy: float) -> Floats:
 
 
 def _some_tables(noise: NoiseModel, counts: npt.NDArray[np.integer], sizes: npt.NDArray[Any]) -> Floats:
-    made = noise.statistics(counts, sizes)
+    found = noise.statistics(counts, sizes)
     # The covariance of slopes has the geometric mean of their variances' factors: for a square all three are equal.
-    cross = np.sqrt(made.tilt_x * made.tilt_y)
-    half_variance = made.expected**2 / made.freedom
-    return np.stack([made.expected, half_variance, made.tilt_x, cross, made.tilt_y, made.offset], axis=1)
+    cross = np.sqrt(found.tilt_x * found.tilt_y)
+    half_variance = found.expected**2 / found.freedom
+    return np.stack([found.expected, half_variance, found.tilt_x, cross, found.tilt_y, found.offset], axis=1)
 
 
 def _tables_of_shapes(
@@ -185,8 +185,8 @@ def _made_limits(level: float) -> Floats:
         freedom = np.maximum(x, 1e-3) ** -2
         return np.asarray(chdtri(freedom, level) / freedom)
 
-    made = Chebyshev.interpolate(limit, LIMITS - 1, domain=[0.0, 1.0])
-    return np.asarray(made.convert(kind=Polynomial).coef)
+    fitted = Chebyshev.interpolate(limit, LIMITS - 1, domain=[0.0, 1.0])
+    return np.asarray(fitted.convert(kind=Polynomial).coef)
 
 
 def check_level(significance: float | None) -> float | None:
@@ -209,7 +209,7 @@ def check_significance(significance: float | None, camera: Camera) -> float | No
         )
     if level and camera.noise is not None and camera.noise.spread:
         w = 2.0 / 9.0 * inverse_freedom(camera.noise.spread)
-        least = NormalDist().cdf((w - 1.0) / w**0.5)  # of an infinite ratio: see `residuals.deviate_of`
+        least = NormalDist().cdf((w - 1.0) / w**0.5)  # the p-value of an infinite ratio
         if level < least:
             raise ValueError(
                 f"expected a significance of 0, or of at least {least:.1e}, with a noise whose spread is "
@@ -226,14 +226,14 @@ class Assessment:
     camera : Camera
     method : str
     significance : float or None
-        As in `fit_tiles`.
+        Share of flat tiles that become ROUGH by chance. None is 0.01; 0 is no test.
     sizes : (N, 2) int64 or float64
-        Height and width of each tile of a frame, row by row, missing pixels included; for other shapes, what
-        `noise.residuals.like_rectangles` gives.
+        Height and width of each tile of a frame, row by row, missing pixels included. Other shapes have those of
+        `footprints.like_rectangles`.
     footprint : (N, 5) int64
         For each tile's pixels, missing ones included: their number, Σx, Σy, Σx² and Σy².
     growth : (2, N) float64
-        See `noise.falloff.growth_of_parts`.
+        Factors by which a falloff multiplies the variances of tiles, and the variances of their logarithms within them.
     """
 
     def __init__(
@@ -267,8 +267,8 @@ class Assessment:
     def of(self, arrays: "Arrays", error_sums: Floats | None = None, shared: Floats | None = None) -> Work:
         """Return a function that marks tiles ``start`` to ``stop``, through all frames, and writes their statistics.
 
-        ``arrays`` are those of `plane_fits.allocate`, of one frame or several, and perhaps ``_statistics``, RESULTS
-        rows for each frame. ``error_sums`` and ``shared`` are those of `error_sums.Pixels`, for labels and unions.
+        ``arrays`` come from `results.allocate`, for one frame or several, and may have ``_statistics``, RESULTS rows
+        for each frame. Labels and unions have ``error_sums`` and ``shared``, from `pixel_errors.Pixels`.
         """
         noise, results = self._noise, arrays.get("_statistics")
         if noise is None or (results is None and not len(self._limits)):

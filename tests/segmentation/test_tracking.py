@@ -425,14 +425,14 @@ def some_planes(rng: np.random.Generator, count: int) -> np.ndarray:
 def test_the_motion_of_the_camera_is_that_of_most_planes(moving: int, rng: np.random.Generator) -> None:
     truth = motion_of((3.0, -5.0, 1.0), (0.1, -0.05, 0.15))
     planes = some_planes(rng, 12)
-    now = truth.of_planes(planes)
-    now[:moving] = motion_of((0.0, 25.0, 0.0), (0.5, 0.0, 0.0)).of_planes(now[:moving])
+    now = truth.move_planes(planes)
+    now[:moving] = motion_of((0.0, 25.0, 0.0), (0.5, 0.0, 0.0)).move_planes(now[:moving])
     found = camera_motion(planes, now, np.ones(12))
     assert np.degrees(np.arccos(0.5 * (np.trace(found.rotation @ truth.rotation.T) - 1.0))) < 0.1
     np.testing.assert_allclose(found.step, truth.step, atol=0.02)
     points = rng.standard_normal((5, 3))
     on_planes = points - (planes[:5, 3] + np.sum(planes[:5, :3] * points, axis=1))[:, None] * planes[:5, :3]
-    moved, carried = truth.of_points(on_planes), truth.of_planes(planes)[:5]
+    moved, carried = truth.move_points(on_planes), truth.move_planes(planes)[:5]
     np.testing.assert_allclose(np.sum(carried[:, :3] * moved, axis=1) + carried[:, 3], 0.0, atol=1e-12)
 
 

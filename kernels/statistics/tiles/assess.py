@@ -58,24 +58,25 @@ def assess(fits, in_range_space, tables, noise, places, limits, part, results):
     Parameters
     ----------
     fits : moments, reference, planes, rmse_metric, counts, status
-        Of N tiles in each of F frames: (F, 10, N) and (F, 3, N) float64; (F, 4 * N) and (F, N) float64; (F, N)
-        integers, which row of ``tables`` belongs to a tile; and (F, N) uint8, changed.
+        Of N tiles in each of F frames: (F, 10, N), (F, 3, N), (F, 4 * N) and (F, N) float64. ``counts`` are (F, N)
+        integers: which row of ``tables`` belongs to a tile. ``status`` is (F, N) uint8, changed.
     in_range_space : bool
         Whether the moments are of (tanθx, tanθy, q), not of (X, Y, Z).
     tables : (K, TABLE_COLUMNS) float64
         By number of pixels, or one for each tile. With the covariance C of errors that neighbours share, of variance 1,
-        and the projection P on residuals: tr(PC), tr((PC)²), and the factors of C on the variance of the slope along x,
-        on the covariance of the slopes, on the variance of the slope along y and on that of the mean inverse depth.
-        Without rows, pixels are independent.
+        and the projection P on residuals: tr(PC) and tr((PC)²). Then the factors by which C multiplies the variance of
+        the slope along x, the covariance of the slopes, the variance of the slope along y and the variance of the mean
+        inverse depth. Without rows, pixels are independent.
     noise : (8 or more,) float64
         Variances of the noise model: `noise_variances` says which entry is which.
     places : growth and pixel_terms
-        Factors on the variances of q along the ray in ``noise``, at each tile's place in the image, and the variances
-        of their logarithms within the tiles, (2, N) float64, or (2, 0). And what is known of the pixels beyond their
-        moments, (LENS_ROWS, DEPTH_ROWS or SHAPE_ROWS, N) float64, or without rows: `block` says which row is which.
+        ``growth`` is (2, N) float64, or (2, 0): factors on the variances of q along the ray in ``noise``, at each
+        tile's place in the image, and the variances of their logarithms within the tiles. ``pixel_terms`` is
+        (LENS_ROWS, DEPTH_ROWS or SHAPE_ROWS, N) float64, or without rows: what is known of the pixels beyond their
+        moments. `block` says which row is which.
     limits : (LIMITS,) float64
         The largest permitted sum of squared residuals over its expected value, as a polynomial in 1/√(degrees of
-        freedom); with a spread of the variance, the normal deviate of the level; empty for no test.
+        freedom). With a spread of the variance, the normal deviate of the level. Empty for no test.
     part : (start, stop)
         The tiles to assess, counted through all frames.
     results : (F, RESULTS, N) float64, written

@@ -49,9 +49,9 @@ def rounded_apart(noise, count, block):
 def rounded_alike(noise, count, block):
     """Add the rounding error common to all pixels of a tile to the factors on the variance that neighbours share.
 
-    In rows from COMMON on, 0 before, it is written by itself, for a part of which those factors are not used: as
-    variances of a pixel, of which the slope along x, that along y and the mean inverse depth have the same as of
-    independent ones.
+    In rows from COMMON on, 0 before, it is written by itself, for a part for which those factors are not used. It is
+    written as variances of a pixel: independent errors of such variances would give the two slopes and the mean inverse
+    depth the same errors.
     """
     for i in range(count):
         lateral = block[INDEPENDENT, i] - block[ROUNDING, i]

@@ -1,1 +1,1 @@
-"""Lens distortion: what a lens does to rays, and back."""
+"""Lens distortion: what a lens does to rays, and back. Uses `_core` alone."""
