@@ -4,10 +4,9 @@ import numpy as np
 import oracle
 
 import rgbd_planes as rp
+from rgbd_planes.fitting.methods import METHODS as METHODS
 
 HEIGHT, WIDTH = 48, 64
-METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
-
 
 DISTORTIONS = {
     "pinhole": (),

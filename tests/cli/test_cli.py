@@ -533,6 +533,8 @@ def test_help_shows_an_example(capsys, command, monkeypatch):
     assert "rgbd-\n" not in out
     if command == "fit":
         assert all(method in out for method in METHODS)
+    if command == "batch":
+        assert all(format in out for format in rp.sequences.FORMATS)
 
 
 def test_defaults_are_those_that_the_help_says():

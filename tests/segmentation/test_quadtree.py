@@ -10,10 +10,10 @@ from matplotlib.colors import to_rgb
 
 import rgbd_planes as rp
 from rgbd_planes.evaluation import scenes
+from rgbd_planes.fitting.methods import METHODS
 from rgbd_planes.plotting.quadtree import OUTLINES
 from rgbd_planes.segmentation.quadtree import QuadtreeFitter
 
-METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
 OPTIONS = {"tile": 32, "max_subdivisions": 2, "max_error": 0.02, "max_missing": 0.4}
 
 

@@ -11,14 +11,12 @@ from scipy import special, stats
 import rgbd_planes as rp
 from bench import monte_carlo
 from bench.monte_carlo import CORRELATED
+from rgbd_planes.fitting.methods import METHODS
 from rgbd_planes.kernels.statistics.distributions import chi_square, f_ratio
 from rgbd_planes.kernels.statistics.distributions.normal import WORK
 from rgbd_planes.kernels.statistics.distributions.normal import tails as normal_tails
 from rgbd_planes.noise import correlation
 from rgbd_planes.uncertainty import statistics
-
-METHODS = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
-
 
 # Depth, incidence, tile, share of holes: where the angle's error stays below a few degrees, so that what is
 # to first order can be held to a few per cent.
