@@ -69,7 +69,8 @@ class SurfaceFits:
     # (..., SURFACE_SUMS) + S' and S with S' = (R, C) or (K,).
     _moments: Floats
     _reference: Floats
-    _writes: list[int] = field(metadata={"saved": None})  # how often a fit has written into these arrays, shared with views of them
+    # How often a fit has written into these arrays, shared with views of them.
+    _writes: list[int] = field(metadata={"saved": None})
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what was worked out: in a copy it would no longer follow what a fit writes.
