@@ -46,6 +46,7 @@ _NAMES = {
     "normals": "fitting.normals",
     "open_sequence": "sequences",
     "plane_polygons": "segmentation.polygons",
+    "principal_curvatures": "fitting.surfaces.dense",
     "segment": "segmentation.segment",
     "segment_quadtree": "segmentation.quadtree",
     "segment_sequence": "segmentation.tracking",
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting.merge import merge as merge
     from rgbd_planes.fitting.normals import curvature as curvature
     from rgbd_planes.fitting.normals import normals as normals
+    from rgbd_planes.fitting.surfaces.dense import principal_curvatures as principal_curvatures
     from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces as TileSurfaces
     from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter as SurfaceFitter
     from rgbd_planes.fitting.surfaces.tiles import fit_surfaces as fit_surfaces

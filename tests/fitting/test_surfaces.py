@@ -233,3 +233,44 @@ def test_saved_surfaces_come_back(tmp_path, rng):
     table = found.to_table()
     assert len({len(column) for column in table.values()}) == 1
     assert "p_flat" in table
+
+
+@pytest.mark.parametrize("window", [5, 9])
+@pytest.mark.parametrize("holes", ["none", "some", "most"])
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_dense_curvatures_equal_least_squares_of_each_window(window, holes, distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion], width=40, height=100)
+    depth = as_dtype(make_holes(make_bent(camera, rng), holes, rng), "uint16")
+    depth[50, 20] = 0 if holes == "none" else 1  # so near that it would leave rounding errors behind
+    found = rp.principal_curvatures(depth, camera, window, max_missing=0.7, num_threads=2)
+    np.testing.assert_array_equal(found, rp.principal_curvatures(depth, camera, window, max_missing=0.7, num_threads=1))
+    q = oracle.inverse_depth(depth, camera)
+    half, compared = window // 2, 0
+    for row, column in zip(rng.integers(0, 100, 120), rng.integers(0, 40, 120), strict=True):
+        top, left = max(row - half, 0), max(column - half, 0)
+        box = (top, left, min(row + half, 99) + 1 - top, min(column + half, 39) + 1 - left)
+        ray = camera.tan_x[row, column], camera.tan_y[row, column]
+        status, _, beta, _, _, well = lstsq_surface(q, camera, box, ray, 0.7)
+        if not np.isfinite(q[row, column]) or status == oracle.TOO_FEW:
+            assert np.isnan(found[row, column]).all()
+        elif well and status == oracle.OK:
+            wanted = exact_curvatures(beta, *ray)
+            np.testing.assert_allclose(found[row, column], wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
+            compared += 1
+    assert compared > 30
+
+
+def exact_curvatures(beta, u, v):
+    """κ₁ and κ₂ of q = β·φ at its central ray, by the fundamental forms of X = m/q, from numerical derivatives."""
+    q, a, b, r, s, t = beta[0], beta[1], beta[2], 2.0 * beta[3], beta[4], 2.0 * beta[5]
+    m, z = np.array([u, v, 1.0]), 1.0 / q
+    m_u, m_v = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    x_u, x_v = z * m_u - z * z * a * m, z * m_v - z * z * b * m
+    x_uu = -2.0 * z * z * a * m_u + (2.0 * z**3 * a * a - z * z * r) * m
+    x_uv = -z * z * (b * m_u + a * m_v) + (2.0 * z**3 * a * b - z * z * s) * m
+    x_vv = -2.0 * z * z * b * m_v + (2.0 * z**3 * b * b - z * z * t) * m
+    normal = np.cross(x_u, x_v)
+    normal *= -np.sign(normal @ m) / np.linalg.norm(normal)
+    first = np.array([[x_u @ x_u, x_u @ x_v], [x_u @ x_v, x_v @ x_v]])
+    second = -np.array([[normal @ x_uu, normal @ x_uv], [normal @ x_uv, normal @ x_vv]])
+    return np.sort(np.linalg.eigvals(np.linalg.solve(first, second)).real)[::-1]
