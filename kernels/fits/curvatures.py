@@ -15,8 +15,6 @@ from ..moments import sliding_window
 from ..moments.sliding_window import BAND, PITCH
 from ..moments.strips import TILES
 from ..moments.surface_tiles import (
-    N,
-    Q,
     QQ,
     QU,
     QUU,
@@ -24,7 +22,6 @@ from ..moments.surface_tiles import (
     QV,
     QVV,
     SURFACE_SUMS,
-    U,
     UU,
     UUU,
     UUUU,
@@ -34,10 +31,13 @@ from ..moments.surface_tiles import (
     UV,
     UVV,
     UVVV,
-    V,
     VV,
     VVV,
     VVVV,
+    N,
+    Q,
+    U,
+    V,
 )
 from ..solvers.curvatures import gaussian_curvature, mean_curvature, principal_pair, tangent_distance
 from ..solvers.quadratic import QUADRATIC_WORK, RESIDUAL, solve_quadratics

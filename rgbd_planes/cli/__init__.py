@@ -5,6 +5,7 @@ docstring is its help. It imports what it needs when it runs, so that ``--help``
 """
 
 from rgbd_planes.cli.batch import batch
+from rgbd_planes.cli.curvature import curvature
 from rgbd_planes.cli.demo import demo
 from rgbd_planes.cli.fit import fit
 from rgbd_planes.cli.noise import noise
@@ -12,4 +13,4 @@ from rgbd_planes.cli.normals import normals
 from rgbd_planes.cli.segment import segment
 from rgbd_planes.cli.view import view
 
-COMMANDS = (demo, fit, segment, normals, noise, batch, view)
+COMMANDS = (demo, fit, segment, normals, curvature, noise, batch, view)

@@ -60,10 +60,10 @@ def normals(parser: argparse.ArgumentParser) -> Run:
                 beside.write_bytes(content.getbuffer())
             print(f"Wrote {arguments.out}")
         if arguments.figure is not None:
-            from rgbd_planes.plotting.surfaces import plot_surfaces
+            from rgbd_planes.plotting.normals import plot_normals
 
             curvature = rp.curvature(depth, camera, arguments.window, **options)
-            figure = plot_surfaces(depth, camera, found, curvature, avoid_edges=arguments.avoid_edges)
+            figure = plot_normals(depth, camera, found, curvature, avoid_edges=arguments.avoid_edges)
             write_figure(figure, arguments.figure)
             print(f"Wrote {arguments.figure}")
         return status

@@ -59,3 +59,15 @@ def label_colours(count: int) -> Floats:
     return np.asarray(
         value[:, None] * (1.0 - saturation[:, None] * np.clip(np.minimum(sector, 4.0 - sector), 0.0, 1.0))
     )
+
+
+CONVEX, FLAT, CONCAVE = (0.70, 0.09, 0.17), (0.97, 0.97, 0.97), (0.13, 0.40, 0.67)
+
+
+def diverging_colours(values: Floats) -> Floats:
+    """(..., 3) float64: RGB of values from -1 (blue) over 0 (white) to 1 (red); light grey for NaN."""
+    share = np.clip(np.abs(values), 0.0, 1.0)[..., None]
+    ends = np.where(values[..., None] >= 0.0, CONVEX, CONCAVE)
+    # The root of the share: small values can be told from none.
+    colours = np.array(FLAT) + np.sqrt(share) * (ends - np.array(FLAT))
+    return np.where(np.isfinite(colours), colours, MISSING)

@@ -8,23 +8,31 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.status import TileStatus
+from rgbd_planes._core.text import two_digits
 from rgbd_planes.plotting.colours import (
+    CONCAVE,
+    CONVEX,
     MISSING,
     NO_PLANE,
     STATUS_COLOURS,
+    diverging_colours,
     in_image,
     label_colours,
     normal_colours,
     status_colours,
 )
-from rgbd_planes.plotting.protocols import PlacedPlanes, SegmentedElements, SegmentedFrame
+from rgbd_planes.plotting.protocols import PlacedPlanes, PlacedSurfaces, SegmentedElements, SegmentedFrame
 from rgbd_planes.plotting.segments import label_image
 
 _WIDEST = 320  # pixels of a panel
 _GAP = 8
 _LISTED = 4  # planes
 DPI = 65  # of a figure: its texts can just be read
+LEVEL = 0.01
+"""Below this p-value a tile counts as curved."""
+_SHOWN = 0.9  # share of the curved tiles whose colours are not beyond the scale
 
 
 def fits_picture(fits: PlacedPlanes) -> NDArray[np.uint8]:
@@ -78,6 +86,38 @@ def fits_html(fits: PlacedPlanes) -> str:
         f"{image_html('normals and status', _png(fits_picture(first)))}"
         f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
         f"{_square(MISSING)}&nbsp;none. Right: {_status_names(first)}.</small></div></div>"
+    )
+
+
+def shown_curvature(surfaces: PlacedSurfaces) -> tuple[Floats, NDArray[np.bool_], float]:
+    """S float64 the mean curvature; whether each part is curved, as far as is known; and the limit of the colours."""
+    mean = np.where(surfaces.fitted, surfaces.mean_curvature, np.nan)
+    curved = surfaces.fitted.copy()
+    if surfaces.camera.noise is not None:
+        curved &= surfaces.p_flat < LEVEL
+    known = np.abs(mean[curved])
+    limit = float(np.quantile(known, _SHOWN)) if known.size else 1.0
+    return mean, curved, max(limit, 1e-3)
+
+
+def surfaces_html(surfaces: PlacedSurfaces) -> str:
+    """Return a few lines of HTML: what was found, normals and mean curvature as a picture, and what colours mean."""
+    batch = len(surfaces.shape) == 3
+    if batch and surfaces.shape[0] == 0:
+        return f"<div>{html.escape(repr(surfaces).strip('<>'))}</div>"
+    first = surfaces[0] if batch else surfaces  # type: ignore[index]
+    which = " of the first frame" if batch else ""
+    mean, curved, limit = shown_curvature(first)
+    cells = first._cells(*_sampled(first.camera.shape))
+    normals = normal_colours(in_image(first.normals, first.camera))
+    bent = diverging_colours(np.where(curved | ~first.fitted, mean, 0.0) / limit)
+    flat = ", white flat as far as the noise tells" if first.camera.noise is not None else ""
+    return (
+        f"<div><div>{html.escape(repr(surfaces).strip('<>'))}</div>"
+        f"{image_html('normals and mean curvature', _png(_beside(_shown(normals, cells), _shown(bent, cells))))}"
+        f"<div><small>Left: normals{which}, red to the right, green up, blue towards the camera, "
+        f"{_square(MISSING)}&nbsp;none. Right: mean curvature, {_square(CONVEX)}&nbsp;bulging towards the camera, "
+        f"{two_digits(limit)}/m and more, {_square(CONCAVE)}&nbsp;hollow{flat}.</small></div></div>"
     )
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 import rgbd_planes as rp
 from rgbd_planes.cli import main as cli
 from rgbd_planes.evaluation import scenes
-from rgbd_planes.plotting.surfaces import plot_surfaces
+from rgbd_planes.plotting.normals import plot_normals
 from rgbd_planes.sequences import images
 
 HOLES = ("none", "some", "most", "patches", "lines", "almost all")
@@ -514,7 +514,7 @@ def test_figure_says_that_edges_look_flat_unless_they_are_avoided(folder, monkey
 def test_figure_of_a_frame_with_nothing_in_it():
     camera = make_camera()
     depth = np.zeros(camera.shape)
-    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    figure = plot_normals(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     assert figure._repr_png_().startswith(b"\x89PNG")
 
 
@@ -523,7 +523,7 @@ def test_labels_of_the_curvature_are_legible(low, high):
     camera = make_camera()
     curvature = np.geomspace(low, high, camera.width * camera.height, dtype=np.float32)
     depth = np.ones(camera.shape)
-    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), curvature.reshape(camera.shape))
+    figure = plot_normals(depth, camera, rp.normals(depth, camera), curvature.reshape(camera.shape))
     figure.draw_without_rendering()
     (axis,) = (axes.xaxis for below in figure.axes for axes in below.child_axes if "var" in axes.get_xlabel())
     least, most = axis.get_view_interval()

@@ -18,8 +18,8 @@ from rgbd_planes.evaluation import scenes
 from rgbd_planes.noise_estimation.evidence import NoiseEvidence
 from rgbd_planes.plotting import segments
 from rgbd_planes.plotting import tiles as plotting
+from rgbd_planes.plotting.normals import plot_normals
 from rgbd_planes.plotting.quadtree import OUTLINES
-from rgbd_planes.plotting.surfaces import plot_surfaces
 
 
 def fitted(tile=8, **options):
@@ -122,7 +122,7 @@ def test_panels_show_depth_normals_and_statuses_where_they_belong(tile, tmp_path
 def test_normals_have_one_legend():
     tiles, depth = fitted()
     camera = tiles.camera
-    surfaces = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    surfaces = plot_normals(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     for figure in (tiles.plot(depth), surfaces):
         (ball,) = (
             axes
@@ -151,7 +151,7 @@ def test_the_scale_of_one_depth_is_in_metres():
     """Rounding errors apart, or a millimetre: no scale of millionths with the metre added at its end."""
     camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
     depth = np.ones(camera.shape)
-    normals = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    normals = plot_normals(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     for figure in (rp.fit_tiles(depth, camera, tile=8).plot(depth), normals):
         figure.draw_without_rendering()
         drawn = [inner for axes in figure.axes for inner in (axes, *axes.child_axes)]
@@ -174,7 +174,7 @@ def test_the_scale_of_depth_says_at_which_end_there_is_more(strays, ends):
 def test_rounding_is_no_curvature():
     camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
     depth = 1.0 / (0.5 + 0.1 * camera.tan_x)
-    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    figure = plot_normals(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     (image,) = figure.axes[2].get_images()
     shown = image.norm(image.get_array())
     assert not np.ma.getmaskarray(shown).any()
@@ -186,7 +186,7 @@ def test_the_scale_of_curvature_has_round_numbers(low, high):
     camera = rp.Camera(width=68, height=50, fx=52.5, fy=52.5, cx=33.5, cy=24.5)
     depth = np.ones(camera.shape)
     curvature = np.geomspace(low, high, depth.size).reshape(depth.shape).astype(np.float32)
-    figure = plot_surfaces(depth, camera, rp.normals(depth, camera), curvature)
+    figure = plot_normals(depth, camera, rp.normals(depth, camera), curvature)
     figure.draw_without_rendering()
     (scale,) = (axes for below in figure.axes for axes in below.child_axes if "variance" in axes.get_xlabel())
     shown = [float(label.get_text()) for label in scale.get_xticklabels()]
@@ -202,7 +202,7 @@ def test_figures_of_frames_that_are_far_from_square_fit_on_a_page(shape):
     height, width = shape
     camera = rp.Camera(width, height, 1000.0, 1000.0, (width - 1) / 2, (height - 1) / 2)
     depth = scenes.plane((0.1, 0.2, -1.0), 2.0).render(camera).depth
-    normals = plot_surfaces(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
+    normals = plot_normals(depth, camera, rp.normals(depth, camera), rp.curvature(depth, camera))
     others = (rp.fit_tiles(depth, camera, 8), rp.segment(depth, camera), rp.segment_quadtree(depth, camera, 16))
     for figure in (normals, *(fitted.plot(depth) for fitted in others)):
         assert 0.08 <= figure.get_figheight() / figure.get_figwidth() <= 2.0
@@ -442,7 +442,7 @@ def test_scales_have_arrows_where_values_are_beyond_them(rng):
     depth = scenes.room().render(camera).measure(seed=2)
     depth[0, 0] = 40_000
     normals, curvature = rp.normals(depth, camera), rp.curvature(depth, camera)
-    metres, _, bent = plot_surfaces(depth, camera, normals, curvature).axes[:3]
+    metres, _, bent = plot_normals(depth, camera, normals, curvature).axes[:3]
     assert metres.images[0].colorbar.extend == "both"
     assert bent.images[0].colorbar.extend == "both"
 

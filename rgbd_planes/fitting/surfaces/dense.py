@@ -18,12 +18,7 @@ from rgbd_planes.kernels.moments.sliding_window import BAND
 
 
 def principal_curvatures(
-    depth: npt.ArrayLike,
-    camera: Camera,
-    window: int = 15,
-    *,
-    max_missing: float = 0.5,
-    num_threads: int | None = None,
+    depth: npt.ArrayLike, camera: Camera, window: int = 15, *, max_missing: float = 0.5, num_threads: int | None = None
 ) -> npt.NDArray[np.float32]:
     """Fit a surface of second order to the window around every pixel and return its principal curvatures.
 

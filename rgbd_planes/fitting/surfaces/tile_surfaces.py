@@ -116,6 +116,37 @@ class TileSurfaces(Savable, SurfaceFits):
         height, width = self.tile
         return f"<TileSurfaces: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the counts and a small picture."""
+        from rgbd_planes.plotting.preview import surfaces_html
+
+        return surfaces_html(self)
+
+    def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
+        """Draw the depth, the normals as colours, and the mean curvature with strokes along the larger curvature.
+
+        With a noise model, tiles that it takes for flat (p_flat of 0.01 or more) are white, and have no stroke.
+
+        Parameters
+        ----------
+        depth : (H, W) array_like, optional
+            The frame that was fitted; without it the fitted surfaces' own depth is drawn.
+        figure : matplotlib Figure, optional
+            Drawn into, with text for a width of 15 inches; a new one of that width by default.
+
+        Returns
+        -------
+        matplotlib Figure
+
+        Raises
+        ------
+        TypeError, ValueError
+            The surfaces are those of a batch, or the frame is not their camera's.
+        """
+        from rgbd_planes.plotting.curvature import plot_surfaces
+
+        return plot_surfaces(self, depth, figure)
+
     def _places(self) -> dict[str, npt.NDArray[Any]]:
         *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
         places = {"frame": frame[0]} if frame else {}

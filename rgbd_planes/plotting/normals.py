@@ -18,7 +18,7 @@ from rgbd_planes.plotting.tiles import draw_legend_of_normals, draw_measured_dep
 _FLAT = 1e-6
 
 
-def plot_surfaces(
+def plot_normals(
     depth: npt.ArrayLike,
     camera: Camera,
     normals: npt.NDArray[np.float32],
