@@ -230,26 +230,25 @@ def whole_windows(depths, missing, valid, count, x_0, y_0, fx, fy, terms, tan_x,
 
 @kernel()
 def separable_curvatures(
-    raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, needed_of,
+    frame, fx, fy, tan_x, tan_y, window, needed_by_size,
     band_start, band_stop, curvatures,
 ):  # fmt: skip
     """Principal curvatures around the pixels of some bands of `BAND` rows, for a camera without lens distortion.
 
     Parameters
     ----------
-    raw, lowest, highest, scale, offset, is_disparity
-        The frame: see `kernels`.
+    frame : RawFrame
     fx, fy : float
         tanθx and tanθy change by 1 / fx and 1 / fy from pixel to pixel.
     tan_x, tan_y : (W,) and (H,) float64
     window : int
         Odd.
-    needed_of : (window² + 1,) float64
+    needed_by_size : (window² + 1,) float64
         Number of valid pixels that a window needs, by the number of its pixels.
     curvatures : (H W 2,) float32, written
         κ₁ and κ₂ in 1/m, NaN where the pixel is missing or too much of its window is.
     """
-    height, width = raw.shape
+    height, width = frame.raw.shape
     half = (window - 1) // 2
     strip = sliding_window.strip_width(width, window)
     slots = window + 1
@@ -280,9 +279,7 @@ def separable_curvatures(
         missing[:] = count
         for row in range(row_start - half, row_stop + half):
             slot, old = (row + half) % slots, (row + half + 1) % slots
-            _, wild[slot] = sliding_window.read_row(
-                raw, row, left - half, lowest, highest, scale, offset, is_disparity, q[:count], valid[slot, :count]
-            )
+            _, wild[slot] = sliding_window.read_row(frame, row, left - half, q[:count], valid[slot, :count])
             gone = 0  # what is beyond the frame is missing, too
             for i in range(count):
                 gone += 1 if valid[slot, i] == np.float32(0.0) else 0
@@ -313,7 +310,7 @@ def separable_curvatures(
                 if missing[old] > 0:
                     add_pixel_sums(missing_rows[old], float(centre - half - 1 - middle), -1.0, columns, pixels)
             if centre <= max(row_start, half) or centre >= height - half:
-                needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
+                needed_pixels(centre, left, half, frame.raw.shape, needed_by_size, needed[:columns])
             first = centre * width + left
             at_pixels = valid[row % slots, half:]
             v, y_0 = tan_y[centre], float(centre - middle)
@@ -372,11 +369,11 @@ def ray_powers(q, valid, tan_x, tan_y, x_reference, y_reference, fx, fy, channel
 
 @kernel()
 def distorted_curvatures(
-    raw, lowest, highest, scale, offset, is_disparity, fx, fy, tan_x, tan_y, window, needed_of,
+    frame, fx, fy, tan_x, tan_y, window, needed_by_size,
     band_start, band_stop, curvatures,
 ):  # fmt: skip
     """As `separable_curvatures` for any camera, of which tan_x and tan_y are (H, W)."""
-    height, width = raw.shape
+    height, width = frame.raw.shape
     half = (window - 1) // 2
     slots = window + 1
     total = DEPTHS + PIXELS
@@ -406,10 +403,7 @@ def distorted_curvatures(
                 sums[:] = 0.0
             for row in range(centre - half if is_new else centre + half, centre + half + 1):
                 slot = (row + half) % slots
-                _, wild[slot] = sliding_window.read_row(
-                    raw, row, left - half, lowest, highest, scale, offset, is_disparity,
-                    q[:count], valid[slot, :count],
-                )  # fmt: skip
+                _, wild[slot] = sliding_window.read_row(frame, row, left - half, q[:count], valid[slot, :count])
                 nearest = min(max(row, 0), height - 1)  # beyond the frame nothing is valid, and any rays will do
                 ray_powers(
                     q[margin:], valid[slot, margin:], tan_x[nearest, first_column:last_column],
@@ -422,7 +416,7 @@ def distorted_curvatures(
                 old = rows[(centre - 1) % slots]
                 for i in range((total - 1) * PITCH + columns):
                     sums[i] -= old[i]
-            needed_pixels(centre, left, half, height, width, needed_of, needed[:columns])
+            needed_pixels(centre, left, half, frame.raw.shape, needed_by_size, needed[:columns])
             first = centre * width + left
             at_pixels = valid[(centre + half) % slots, half:]
             number = 0

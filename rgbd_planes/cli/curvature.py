@@ -1,6 +1,7 @@
 """``rgbd-planes curvature``."""
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 from rgbd_planes._core.text import percent, two_digits
@@ -23,7 +24,7 @@ def curvature(parser: argparse.ArgumentParser) -> Run:
     """
     add_frame(parser)
     parser.add_argument(
-        "--tile", type=tile_size, default=(24, 24), metavar="SIZE", help="pixels, or HEIGHTxWIDTH: 24, 24x32 (24)"
+        "--tile", type=tile_size, default=(24, 24), metavar="N or HxW", help="size of a tile in pixels (24)"
     )
     parser.add_argument(
         "--max-missing",
@@ -32,9 +33,7 @@ def curvature(parser: argparse.ArgumentParser) -> Run:
         metavar="SHARE",
         help="largest share of a tile's pixels that may be missing (0.5)",
     )
-    parser.add_argument(
-        "--max-error", type=float, metavar="METRES", help="tiles with a larger residual along the normal are ROUGH"
-    )
+    parser.add_argument("--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH")
     parser.add_argument(
         "--significance",
         type=float,
@@ -99,7 +98,7 @@ def curvature(parser: argparse.ArgumentParser) -> Run:
     return run
 
 
-def _write_csv(path: Path, table: "dict[str, object]") -> None:
+def _write_csv(path: Path, table: "Mapping[str, object]") -> None:
     """Write a table whole or not at all."""
     import csv
 

@@ -1,4 +1,4 @@
-"""The command line: ``rgbd-planes demo``, ``fit``, ``segment``, ``normals``, ``noise``, ``batch``."""
+"""The command line: ``rgbd-planes demo``, ``fit``, ``segment``, ``normals``, ``curvature``, ``noise``, ``batch``."""
 
 import argparse
 import contextlib

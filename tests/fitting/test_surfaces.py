@@ -274,3 +274,24 @@ def exact_curvatures(beta, u, v):
     first = np.array([[x_u @ x_u, x_u @ x_v], [x_u @ x_v, x_v @ x_v]])
     second = -np.array([[normal @ x_uu, normal @ x_uv], [normal @ x_uv, normal @ x_vv]])
     return np.sort(np.linalg.eigvals(np.linalg.solve(first, second)).real)[::-1]
+
+
+def test_pictures_of_surfaces(rng):
+    camera = rp.Camera(160, 120, 130.0, 130.0, 79.5, 59.5, noise=rp.noise.kinect_v1())
+    q = inverse_depth_of_quadric(rays_of(camera), *ball((0.0, 0.0, 1.2), 0.4))
+    depth = 1.0 / (np.where(np.isfinite(q), q, 0.5) + 1e-3 * rng.standard_normal(camera.shape))
+    depth[:20, :30] = 0.0
+    found = rp.fit_surfaces(depth, camera, 12)
+    _, _, strokes = found.plot(depth).axes[:3]
+    assert "curvature" in strokes.get_title().lower()
+    assert len(strokes.collections[0].get_segments()) == np.count_nonzero(found.fitted & (found.p_flat < 0.01))
+    picture = np.asarray(strokes.images[0].get_array())
+    assert np.allclose(picture[3, 3], (0.86, 0.86, 0.86))  # missing
+    red, _, blue = picture[60, 80]
+    assert red > blue  # the ball bulges
+    assert "bulging" in found._repr_html_()
+    assert len(found.plot().axes) == len(found.plot(depth).axes)
+    batch = rp.SurfaceFitter(camera, 12).fit_batch(np.stack([depth, depth]))
+    with pytest.raises(ValueError, match="plot them"):
+        batch.plot()
+    assert "first frame" in batch._repr_html_()

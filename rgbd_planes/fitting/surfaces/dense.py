@@ -74,7 +74,7 @@ def principal_curvatures(
     rays = (camera.tan_x, camera.tan_y) if camera.is_distorted else (camera.tan_x_columns, camera.tan_y_rows)
 
     def work(start: int, stop: int) -> None:
-        kernel(*frame.values, camera.fx, camera.fy, *rays, side, needed, start, stop, flat)
+        kernel(frame.values, camera.fx, camera.fy, *rays, side, needed, start, stop, flat)
 
     with announced(("curvatures", camera.is_distorted, frame.raw.dtype)):
         run_in_ranges(work, -(-frame.raw.shape[0] // BAND), threads)

@@ -20,6 +20,8 @@ from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprint
 from rgbd_planes.uncertainty.falloff import growth_of_tiles
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rgbd_planes.fitting.surfaces.statistics import SurfaceAssessment
 
 
